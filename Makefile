@@ -1,0 +1,36 @@
+VENV ?= .venv
+BIN := $(VENV)/bin
+PYTHON ?= python3
+
+.PHONY: demo test test-slow test-gpu check bench install
+
+install: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip
+	$(BIN)/pip install --quiet -c constraints.txt torch
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+	touch $@
+
+# Train the walk on the CPU, evaluate it, leave video and report.
+demo: install
+	$(BIN)/understudy train experiment=spacetime/walk
+
+test: install
+	$(BIN)/python -m pytest
+
+test-slow: install
+	$(BIN)/python -m pytest -m slow --timeout=3600
+
+test-gpu: install
+	$(BIN)/python -m pytest -m gpu --timeout=1800
+
+check: install
+	$(BIN)/ruff format --check kernel plugins tests
+	$(BIN)/ruff check kernel plugins tests
+	$(BIN)/pyright
+
+bench: install
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'
+	$(BIN)/python -m understudy.bench

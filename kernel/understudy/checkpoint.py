@@ -1,0 +1,183 @@
+"""Checkpoints: tensors as safetensors, everything else as JSON, both written atomically.
+
+A checkpoint ``NAME`` is two files: ``NAME.safetensors`` and ``NAME.json``. The JSON is written last
+and holds the digest of the tensors and of itself, so a checkpoint exists completely or not at all,
+and a changed byte is noticed. Loading executes nothing: both formats are plain data.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as save_tensors
+from torch import Tensor
+
+from understudy.errors import RunError
+
+#: Version of the layout written here. Older ones are migrated, newer ones refused.
+FORMAT = 1
+
+#: Changes an older layout into the next one: ``{from_version: function(state, meta)}``.
+MIGRATIONS: dict[int, Any] = {}
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Replace `path` with `data` so that a crash leaves either the old file or the new one.
+
+    Raises
+    ------
+    RunError
+        if the disk is full or the folder cannot be written; the old file is untouched.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise RunError(f"{path} could not be written: {error.strerror}. What was there is untouched.") from error
+
+
+def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
+    """Write `state` (nested mappings of tensors, numbers, strings, lists) as the checkpoint `path`."""
+    tensors: dict[str, Tensor] = {}
+    tree = _take_tensors(state, "", tensors)
+    data = save_tensors({k: v.detach().cpu().contiguous() for k, v in tensors.items()})
+    content = {
+        "format": FORMAT,
+        "meta": dict(meta),
+        "state": tree,
+        "sha256": hashlib.sha256(data).hexdigest(),
+    }
+    write_atomically(path.with_suffix(".safetensors"), data)
+    write_atomically(path.with_suffix(".json"), _sealed(content))
+
+
+def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The ``(state, meta)`` of the checkpoint `path` (with or without an ending).
+
+    Raises
+    ------
+    RunError
+        if it is missing, damaged, or of a newer format.
+    """
+    document = read_sealed(path.with_suffix(".json"))
+    version = document.get("format")
+    if not isinstance(version, int) or version > FORMAT:
+        raise RunError(
+            f"{path} has checkpoint format {version}, and this understudy reads up to {FORMAT}. "
+            "Use the version of understudy that wrote it, or a newer one."
+        )
+    try:
+        data = path.with_suffix(".safetensors").read_bytes()
+    except OSError as error:
+        raise RunError(f"{path.with_suffix('.safetensors')} cannot be read: {error.strerror}.") from error
+    if hashlib.sha256(data).hexdigest() != document.get("sha256"):
+        raise RunError(f"{path.with_suffix('.safetensors')} is damaged: its digest does not match.")
+    try:
+        tensors = load_tensors(data)
+    except SafetensorError as error:
+        raise RunError(f"{path.with_suffix('.safetensors')} is damaged: {error}.") from error
+    state, meta = _put_tensors(document["state"], tensors), dict(document["meta"])
+    for old in range(version, FORMAT):
+        if old not in MIGRATIONS:
+            raise RunError(f"{path} has checkpoint format {version}, which cannot be migrated.")
+        state, meta = MIGRATIONS[old](state, meta)
+    return state, meta
+
+
+def _sealed(content: Mapping[str, Any]) -> bytes:
+    body = json.dumps(content, sort_keys=True, allow_nan=False)
+    return json.dumps({"digest": hashlib.sha256(body.encode()).hexdigest(), "content": body}).encode()
+
+
+def read_sealed(path: Path) -> dict[str, Any]:
+    """The content of a sealed JSON file, its digest checked."""
+    try:
+        outer = json.loads(path.read_bytes())
+        body = outer["content"]
+        if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:
+            raise RunError(f"{path} is damaged: its digest does not match.")
+        return json.loads(body)
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror}.") from error
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise RunError(f"{path} is damaged: it is no complete checkpoint.") from error
+
+
+def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor]) -> Any:
+    if isinstance(value, Tensor):
+        tensors[where] = value
+        return {"tensor": where}
+    if isinstance(value, Mapping):
+        return {"map": {str(k): _take_tensors(v, f"{where}/{k}" if where else str(k), tensors) for k, v in value.items()}}
+    if isinstance(value, (list, tuple)):
+        return {"list": [_take_tensors(v, f"{where}/{i}", tensors) for i, v in enumerate(value)]}
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"float": repr(value)}
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return {"value": value}
+    raise TypeError(f"checkpoint state '{where}' is a {type(value).__name__}, which is not data")
+
+
+def _put_tensors(value: Any, tensors: Mapping[str, Tensor]) -> Any:
+    (kind, content), *_ = value.items()
+    if kind == "tensor":
+        return tensors[content]
+    if kind == "map":
+        return {k: _put_tensors(v, tensors) for k, v in content.items()}
+    if kind == "list":
+        return [_put_tensors(v, tensors) for v in content]
+    return float(content) if kind == "float" else content
+
+
+def newest(folder: Path) -> list[Path]:
+    """The checkpoints in `folder`, newest first, without their endings."""
+    found = [p.with_suffix("") for p in folder.glob("[0-9]*.json")]
+    return sorted(found, key=lambda p: p.name, reverse=True)
+
+
+def load_newest(folder: Path, warn: Any = lambda text: None) -> tuple[dict[str, Any], dict[str, Any], Path]:
+    """The newest checkpoint of `folder` that is intact; `warn` is told of each damaged one."""
+    reasons = []
+    for path in newest(folder):
+        try:
+            state, meta = load(path)
+            return state, meta, path
+        except RunError as error:
+            if "checkpoint format" in str(error):
+                raise
+            reasons.append(str(error))
+            warn(f"{error} Falling back to the one before it.")
+    detail = f" The newest: {reasons[0]}" if reasons else ""
+    raise RunError(f"{folder} has no usable checkpoint.{detail}")
+
+
+def prune(folder: Path, keep: int) -> None:
+    """Delete all but the `keep` newest checkpoints, and leftovers of interrupted writes."""
+    for path in newest(folder)[keep:]:
+        path.with_suffix(".json").unlink(missing_ok=True)
+        path.with_suffix(".safetensors").unlink(missing_ok=True)
+    for path in folder.glob("*.safetensors"):
+        if not path.with_suffix(".json").exists():
+            path.unlink(missing_ok=True)
+    for path in folder.glob(".*.partial"):
+        path.unlink(missing_ok=True)
+
+

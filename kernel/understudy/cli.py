@@ -1,0 +1,162 @@
+"""The command line: ``understudy COMMAND [OVERRIDES …]``.
+
+Bad input ends with one sentence on standard error and exit status 2; a training told to stop ends
+with 75, so that a scheduler can start it again; a defect keeps its traceback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from understudy import __version__
+from understudy.errors import UnderstudyError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    parser = _parser()
+    options, overrides = parser.parse_known_args(arguments)
+    bad = [item for item in overrides if item.startswith("-")]
+    if bad or (overrides and not options.overrides_allowed):
+        parser.error(f"unknown argument '{(bad or overrides)[0]}'")
+    try:
+        return options.function(options, overrides)
+    except UnderstudyError as error:
+        print(f"understudy: {error}", file=sys.stderr)
+        return error.exit_status
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the reader went away
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="understudy",
+        description="Simulated characters learn physical skills.",
+        epilog="Overrides are Hydra's: experiment=spacetime/walk seed=3 motion.file=clip.txt",
+    )
+    parser.add_argument("--version", action="version", version=f"understudy {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(name: str, function: Any, text: str, overrides: bool = False) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(function=function, overrides_allowed=overrides)
+        return sub
+
+    command("train", _train, "train an experiment: understudy train experiment=spacetime/walk", True)
+    sub = command("resume", _resume, "continue a training from its last checkpoint", True)
+    sub.add_argument("run", help="run folder")
+    sub = command("evaluate", _evaluate, "evaluate a trained run", True)
+    sub.add_argument("run", help="run folder")
+    sub = command("render", _render, "draw a run's motion beside its reference: video and report", True)
+    sub.add_argument("run", help="run folder")
+    command("sweep", _sweep, "run an outer loop over trainings: understudy sweep ablation=…", True)
+    sub = command("plugins", _plugins, "list the plugins and what they provide")
+    sub.add_argument("--json", action="store_true")
+    sub = command("tasks", _tasks, "list the tasks")
+    sub.add_argument("--json", action="store_true")
+    sub = command("config", _config, "print the composed configuration and where each value is from", True)
+    sub.add_argument("--json", action="store_true", help="plain JSON, without origins")
+    return parser
+
+
+def _train(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.config import load_experiment
+    from understudy.workflow import train
+
+    return train(load_experiment(overrides), overrides)
+
+
+def _resume(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.workflow import resume
+
+    return resume(options.run, overrides)
+
+
+def _evaluate(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.workflow import evaluate
+
+    return evaluate(options.run, overrides)
+
+
+def _render(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.workflow import render
+
+    return render(options.run, overrides)
+
+
+def _sweep(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.sweep import sweep
+
+    return sweep(overrides)
+
+
+def _plugins(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.plugins import installed
+
+    plugins = installed()
+    components: dict[str, list[str]] = {}
+    for (kind, name), component in sorted(plugins.registry.components.items()):
+        components.setdefault(component.plugin, []).append(f"{kind}/{name}")
+    rows = [
+        {
+            "name": plugin.name,
+            "distribution": plugin.distribution,
+            "version": plugin.version,
+            "status": plugin.status,
+            "components": components.get(plugin.name, []),
+        }
+        for plugin in plugins.loaded
+    ]
+    if options.json:
+        print(json.dumps(rows, indent=1))
+        return 0
+    for row in rows:
+        print(f"{row['name']} {row['version']} ({row['distribution']}): {row['status']}")
+        for item in row["components"]:
+            print(f"  {item}")
+    return 0
+
+
+def _tasks(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.plugins import installed
+
+    tasks = sorted(installed().registry.tasks.values(), key=lambda t: t.name)
+    if options.json:
+        print(json.dumps([vars(t) for t in tasks], indent=1))
+        return 0
+    width = max((len(t.name) for t in tasks), default=0)
+    for task in tasks:
+        print(f"{task.name:<{width}}  {task.summary}  [{task.plugin}]")
+    return 0
+
+
+def _config(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.config import compose_raw, provenance
+
+    raw = compose_raw(overrides)
+    if options.json:
+        print(json.dumps(raw, indent=1))
+        return 0
+    origins = provenance(overrides)
+    rows = list(_flat(raw, ""))
+    width = min(72, max(len(f"{key}: {value}") for key, value in rows))
+    for key, value in rows:
+        print(f"{f'{key}: {value}':<{width}}  # {origins.get(key, 'conf/config.yaml')}")
+    return 0
+
+
+def _flat(value: Any, prefix: str) -> list[tuple[str, str]]:
+    if isinstance(value, dict) and value:
+        return [row for k, v in value.items() for row in _flat(v, f"{prefix}.{k}" if prefix else str(k))]
+    return [(prefix, json.dumps(value))]
+
+
+
+if __name__ == "__main__":
+    sys.exit(main())

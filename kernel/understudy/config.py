@@ -1,0 +1,423 @@
+"""Configuration: composed by Hydra from the plugins' options, validated against the registry.
+
+A configuration is data. It names components; it never names Python code, and keys by which Hydra
+would call code (``_target_`` and its like) are refused wherever they stand.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from hydra import compose, initialize_config_dir
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins as HydraPlugins
+from hydra.errors import HydraException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.types import RunMode
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from understudy.environment import Outcome
+from understudy.errors import ConfigError, suggestion
+from understudy.plugins import Plugins, installed
+from understudy.registry import Component, Option, Registry, checked_options, make_options
+
+
+@dataclass(frozen=True)
+class ControlOptions:
+    """Control and physics rates; 30 Hz control, 600 Hz physics by default (thesis, section 3.5)."""
+
+    frequency: float = 30.0  #: control steps per second
+    substeps: int = 20  #: physics steps per control step
+
+    def __post_init__(self) -> None:
+        if not 0 < self.frequency < 1e5 or not 0 < self.substeps < 1e5:
+            raise ValueError("frequency and substeps must be positive.")
+
+
+@dataclass(frozen=True)
+class EpisodeOptions:
+    seconds: float = 20.0  #: episodes are truncated at this length
+
+    def __post_init__(self) -> None:
+        if not self.seconds > 0:
+            raise ValueError("seconds must be positive.")
+
+
+@dataclass(frozen=True)
+class BudgetOptions:
+    """A training ends at whichever of these it reaches first; both are absolute over resumes."""
+
+    samples: int | None = None  #: environment steps, summed over worlds
+    minutes: float | None = None  #: minutes of training time
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """How a policy is judged: deterministic, on fresh initial states, until a failure term fires."""
+
+    episodes: int = 64
+    seconds: float = 20.0
+    #: Termination terms that count as failures; the others are only reported.
+    failures: tuple[str, ...] = ()
+    #: Share of successful episodes at which a training is done; null trains to the budget.
+    criterion: float | None = 0.9
+    #: An evaluation starts when this share of training episodes' time was survived …
+    gate: float = 0.3
+    #: … and this many samples were consumed since the last one.
+    every_samples: int = 100_000
+
+
+@dataclass(frozen=True)
+class CheckpointOptions:
+    minutes: float = 2.0  #: training time between checkpoints
+    keep: int = 3  #: how many of the newest are kept
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    dir: str | None = None  #: run folder; null makes ``runs/<task>-<n>``
+    video_seconds: float = 8.0
+    observers: bool = True
+
+
+@dataclass(frozen=True)
+class TermSet:
+    terms: Mapping[str, Any] = field(default_factory=dict)
+    combine: Literal["sum", "product"] = "product"
+
+
+@dataclass(frozen=True)
+class TerminationSet:
+    terms: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Root:
+    """The top level of a configuration. Plugins' sections stand beside these."""
+
+    seed: int = 0
+    device: str = "cpu"
+    num_worlds: int = 256
+    task: str | None = None
+    control: ControlOptions = field(default_factory=ControlOptions)
+    episode: EpisodeOptions = field(default_factory=EpisodeOptions)
+    budget: BudgetOptions = field(default_factory=BudgetOptions)
+    evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
+    checkpoint: CheckpointOptions = field(default_factory=CheckpointOptions)
+    run: RunOptions = field(default_factory=RunOptions)
+    scene: Any = None
+    simulator: Any = None
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    encoder: Mapping[str, Any] = field(default_factory=dict)
+    actuation: Any = None
+    reward: TermSet = field(default_factory=TermSet)
+    termination: TerminationSet = field(default_factory=TerminationSet)
+    initial_states: Any = None
+    policy: Any = None
+    learner: Any = None
+    outer_loop: Any = None
+    executor: Any = None
+
+    def __post_init__(self) -> None:
+        if self.num_worlds < 1:
+            raise ValueError(f"num_worlds={self.num_worlds} is not possible: at least 1.")
+        if not 0 <= self.seed < 2**63:
+            raise ValueError(f"seed={self.seed} is not possible: 0 to 2^63 - 1.")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A component chosen by the configuration, with its validated options."""
+
+    component: Component
+    options: Any
+    where: str
+
+    def build(self, context: Any) -> Any:
+        return self.component.factory(self.options, context)
+
+
+@dataclass(frozen=True)
+class TermChoice:
+    """A term chosen by the configuration: a function, its options, and how it counts."""
+
+    name: str
+    component: Component
+    options: Mapping[str, Any]
+    weight: float = 1.0
+    outcome: Outcome = "failure"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A validated configuration: every component found, every option of the right type."""
+
+    root: Root
+    raw: Mapping[str, Any]
+    scene: Choice
+    simulator: Choice
+    fields: Mapping[str, Choice]
+    encoders: Mapping[str, Choice]
+    actuation: Choice
+    initial_states: Choice
+    rewards: tuple[TermChoice, ...]
+    terminations: tuple[TermChoice, ...]
+    policy: Choice | None
+    learner: Choice | None
+    outer_loop: Choice | None
+    executor: Choice | None
+    sections: Mapping[str, Any]
+    registry: Registry
+
+    def components(self) -> Iterator[Component]:
+        """Every component in use."""
+        for value in vars(self).values():
+            if isinstance(value, Choice):
+                yield value.component
+            elif isinstance(value, Mapping):
+                yield from (v.component for v in value.values() if isinstance(v, Choice))
+            elif isinstance(value, tuple):
+                yield from (v.component for v in value)
+
+
+SINGLE_SLOTS = ("scene", "simulator", "actuation", "initial_states")
+OPTIONAL_SLOTS = ("policy", "learner", "outer_loop", "executor")
+
+
+def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
+    """Look up every component that `raw` names and check every option.
+
+    Raises
+    ------
+    ConfigError
+        for an unknown key or component, a missing or wrong value; the message has the key path.
+    """
+    refuse_code(raw)
+    known = {f.name for f in dataclasses.fields(Root)}
+    for key in raw:
+        if key not in known and key not in registry.sections:
+            raise ConfigError(
+                f"There is no configuration key '{key}'.{suggestion(str(key), known | set(registry.sections))}"
+            )
+    root = make_options(Root, {k: v for k, v in raw.items() if k in known}, "config")
+
+    def choice(kind: str, value: Any, where: str, required: bool = True) -> Any:
+        if value is None:
+            if not required:
+                return None
+            raise ConfigError(
+                f"{where} is not set, so there is no task. Choose an experiment (experiment=…) or a "
+                f"{kind} ({where}=…).{suggestion('', registry.names(kind))}"
+            )
+        name, options = _named(value, where)
+        component = registry.find(kind, name, where)
+        schema = getattr(component.factory, "Options", None)
+        if schema is not None:
+            return Choice(component, make_options(schema, options, where), where)
+        checked_options({}, options, where)
+        return Choice(component, None, where)
+
+    def term(kind: str, name: str, value: Any) -> TermChoice:
+        where = f"{kind}.terms.{name}"
+        component_name, options = _named(value, where)
+        extra: dict[str, Option] = {
+            "reward": {"weight": Option("weight", float, 1.0)},
+            "termination": {
+                "outcome": Option("outcome", Outcome, "failure")
+            },
+        }[kind]
+        component = registry.find(kind, component_name, where)
+        checked = checked_options({**component.options, **extra}, options, where)
+        own = {k: v for k, v in checked.items() if k not in extra}
+        counts = {k: v for k, v in checked.items() if k in extra}
+        return TermChoice(name, component, own, **counts)
+
+    single = {slot: choice(slot, getattr(root, slot), slot) for slot in SINGLE_SLOTS}
+    optional = {slot: choice(slot, getattr(root, slot), slot, False) for slot in OPTIONAL_SLOTS}
+    if not root.reward.terms:
+        raise ConfigError("reward.terms is empty: a task needs at least one reward term.")
+    if not root.encoder:
+        raise ConfigError("encoder is empty: a task needs at least one encoder.")
+    terminations = tuple(
+        term("termination", k, v) for k, v in root.termination.terms.items() if v is not None
+    )
+    names = {t.name for t in terminations}
+    for failure in root.evaluation.failures:
+        if failure not in names:
+            raise ConfigError(
+                f"evaluation.failures names '{failure}', which is no termination term of this "
+                f"task.{suggestion(failure, names)}"
+            )
+    return Experiment(
+        root=root,
+        raw=raw,
+        **single,
+        **optional,
+        fields={k: choice("fields", v, f"fields.{k}") for k, v in root.fields.items() if v is not None},
+        encoders={k: choice("encoder", v, f"encoder.{k}") for k, v in root.encoder.items() if v is not None},
+        rewards=tuple(term("reward", k, v) for k, v in root.reward.terms.items() if v is not None),
+        terminations=terminations,
+        sections={
+            name: make_options(section.schema(), raw[name], name)
+            for name, section in registry.sections.items()
+            if raw.get(name) is not None
+        },
+        registry=registry,
+    )
+
+
+def _named(value: Any, where: str) -> tuple[str, dict[str, Any]]:
+    if isinstance(value, str):
+        return value, {}
+    if not isinstance(value, Mapping) or not isinstance(value.get("name"), str):
+        raise ConfigError(f"{where} must be {{name: COMPONENT, option: value, …}}, not {value!r}.")
+    options = dict(value)
+    return options.pop("name"), options
+
+
+#: Keys by which Hydra's instantiate calls code.
+CODE_KEYS = frozenset({"_target_", "_partial_", "_args_", "_recursive_", "_convert_"})
+
+
+def refuse_code(value: Any, where: str = "") -> None:
+    """Raise :class:`ConfigError` if any key in the nested `value` could name code."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            path = f"{where}.{key}" if where else str(key)
+            if key in CODE_KEYS:
+                raise ConfigError(
+                    f"{path}: configurations name registered components (name: …) and never Python code. "
+                    "Remove the key; `understudy plugins` lists what can be named."
+                )
+            refuse_code(item, path)
+    elif isinstance(value, (list, tuple)):
+        for i, item in enumerate(value):
+            refuse_code(item, f"{where}[{i}]")
+
+
+# ---------------------------------------------------------------------- composition
+
+_active = threading.local()
+
+
+class UnderstudySearchPath(SearchPathPlugin):
+    """Adds every plugin's config directory to Hydra's search path."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        plugins: Plugins | None = getattr(_active, "plugins", None)
+        if plugins is not None:
+            for name, directory in plugins.config_directories():
+                search_path.append(provider=f"understudy plugin {name}", path=f"file://{directory}")
+
+
+def kernel_conf() -> Path:
+    """The kernel's own config directory (``conf/`` at the top of the source tree)."""
+    here = Path(__file__).resolve()
+    packaged = here.parent / "conf"
+    return packaged if packaged.is_dir() else here.parents[2] / "conf"
+
+
+@contextlib.contextmanager
+def _hydra(plugins: Plugins) -> Iterator[None]:
+    HydraPlugins.instance().register(UnderstudySearchPath)
+    GlobalHydra.instance().clear()
+    _active.plugins = plugins
+    try:
+        with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
+            yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(_plain(error)) from error
+    finally:
+        _active.plugins = None
+        GlobalHydra.instance().clear()
+
+
+def _plain(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    text = lines[0] if lines else type(error).__name__
+    if "Could not override" in text or "Key '" in text:
+        text += " Use +key=value to add a key that is not there."
+    options = [line for line in lines[1:] if "Available options" in line or line.startswith("'")]
+    known = ", ".join(line.strip("'") for line in lines[1:] if line.startswith("'"))
+    return f"{text} Available: {known}." if options and known else text
+
+
+def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
+    """The composed configuration as plain data.
+
+    Raises
+    ------
+    ConfigError
+        if Hydra cannot compose it, or it contains a key that names code.
+    """
+    with _hydra(plugins or installed()):
+        config = compose("config", overrides=list(overrides))
+        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    assert isinstance(raw, dict)
+    refuse_code(raw)
+    return {str(k): v for k, v in raw.items()}
+
+
+def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
+    """Compose `overrides` and validate the result."""
+    plugins = plugins or installed()
+    return validate(compose_raw(overrides, plugins), plugins.registry)
+
+
+def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, str]:
+    """For each key path of the composed configuration, the file (or override) that set it."""
+    plugins = plugins or installed()
+    origin: dict[str, str] = {}
+    with _hydra(plugins):
+        loader = GlobalHydra.instance().config_loader()
+        defaults = loader.compute_defaults_list("config", list(overrides), RunMode.RUN)
+        sources = [kernel_conf(), *(d for _, d in plugins.config_directories())]
+        for item in defaults.defaults:
+            path = item.config_path
+            if path is None or path.startswith("hydra/"):
+                continue
+            for source in sources:
+                file = source / f"{path}.yaml"
+                if file.is_file():
+                    package = item.package or ""
+                    prefix = "" if package in ("_global_", "") else package
+                    for key in _paths(yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix):
+                        origin[key] = _shorten(file)
+    for override in overrides:
+        key = override.lstrip("+~").partition("=")[0].partition("@")[0]
+        for existing in [k for k in origin if k == key or k.startswith(f"{key}.")]:
+            if "/" not in key and "=" in override and _is_leaf(origin, existing, key):
+                origin[existing] = f"command line: {override}"
+        if "." in key:
+            origin[key] = f"command line: {override}"
+    return origin
+
+
+def _is_leaf(origin: Mapping[str, str], existing: str, key: str) -> bool:
+    return existing == key and not any(k.startswith(f"{key}.") for k in origin)
+
+
+def _paths(value: Any, prefix: str) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            if key != "defaults" or prefix:
+                yield from _paths(item, f"{prefix}.{key}" if prefix else str(key))
+    else:
+        yield prefix
+
+
+def _shorten(file: Path) -> str:
+    parts = file.parts
+    for anchor in ("plugins", "conf"):
+        if anchor in parts:
+            return "/".join(parts[parts.index(anchor) :])
+    return str(file)

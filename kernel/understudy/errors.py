@@ -1,0 +1,56 @@
+"""The errors a user can cause, each one sentence long and each saying what to do next.
+
+The command line prints a :class:`UnderstudyError` as one line and exits with its ``exit_status``;
+every other exception is a defect and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class UnderstudyError(Exception):
+    """Something outside the program is wrong: a config, a file, a plugin, the machine."""
+
+    exit_status = 2
+
+
+class ConfigError(UnderstudyError):
+    """A configuration value, key or combination that cannot work."""
+
+
+class PluginError(UnderstudyError):
+    """A plugin that does not import, registers badly, or provides what another one provides."""
+
+
+class FileError(UnderstudyError):
+    """A file that is missing, unreadable, damaged, or not what it should be."""
+
+
+class RunError(UnderstudyError):
+    """A run folder or checkpoint that cannot be used as asked."""
+
+
+class TrainingError(UnderstudyError):
+    """A training that cannot go on: numbers left the finite, or nothing is left to learn from."""
+
+    exit_status = 1
+
+
+class PreemptedError(UnderstudyError):
+    """The run was told to stop, saved everything, and wants to be started again."""
+
+    exit_status = 75  # EX_TEMPFAIL of sysexits.h: "try again later", what cluster requeues look for
+
+
+def suggestion(word: str, known: Iterable[str], *, limit: int = 8) -> str:
+    """`` Did you mean 'x'?`` for a near miss of a known name, else the known names (at most `limit`)."""
+    names = sorted(set(known))
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if close:
+        return f" Did you mean '{close[0]}'?"
+    if not names:
+        return " None is known here."
+    shown = ", ".join(names[:limit]) + (", …" if len(names) > limit else "")
+    return f" Known: {shown}."

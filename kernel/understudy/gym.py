@@ -1,0 +1,83 @@
+"""Any task as a Gymnasium vector environment: ``gymnasium.make_vec("understudy/spacetime.walk")``.
+
+For users of other learners. Observations are a dict of float32 arrays; ended worlds reset in the
+same step (Gymnasium's ``AutoresetMode.SAME_STEP``), with the last observation of a truncated
+episode under ``info["final_obs"]``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+
+def register_envs() -> None:
+    """Register every task; called by Gymnasium through its entry point."""
+    from understudy.plugins import installed
+
+    for name in installed().registry.tasks:
+        gymnasium.register(
+            id=f"understudy/{name}",
+            vector_entry_point="understudy.gym:UnderstudyVectorEnv",
+            kwargs={"task": name},
+        )
+
+
+class UnderstudyVectorEnv(VectorEnv):
+    """N worlds of the task `task`; `overrides` are Hydra's, as on the command line."""
+
+    def __init__(
+        self, task: str, num_envs: int = 1, overrides: tuple[str, ...] = (), **_: Any
+    ) -> None:
+        from understudy.building import build_environment
+        from understudy.config import load_experiment
+        from understudy.plugins import installed
+
+        option = installed().registry.tasks[task].option
+        experiment = load_experiment([f"task={option}", *overrides, f"num_worlds={num_envs}"])
+        self._environment = build_environment(experiment).environment
+        self._seed = experiment.root.seed
+        self.num_envs = num_envs
+        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.single_observation_space = gymnasium.spaces.Dict(
+            {
+                name: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
+                for name, shape in self._environment.observation_shapes.items()
+            }
+        )
+        self.single_action_space = gymnasium.spaces.Box(
+            -np.inf, np.inf, (self._environment.action_size,), np.float32
+        )
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
+        """A seed makes what follows repeat exactly."""
+        return _arrays(self._environment.reset(seed)), {}
+
+    def step(self, actions: np.ndarray):  # pyright: ignore[reportIncompatibleMethodOverride]
+        import torch
+
+        step = self._environment.step(torch.as_tensor(np.asarray(actions, dtype=np.float32)))
+        info: dict[str, Any] = {}
+        if step.final_observations is not None:
+            ended = (step.terminated | step.truncated).numpy()
+            info = {"final_obs": _arrays(step.final_observations), "_final_obs": ended}
+        return (
+            _arrays(step.observations),
+            step.rewards.numpy(),
+            step.terminated.numpy(),
+            step.truncated.numpy(),
+            info,
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        self._environment.close()
+
+
+def _arrays(observations: dict[str, Any]) -> dict[str, np.ndarray]:
+    return {name: value.cpu().numpy() for name, value in observations.items()}

@@ -1,0 +1,86 @@
+"""Random streams that depend on nothing but (seed, name, world, draw).
+
+Every consumer of randomness has a stream of its own name, so adding a consumer changes no other.
+Each world has its own sequence, so the numbers of world *i* do not depend on how many worlds there
+are. Draws are made by hashing a counter (SplitMix64's finaliser), on the device, with no host
+synchronisation; the global random states of torch, numpy and Python are never touched.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+_GAMMA = -0x61C8864680B583EB  # 0x9E3779B97F4A7C15 as int64: 2^64 / golden ratio (Steele et al. 2014)
+_MIX_1 = -0x40A7B892E31B1A47  # 0xBF58476D1CE4E5B9
+_MIX_2 = -0x6B2FB644ECCEEE15  # 0x94D049BB133111EB
+
+
+def _shift(x: Tensor, bits: int) -> Tensor:
+    return (x >> bits) & ((1 << (64 - bits)) - 1)  # logical shift; torch's is arithmetic
+
+
+def _mix(x: Tensor) -> Tensor:
+    x = (x ^ _shift(x, 30)) * _MIX_1
+    x = (x ^ _shift(x, 27)) * _MIX_2
+    return x ^ _shift(x, 31)
+
+
+def derive_seed(seed: int, name: str) -> int:
+    """A 63-bit seed for the consumer `name`, independent of every other name's."""
+    digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
+    return int.from_bytes(digest[:8], "little") >> 1
+
+
+def generator(seed: int, name: str) -> torch.Generator:
+    """A CPU generator of the consumer's own, for what is drawn on the host (shuffles, weights)."""
+    return torch.Generator().manual_seed(derive_seed(seed, name))
+
+
+@contextlib.contextmanager
+def private_rng(seed: int, name: str) -> Iterator[None]:
+    """torch's CPU generator seeded for `name` inside, and as it was before outside.
+
+    For library code that can only draw from the global generator (``nn.Linear``'s initialisation).
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.random.default_generator.manual_seed(derive_seed(seed, name))
+        yield
+
+
+class WorldStreams:
+    """Per-world random numbers on one device. State: one draw counter."""
+
+    def __init__(self, seed: int, name: str, num_worlds: int, device: torch.device | str) -> None:
+        world = torch.arange(num_worlds, dtype=torch.int64, device=device)
+        base = torch.tensor(derive_seed(seed, name), dtype=torch.int64, device=device)
+        self._key = _mix(base + world * _GAMMA).unsqueeze(1)
+        self._counter = torch.zeros((), dtype=torch.int64, device=device)
+
+    def bits(self, size: int) -> Tensor:
+        """(N, size) int64, uniform over all bit patterns."""
+        draw = torch.arange(size, dtype=torch.int64, device=self._key.device) + self._counter
+        self._counter += size
+        return _mix(_mix(self._key ^ (draw * _GAMMA)) + _GAMMA)
+
+    def uniform(self, size: int) -> Tensor:
+        """(N, size) float32 in [0, 1)."""
+        return _shift(self.bits(size), 40).to(torch.float32) * 2.0**-24
+
+    def normal(self, size: int) -> Tensor:
+        """(N, size) float32, standard normal (Box–Muller)."""
+        bits = self.bits((size + 1) // 2)
+        radius = torch.sqrt(-2.0 * torch.log((_shift(bits, 40).to(torch.float32) + 1.0) * 2.0**-24))
+        angle = (bits & 0xFFFFFF).to(torch.float32) * (2.0 * math.pi * 2.0**-24)
+        return torch.cat([radius * torch.cos(angle), radius * torch.sin(angle)], dim=1)[:, :size]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        return {"counter": self._counter.clone()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        self._counter.copy_(state["counter"])

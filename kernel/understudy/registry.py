@@ -1,0 +1,338 @@
+"""The registry: every part that a configuration can name, who provides it, and its options.
+
+A *kind* is a slot in a task or run (``reward``, ``simulator`` …). A *component* is a named way to
+fill it. Components are looked up by name only; a configuration never names Python code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib
+import inspect
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.errors import ConfigError, PluginError, suggestion
+
+#: The kinds the kernel itself knows, with what fills them. Plugins may add kinds of their own.
+KERNEL_KINDS: dict[str, str] = {
+    "scene": "what is simulated",
+    "simulator": "owns the physics state of N worlds",
+    "fields": "derives state fields from other state fields",
+    "encoder": "turns state fields into one named observation",
+    "actuation": "turns actions into controls",
+    "reward": "one value per world and step",
+    "termination": "ends a world's episode as a failure",
+    "initial_states": "where episodes begin",
+    "policy": "observation to action distribution and value",
+    "learner": "improves a policy from rollouts",
+    "outer_loop": "proposes trials and digests results",
+    "executor": "runs trials",
+}
+
+
+@dataclass(frozen=True)
+class Component:
+    """A registered part: where it comes from, how it is made, which options it takes.
+
+    ``target`` is either the object itself or ``"package.module:name"``, imported when the
+    component is first built, so that loading plugins imports no heavy library.
+    """
+
+    kind: str
+    name: str
+    target: Callable[..., Any] | str
+    plugin: str
+    distribution: str = ""
+    version: str = ""
+    summary: str = ""
+
+    @functools.cached_property
+    def factory(self) -> Callable[..., Any]:
+        if not isinstance(self.target, str):
+            return self.target
+        module, _, attribute = self.target.partition(":")
+        try:
+            return getattr(importlib.import_module(module), attribute)
+        except ImportError as error:
+            raise PluginError(
+                f"{self.kind} '{self.name}' of plugin '{self.plugin}' cannot be used: {error}. "
+                "Install what it is missing, or choose another one."
+            ) from error
+        except AttributeError as error:
+            raise PluginError(
+                f"{self.kind} '{self.name}' of plugin '{self.plugin}' is registered as "
+                f"'{self.target}', which does not exist."
+            ) from error
+
+    @functools.cached_property
+    def options(self) -> Mapping[str, Option]:
+        return options_of(self.factory)
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a component: its type, and its default (``REQUIRED`` if there is none)."""
+
+    name: str
+    annotation: Any
+    default: Any
+
+
+REQUIRED: Any = inspect.Parameter.empty
+
+
+def options_of(factory: Callable[..., Any]) -> dict[str, Option]:
+    """The options of a factory.
+
+    A class's options are the fields of its ``Options`` dataclass; a function's (a term's) are its
+    keyword-only parameters.
+    """
+    schema = factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
+    if schema is not None:
+        hints = typing.get_type_hints(schema)
+        result = {}
+        for item in dataclasses.fields(schema):
+            default: Any = item.default
+            if item.default_factory is not dataclasses.MISSING:
+                default = item.default_factory()
+            if default is dataclasses.MISSING:
+                default = REQUIRED
+            result[item.name] = Option(item.name, hints[item.name], default)
+        return result
+    if inspect.isclass(factory):
+        return {}
+    hints = typing.get_type_hints(factory)
+    return {
+        name: Option(name, hints.get(name, Any), parameter.default)
+        for name, parameter in inspect.signature(factory).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    }
+
+
+def coerce(value: Any, annotation: Any, where: str) -> Any:
+    """`value` as the annotated type, or a :class:`ConfigError` that names the key path `where`.
+
+    Knows the types that options use: bool, int, float, str, ``X | None``, ``Literal``, tuples and
+    lists, mappings, nested dataclasses, and Any. Integers are accepted as floats, never the
+    reverse; NaN is never accepted.
+    """
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if annotation is Any:
+        return value
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in arguments:
+            return None
+        attempts = [item for item in arguments if item is not type(None)]
+        for item in attempts:
+            try:
+                return coerce(value, item, where)
+            except ConfigError:
+                if item is attempts[-1]:
+                    raise
+    if origin is typing.Literal:
+        if value in arguments:
+            return value
+        raise ConfigError(f"{where}={value!r} is not possible.{suggestion(str(value), map(str, arguments))}")
+    if annotation is bool and isinstance(value, bool):
+        return value
+    if annotation is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if annotation is int and isinstance(value, float) and value.is_integer():
+        return int(value)  # 1e6 is how people write a million samples
+    if annotation is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        if value != value:
+            raise ConfigError(f"{where} is NaN; give a number.")
+        return float(value)
+    if annotation is str and isinstance(value, str):
+        return value
+    if origin in (tuple, list) and isinstance(value, (list, tuple)):
+        if origin is tuple and arguments and arguments[-1] is not Ellipsis:
+            if len(value) != len(arguments):
+                raise ConfigError(f"{where} takes {len(arguments)} values, got {len(value)}.")
+            kinds = list(arguments)
+        else:
+            kinds = [arguments[0] if arguments else Any] * len(value)
+        return origin(
+            coerce(v, kind, f"{where}[{i}]") for i, (v, kind) in enumerate(zip(value, kinds, strict=True))
+        )
+    if (origin in (dict, Mapping) or (inspect.isclass(origin) and issubclass(origin, Mapping))) and isinstance(
+        value, Mapping
+    ):
+        kind = arguments[1] if arguments else Any
+        return {str(k): coerce(v, kind, f"{where}.{k}") for k, v in value.items()}
+    if annotation in (dict, Mapping) and isinstance(value, Mapping):
+        return dict(value)
+    if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
+        return make_options(annotation, value, where)
+    expected = getattr(annotation, "__name__", str(annotation))
+    raise ConfigError(f"{where}={value!r} is not possible: it takes {expected}.")
+
+
+def make_options(schema: type, values: Any, where: str) -> Any:
+    """The dataclass `schema` filled from the mapping `values`; errors name the key path `where`."""
+    if isinstance(values, schema):
+        return values
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{where}={values!r} is not possible: it takes a mapping of options.")
+    arguments = checked_options(options_of(schema), values, where)
+    try:
+        return schema(**arguments)
+    except ValueError as error:  # a dataclass's own range checks
+        raise ConfigError(f"{where}: {error}") from error
+
+
+def checked_options(options: Mapping[str, Option], values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """`values` coerced to the types of `options`; unknown and missing ones are errors."""
+    for key in values:
+        if key not in options:
+            raise ConfigError(f"{where} has no option '{key}'.{suggestion(str(key), options)}")
+    result = {}
+    for name, option in options.items():
+        if name in values:
+            result[name] = coerce(values[name], option.annotation, f"{where}.{name}")
+        elif option.default is REQUIRED:
+            raise ConfigError(f"{where}.{name} is not set. Give it a value.")
+    return result
+
+
+@dataclass(frozen=True)
+class Section:
+    """A top-level part of the configuration that a plugin owns (for example ``motion``).
+
+    ``build(options, registry)`` makes the object that components find under
+    ``context.sections[name]``.
+    """
+
+    name: str
+    options: type | str
+    build: Callable[[Any, Registry], Any] | str
+    plugin: str
+
+    def _resolve(self, target: Any) -> Any:
+        if not isinstance(target, str):
+            return target
+        return Component("section", self.name, target, self.plugin).factory
+
+    def schema(self) -> type:
+        return self._resolve(self.options)
+
+    def make(self, options: Any, registry: Registry) -> Any:
+        return self._resolve(self.build)(options, registry)
+
+
+@dataclass(frozen=True)
+class TaskEntry:
+    """A task's place in the registry; its parts are the config option ``task/<name with />``."""
+
+    name: str
+    summary: str
+    plugin: str
+    distribution: str = ""
+    version: str = ""
+
+    @property
+    def option(self) -> str:
+        return self.name.replace(".", "/")
+
+
+@dataclass
+class Registry:
+    """All components, tasks, sections and citations of the loaded plugins."""
+
+    kinds: dict[str, str] = field(default_factory=lambda: dict(KERNEL_KINDS))
+    components: dict[tuple[str, str], Component] = field(default_factory=dict)
+    tasks: dict[str, TaskEntry] = field(default_factory=dict)
+    sections: dict[str, Section] = field(default_factory=dict)
+    citations: dict[str, str] = field(default_factory=dict)
+    #: What could not be loaded, by plugin name: the reason, raised when it is asked for.
+    broken: dict[str, str] = field(default_factory=dict)
+
+    def check_kinds(self) -> None:
+        """Once all plugins are loaded: every component's kind must be somebody's."""
+        for component in self.components.values():
+            if component.kind not in self.kinds:
+                raise PluginError(
+                    f"Plugin '{component.plugin}' registers '{component.name}' as a '{component.kind}', "
+                    f"which is no kind of component.{suggestion(component.kind, self.kinds)}"
+                )
+
+    def add(self, component: Component) -> None:
+        other = self.components.get((component.kind, component.name))
+        if other is not None:
+            raise PluginError(
+                f"Both plugin '{other.plugin}' and plugin '{component.plugin}' register the "
+                f"{component.kind} '{component.name}'. Rename one of them, or disable a plugin with "
+                f"UNDERSTUDY_DISABLE_PLUGINS={component.plugin}."
+            )
+        self.components[component.kind, component.name] = component
+
+    def names(self, kind: str) -> list[str]:
+        return sorted(name for k, name in self.components if k == kind)
+
+    def find(self, kind: str, name: str, where: str = "") -> Component:
+        """The component, or a :class:`ConfigError` with a suggestion of what was meant."""
+        component = self.components.get((kind, name))
+        if component is not None:
+            return component
+        place = f" (asked for at {where})" if where else ""
+        message = f"There is no {kind} '{name}'{place}.{suggestion(name, self.names(kind))}"
+        elsewhere = [k for k, n in self.components if n == name]
+        if elsewhere:
+            message += f" '{name}' is a {elsewhere[0]}."
+        plugin = name.partition(".")[0]
+        if plugin in self.broken:
+            message += f" Plugin '{plugin}' did not load: {self.broken[plugin]}"
+        raise ConfigError(message)
+
+
+@dataclass(frozen=True)
+class Registrar:
+    """What a plugin's ``understudy_register`` hook is handed; adds parts under the plugin's name."""
+
+    registry: Registry
+    plugin: str
+    distribution: str = ""
+    version: str = ""
+
+    def component(
+        self, kind: str, name: str, target: Callable[..., Any] | str, summary: str = ""
+    ) -> None:
+        """Register a component. `target` is a class, a term function, or ``"module:name"``."""
+        self.registry.add(
+            Component(kind, name, target, self.plugin, self.distribution, self.version, summary)
+        )
+
+    def task(self, name: str, summary: str) -> None:
+        """Register a task whose parts stand in the plugin's ``conf/task/<name with />.yaml``."""
+        other = self.registry.tasks.get(name)
+        if other is not None:
+            raise PluginError(
+                f"Both plugin '{other.plugin}' and plugin '{self.plugin}' register the task '{name}'."
+            )
+        self.registry.tasks[name] = TaskEntry(
+            name, summary, self.plugin, self.distribution, self.version
+        )
+
+    def section(self, name: str, options: type | str, build: Callable[[Any, Registry], Any] | str) -> None:
+        """Register a top-level config section and what is built from it."""
+        other = self.registry.sections.get(name)
+        if other is not None:
+            raise PluginError(
+                f"Both plugin '{other.plugin}' and plugin '{self.plugin}' register the section '{name}'."
+            )
+        self.registry.sections[name] = Section(name, options, build, self.plugin)
+
+    def kind(self, name: str, summary: str) -> None:
+        """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
+        if name in self.registry.kinds:
+            raise PluginError(f"Plugin '{self.plugin}' adds the kind '{name}', which exists already.")
+        self.registry.kinds[name] = summary
+
+    def citation(self, key: str, text: str) -> None:
+        """Record how to cite what the plugin implements; printed with every run that used it."""
+        self.registry.citations[key] = text

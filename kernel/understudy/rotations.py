@@ -1,0 +1,187 @@
+"""Rotations as unit quaternions, batched in torch.
+
+A quaternion is ``(w, x, y, z)`` in the last dimension; any leading shape, any floating dtype, any
+device. ``q`` maps vectors of the rotated frame to the frame it is given in, so ``multiply(a, b)``
+applies ``b`` first. ``q`` and ``-q`` are the same rotation; every function treats them alike unless
+it says otherwise. Angles are radians.
+
+Formulas: Sola, "Quaternion kinematics for the error-state Kalman filter", 2017; the logarithm near
+zero and near a half turn uses ``atan2``, which keeps full relative accuracy in float32.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+# Below this sine of the half angle, log and its small-angle limit agree to the last bit of float64,
+# and the square is still a normal number in float32.
+_SMALL = 1e-12
+
+
+def normalize(q: Tensor) -> Tensor:
+    """Scale to unit norm. ``q`` (..., 4), not all zero -> (..., 4)."""
+    return q / torch.linalg.vector_norm(q, dim=-1, keepdim=True)
+
+
+def canonical(q: Tensor) -> Tensor:
+    """Of ``q`` and ``-q``, the one with w >= 0. (..., 4) -> (..., 4)."""
+    return torch.where(q[..., :1] < 0, -q, q)
+
+
+def conjugate(q: Tensor) -> Tensor:
+    """The inverse rotation of a unit quaternion. (..., 4) -> (..., 4)."""
+    return torch.cat((q[..., :1], -q[..., 1:]), dim=-1)
+
+
+def multiply(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton product: rotate by ``b``, then by ``a``. (..., 4), (..., 4) broadcast -> (..., 4)."""
+    aw, av = a[..., :1], a[..., 1:]
+    bw, bv = b[..., :1], b[..., 1:]
+    scalar = aw * bw - (av * bv).sum(dim=-1, keepdim=True)
+    vector = aw * bv + bw * av + _cross(av, bv)
+    return torch.cat((scalar, vector), dim=-1)
+
+
+def rotate(q: Tensor, v: Tensor) -> Tensor:
+    """Vectors of the rotated frame, seen from outside. (..., 4), (..., 3) broadcast -> (..., 3)."""
+    axis = q[..., 1:]
+    twice = 2.0 * _cross(axis, v)
+    return v + q[..., :1] * twice + _cross(axis, twice)
+
+
+def inverse_rotate(q: Tensor, v: Tensor) -> Tensor:
+    """Vectors from outside, seen in the rotated frame. (..., 4), (..., 3) broadcast -> (..., 3)."""
+    axis = q[..., 1:]
+    twice = 2.0 * _cross(axis, v)
+    return v - q[..., :1] * twice + _cross(axis, twice)
+
+
+def from_axis_angle(axis: Tensor, angle: Tensor) -> Tensor:
+    """Turn by ``angle`` (...) about the unit ``axis`` (..., 3), broadcast -> (..., 4)."""
+    half = 0.5 * angle[..., None]
+    vector = half.sin() * axis
+    return torch.cat((half.cos().expand(*vector.shape[:-1], 1), vector), dim=-1)
+
+
+def from_exponential_map(v: Tensor) -> Tensor:
+    """Turn about ``v`` by its length, |v| of any size. (..., 3) -> (..., 4)."""
+    half = 0.5 * torch.linalg.vector_norm(v, dim=-1, keepdim=True)
+    return torch.cat((half.cos(), 0.5 * torch.sinc(half / math.pi) * v), dim=-1)
+
+
+def to_exponential_map(q: Tensor) -> Tensor:
+    """The shortest rotation vector, length in [0, pi]. Unit (..., 4) -> (..., 3).
+
+    Continuous everywhere but across half turns, where both signs are the same rotation.
+    """
+    w, v = q[..., :1], q[..., 1:]
+    sine = torch.linalg.vector_norm(v, dim=-1, keepdim=True)
+    scale = 2.0 * torch.atan2(sine, w.abs()) / sine.clamp(min=_SMALL)
+    scale = torch.where(sine > _SMALL, scale, 2.0)
+    return torch.where(w < 0, -scale, scale) * v
+
+
+def angle_between(a: Tensor, b: Tensor) -> Tensor:
+    """Angle of the rotation from ``a`` to ``b``, in [0, pi]. (..., 4), (..., 4) -> (...)."""
+    difference = multiply(conjugate(a), b)
+    sine = torch.linalg.vector_norm(difference[..., 1:], dim=-1)
+    return 2.0 * torch.atan2(sine, difference[..., 0].abs())
+
+
+def twist_angle(q: Tensor, axis: Tensor) -> Tensor:
+    """Angle in (-pi, pi] of the part of ``q`` about the unit ``axis``: (..., 4), (..., 3) -> (...).
+
+    The swing-twist decomposition: the turn about ``axis`` nearest to ``q``.
+    """
+    q = canonical(q)
+    return 2.0 * torch.atan2((q[..., 1:] * axis).sum(dim=-1), q[..., 0])
+
+
+def heading(q: Tensor) -> Tensor:
+    """Yaw about world z of the rotated x axis, in (-pi, pi]. (..., 4) -> (...).
+
+    Undefined (some finite angle) where the rotated x axis is vertical.
+    """
+    w, x, y, z = q.unbind(dim=-1)
+    return torch.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+
+
+def from_heading(angle: Tensor) -> Tensor:
+    """Turn by ``angle`` (...) about world z -> (..., 4)."""
+    half = 0.5 * angle
+    zero = torch.zeros_like(half)
+    return torch.stack((half.cos(), zero, zero, half.sin()), dim=-1)
+
+
+def heading_rotation(q: Tensor) -> Tensor:
+    """The turn about world z by ``heading(q)``. (..., 4) -> (..., 4)."""
+    return from_heading(heading(q))
+
+
+def slerp(a: Tensor, b: Tensor, t: Tensor) -> Tensor:
+    """Constant-speed interpolation along the shorter arc; t (...) = 0 is ``a``, 1 is ``b``."""
+    arc = to_exponential_map(multiply(conjugate(a), b))
+    return multiply(a, from_exponential_map(t[..., None] * arc))
+
+
+def angular_velocity(a: Tensor, b: Tensor, dt: Tensor | float) -> Tensor:
+    """Constant velocity, rad/s in the outer frame, that turns ``a`` into ``b`` in ``dt`` seconds.
+
+    (..., 4), (..., 4), scalar or broadcastable (..., 1) -> (..., 3). The shorter way round.
+    """
+    return to_exponential_map(multiply(b, conjugate(a))) / dt
+
+
+def to_matrix(q: Tensor) -> Tensor:
+    """Rotation matrices, columns the rotated axes. Unit (..., 4) -> (..., 3, 3)."""
+    return (_products(q) @ _matrix_of_products(q.dtype, q.device)).unflatten(-1, (3, 3))
+
+
+def tangent_normal(q: Tensor) -> Tensor:
+    """The rotated x axis, then the rotated z axis: a continuous observation. (..., 4) -> (..., 6).
+
+    Zhou et al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019.
+    """
+    return _products(q) @ _tangent_normal_of_products(q.dtype, q.device)
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    """The cross product with full broadcasting, which ``torch.linalg.cross`` lacks."""
+    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+
+
+def _products(q: Tensor) -> Tensor:
+    """All products of two components. (..., 4) -> (..., 16)."""
+    return (q[..., :, None] * q[..., None, :]).flatten(-2)
+
+
+@lru_cache
+def _matrix_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """(16, 9): the row-major rotation matrix is linear in the products of components."""
+    w, x, y, z = range(4)
+    rows = [
+        [(w, w, 1), (x, x, 1), (y, y, -1), (z, z, -1)],
+        [(x, y, 2), (w, z, -2)],
+        [(x, z, 2), (w, y, 2)],
+        [(x, y, 2), (w, z, 2)],
+        [(w, w, 1), (x, x, -1), (y, y, 1), (z, z, -1)],
+        [(y, z, 2), (w, x, -2)],
+        [(x, z, 2), (w, y, -2)],
+        [(y, z, 2), (w, x, 2)],
+        [(w, w, 1), (x, x, -1), (y, y, -1), (z, z, 1)],
+    ]
+    table = torch.zeros(16, 9, dtype=dtype)
+    for entry, terms in enumerate(rows):
+        for i, j, factor in terms:
+            table[4 * i + j, entry] = factor
+    return table.to(device)
+
+
+@lru_cache
+def _tangent_normal_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """(16, 6): columns 0 and 2 of the matrix."""
+    return _matrix_of_products(dtype, device)[:, [0, 3, 6, 2, 5, 8]].contiguous()

@@ -1,0 +1,214 @@
+"""Run folders: everything needed to resume, compare and render a training again.
+
+::
+
+    run.json           composed config, overrides, versions, seed, sources and licences
+    metrics.jsonl      one row an iteration
+    tensorboard/       the same for TensorBoard
+    checkpoints/       see :mod:`understudy.checkpoint`
+    faults/            what led to the first numerical failure, to be replayed
+    evaluation.json    the last evaluation
+    video.mp4, report.html
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import platform
+import re
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from understudy.checkpoint import write_atomically
+from understudy.config import Experiment, refuse_code
+from understudy.errors import RunError
+
+#: Version of the folder's layout.
+LAYOUT = 1
+VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that decide results."""
+    found = {"python": platform.python_version()}
+    for name in VERSIONED:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@dataclass
+class Run:
+    """An open run folder. At most one process trains in it; a lock file sees to that."""
+
+    path: Path
+    info: dict[str, Any]
+    _lock: Any = None
+
+    @property
+    def checkpoints(self) -> Path:
+        return self.path / "checkpoints"
+
+    @property
+    def metrics_file(self) -> Path:
+        return self.path / "metrics.jsonl"
+
+    @property
+    def config(self) -> dict[str, Any]:
+        return self.info["config"]
+
+    def lock(self) -> None:
+        """Hold the folder for this process.
+
+        Raises
+        ------
+        RunError
+            if another process trains in it.
+        """
+        self._lock = open(self.path / ".lock", "w")  # noqa: SIM115 - held until the run ends
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise RunError(
+                f"Another process is training in {self.path}. Wait for it, or give run.dir another folder."
+            ) from error
+
+    def unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def write_json(self, name: str, value: Any) -> None:
+        write_atomically(self.path / name, (json.dumps(value, indent=1) + "\n").encode())
+
+    def metrics(self) -> list[dict[str, Any]]:
+        """The rows of the metrics file; a row cut short by a crash is left out."""
+        rows = []
+        if self.metrics_file.exists():
+            for line in self.metrics_file.read_text(encoding="utf-8").splitlines():
+                try:
+                    rows.append(json.loads(line))
+                except ValueError:
+                    continue
+        return rows
+
+    def keep_metrics_until(self, iteration: int) -> None:
+        """Drop rows after `iteration`: the resumed training writes them again."""
+        rows = [row for row in self.metrics() if row.get("iteration", 0) <= iteration]
+        write_atomically(self.metrics_file, "".join(json.dumps(r) + "\n" for r in rows).encode())
+
+    def append_metrics(self, row: Mapping[str, Any]) -> None:
+        try:
+            with open(self.metrics_file, "a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+        except OSError as error:
+            raise RunError(
+                f"{self.metrics_file} could not be written: {error.strerror}. "
+                "The last checkpoint is intact; `understudy resume` continues from it."
+            ) from error
+
+
+def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
+    """Make the run folder of a new training.
+
+    Raises
+    ------
+    RunError
+        if the folder holds a run already or cannot be written.
+    """
+    root = experiment.root
+    path = Path(root.run.dir) if root.run.dir else _free_folder(root.task or "run")
+    if (path / "run.json").exists():
+        raise RunError(
+            f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
+            "run.dir another folder."
+        )
+    components = sorted(
+        {(c.kind, c.name, c.plugin, c.distribution, c.version) for c in experiment.components()}
+    )
+    info = {
+        "layout": LAYOUT,
+        "config": dict(experiment.raw),
+        "overrides": list(overrides),
+        "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "versions": versions(),
+        "machine": {"system": platform.platform(), "processor": platform.processor()},
+        "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "components": [dict(zip(("kind", "name", "plugin", "distribution", "version"), c, strict=True)) for c in components],
+        "sources": dict(sources),
+        "citations": [
+            text
+            for key, text in experiment.registry.citations.items()
+            if any(c.plugin == key for c in experiment.components())
+        ],
+    }
+    try:
+        (path / "checkpoints").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one.") from error
+    run = Run(path, info)
+    run.lock()
+    run.write_json("run.json", info)
+    return run
+
+
+def _free_folder(task: str) -> Path:
+    stem = re.sub(r"[^A-Za-z0-9]+", "-", task).strip("-")
+    for number in range(1, 100_000):
+        path = Path("runs") / f"{stem}-{number:03d}"
+        if not path.exists():
+            return path
+    raise RunError("The folder runs/ is full of runs of this task. Give run.dir a folder.")
+
+
+def open_run(path: str | Path) -> Run:
+    """Open an existing run folder.
+
+    Raises
+    ------
+    RunError
+        if there is none, it is damaged, or a newer understudy wrote it.
+    """
+    path = Path(path)
+    file = path / "run.json"
+    if not file.is_file():
+        raise RunError(f"{path} is no run folder: it has no run.json.")
+    try:
+        info = json.loads(file.read_text(encoding="utf-8"))
+        layout = info["layout"]
+        config = info["config"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RunError(f"{file} is damaged: {error}.") from error
+    if not isinstance(layout, int) or layout > LAYOUT:
+        raise RunError(
+            f"{path} was written by a newer understudy (layout {layout}; this one reads {LAYOUT}). "
+            "Install that version or a newer one."
+        )
+    if not isinstance(config, dict):
+        raise RunError(f"{file} is damaged: its config is no mapping.")
+    refuse_code(config)
+    return Run(path, info)
+
+
+def differences(old: Any, new: Any, where: str = "") -> list[str]:
+    """Key paths at which two nested configurations differ, with both values."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        found = []
+        for key in sorted({*old, *new}, key=str):
+            path = f"{where}.{key}" if where else str(key)
+            if key not in old:
+                found.append(f"{path}: added ({new[key]!r})")
+            elif key not in new:
+                found.append(f"{path}: removed (was {old[key]!r})")
+            else:
+                found.extend(differences(old[key], new[key], path))
+        return found
+    return [] if old == new else [f"{where}: {old!r} → {new!r}"]

@@ -1,0 +1,1 @@
+"""Motion clips: reading, checking, sampling. Nothing here knows a particular character."""

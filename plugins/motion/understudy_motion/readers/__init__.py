@@ -1,0 +1,1 @@
+"""Readers of clip file formats, each a module with ``read(path) -> Clip``."""

@@ -1,0 +1,179 @@
+"""DeepMimic JSON clips (Peng et al., "DeepMimic", SIGGRAPH 2018; the released data's layout).
+
+A file holds ``Loop`` ("wrap" or "none") and ``Frames``, rows of 44 numbers: the frame's duration in
+seconds, the root position in metres, the root rotation, then the joints of :data:`JOINTS` in order,
+a quaternion wxyz for a spherical joint and an angle in radians for a revolute one. The duration of
+the last row is not used; in a wrap clip the last row is the first pose of the next cycle.
+
+The file's frame is y up, x forward, z to the right. A vector (x, y, z) becomes (x, -z, y) and a
+quaternion (w, x, y, z) becomes (w, x, -z, y). Revolute joints turn about the file's +z, our -y.
+
+Files come from anywhere: whatever is wrong with one is a :class:`FileError`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import torch
+from understudy import rotations
+from understudy.errors import FileError, suggestion
+
+from understudy_motion.clip import Clip
+
+JOINTS: tuple[tuple[str, int], ...] = (
+    ("root", 4),
+    ("chest", 4),
+    ("neck", 4),
+    ("right_hip", 4),
+    ("right_knee", 1),
+    ("right_ankle", 4),
+    ("right_shoulder", 4),
+    ("right_elbow", 1),
+    ("left_hip", 4),
+    ("left_knee", 1),
+    ("left_ankle", 4),
+    ("left_shoulder", 4),
+    ("left_elbow", 1),
+)
+"""Names and how many numbers each takes in a row."""
+
+COLUMNS = 1 + 3 + sum(width for _, width in JOINTS)
+MAX_BYTES = 64 * 2**20
+MAX_FRAMES = 1_000_000
+LOOPS = {"wrap": True, "none": False}
+
+
+def read(path: Path) -> Clip:
+    """Read and check one clip.
+
+    Raises:
+        FileError: the file is missing, too large, not JSON, or not a motion; the message names the
+            file and, where there is one, the frame (from 0) and the field.
+    """
+    content = _bytes(path)
+    document = _document(path, content)
+    loop = document.get("Loop")
+    if not isinstance(loop, str) or loop not in LOOPS:
+        raise FileError(f'Clip {path}: \'Loop\' must be "wrap" or "none".')
+    rows = _rows(path, document)
+    durations = rows[:-1, 0]
+    if not (durations > 0.0).all():
+        frame = int(np.argmin(durations > 0.0))
+        raise FileError(
+            f"Clip {path}: frame {frame}: duration is {durations[frame]:g} s, must be above 0."
+        )
+    values = torch.from_numpy(rows)
+    return Clip(
+        name=path.stem,
+        times=torch.cat((torch.zeros(1, dtype=values.dtype), values[:-1, 0].cumsum(dim=0))),
+        root_position=torch.stack((values[:, 1], -values[:, 3], values[:, 2]), dim=-1),
+        rotations=_rotations(values[:, 4:]),
+        joint_names=tuple(name for name, _ in JOINTS),
+        loop=LOOPS[loop],
+        source=str(path),
+        licence=_licence(path),
+        sha256=hashlib.sha256(content).hexdigest(),
+    )
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise FileError(f"Clip {path}: there is no such file.")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise FileError(f"Clip {path}: cannot be read: {error}.") from error
+    if len(content) > MAX_BYTES:
+        raise FileError(f"Clip {path}: larger than {MAX_BYTES // 2**20} MB.")
+    return content
+
+
+def _document(path: Path, content: bytes) -> dict[str, Any]:
+    def not_a_number(word: str) -> NoReturn:
+        raise ValueError(f"{word} is not a number")
+
+    try:
+        document = json.loads(content.decode("utf-8-sig"), parse_constant=not_a_number)
+    except RecursionError as error:
+        raise FileError(f"Clip {path}: nested too deeply to be a clip.") from error
+    except ValueError as error:
+        raise FileError(f"Clip {path}: not valid JSON: {error}.") from error
+    if not isinstance(document, dict):
+        raise FileError(f"Clip {path}: not a clip: no 'Loop' and 'Frames' at the top level.")
+    if "Frames" not in document:
+        found = suggestion("Frames", document, limit=4)
+        raise FileError(f"Clip {path}: not a clip: 'Frames' is missing.{found}")
+    return document
+
+
+def _rows(path: Path, document: dict[str, Any]) -> np.ndarray:
+    """The frames as (F, 44) finite float64."""
+    frames = document["Frames"]
+    if not isinstance(frames, list):
+        raise FileError(f"Clip {path}: 'Frames' is not a list.")
+    if not 2 <= len(frames) <= MAX_FRAMES:
+        raise FileError(
+            f"Clip {path}: {len(frames)} frames; a clip has from 2 to {MAX_FRAMES} of them."
+        )
+    for index, row in enumerate(frames):
+        if not isinstance(row, list) or len(row) != COLUMNS:
+            size = f"{len(row)} numbers" if isinstance(row, list) else type(row).__name__
+            raise FileError(
+                f"Clip {path}: frame {index}: a row of {COLUMNS} numbers is needed, not {size}."
+            )
+        if not set(map(type, row)) <= {int, float}:
+            column = next(i for i, value in enumerate(row) if type(value) not in (int, float))
+            raise FileError(f"Clip {path}: frame {index}: {_field(column)} is not a number.")
+    try:
+        rows = np.array(frames, dtype=np.float64)
+    except OverflowError as error:
+        raise FileError(f"Clip {path}: a number in 'Frames' is too large.") from error
+    finite = np.isfinite(rows)
+    if not finite.all():
+        index, column = np.argwhere(~finite)[0]
+        raise FileError(f"Clip {path}: frame {index}: {_field(column)} is not finite.")
+    return rows
+
+
+def _field(column: int) -> str:
+    """What a column of a row holds, in words."""
+    if column == 0:
+        return "duration"
+    if column < 4:
+        return f"root position {'xyz'[column - 1]}"
+    start = 4
+    for name, width in JOINTS:
+        if column < start + width:
+            part = "angle" if width == 1 else f"quaternion {'wxyz'[column - start]}"
+            return f"{name} {part}"
+        start += width
+    raise IndexError(column)
+
+
+def _rotations(columns: torch.Tensor) -> torch.Tensor:
+    """(F, 40) of the file -> (F, 13, 4) in z-up frames."""
+    hinge_axis = torch.tensor([0.0, -1.0, 0.0], dtype=columns.dtype)
+    joints = []
+    for values in columns.split([width for _, width in JOINTS], dim=-1):
+        if values.shape[-1] == 1:
+            joints.append(rotations.from_axis_angle(hinge_axis, values[:, 0]))
+        else:
+            w, x, y, z = values.unbind(dim=-1)
+            joints.append(torch.stack((w, x, -z, y), dim=-1))
+    return torch.stack(joints, dim=1)
+
+
+def _licence(path: Path) -> str:
+    """The first line of a LICENSE file beside the clip, if there is one."""
+    try:
+        with path.with_name("LICENSE").open(encoding="utf-8", errors="replace") as file:
+            first = next((line.strip() for line in file if line.strip()), "")
+    except OSError:
+        return "unknown"
+    return f"{first[:200]}; see LICENSE beside the clip" if first else "unknown"

@@ -1,0 +1,20 @@
+"""Proximal policy optimisation and a plain MLP policy."""
+
+from pathlib import Path
+
+from understudy import hookimpl
+from understudy.registry import Registrar
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    register.component("learner", "ppo", "understudy_ppo.learner:PPO", "clipped PPO")
+    register.component("policy", "mlp", "understudy_ppo.policy:MLPPolicy", "MLP actor and critic")
+    register.citation(
+        "ppo", "Schulman et al. 2017. Proximal policy optimization algorithms. arXiv:1707.06347."
+    )
+
+
+@hookimpl
+def understudy_config_directory() -> Path:
+    return Path(__file__).parent / "conf"

@@ -1,0 +1,206 @@
+"""Clipped proximal policy optimisation (Schulman et al. 2017)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from understudy.errors import ConfigError, TrainingError
+from understudy.interfaces import Context, Learner, Policy, Rollout, State
+from understudy.random import generator
+from understudy_ppo.returns import lambda_advantages
+
+
+class PPO(Learner):
+    """Clipped surrogate, TD(lambda) value targets, GAE(lambda) advantages.
+
+    Defaults are the thesis' (section 3.5) where they carry over: gamma, lambda, 4096 samples an
+    iteration with 256 worlds. Its learning rates are for plain gradient descent; with Adam the
+    actor's is 1e-4 or so.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        rollout_steps: int = 16  #: T, steps per world and iteration
+        epochs: int = 4
+        minibatch_size: int = 512
+        gamma: float = 0.95
+        gae_lambda: float = 0.95
+        td_lambda: float = 0.95
+        clip: float = 0.2
+        actor_learning_rate: float = 1e-4
+        critic_learning_rate: float = 1e-3
+        entropy_weight: float = 0.0
+        max_gradient_norm: float = 1.0
+        #: Number format of the networks' matrix products during updates.
+        precision: Literal["float32", "bfloat16"] = "float32"
+        #: Non-finite optimiser steps in a row after which the training stops.
+        patience: int = 20
+
+        def __post_init__(self) -> None:
+            for name in ("rollout_steps", "epochs", "minibatch_size", "patience"):
+                if getattr(self, name) < 1:
+                    raise ValueError(f"{name} must be at least 1.")
+            for name in ("gamma", "gae_lambda", "td_lambda"):
+                if not 0 <= getattr(self, name) <= 1:
+                    raise ValueError(f"{name} must be between 0 and 1.")
+            for name in ("clip", "actor_learning_rate", "critic_learning_rate", "max_gradient_norm"):
+                if not getattr(self, name) > 0:
+                    raise ValueError(f"{name} must be positive.")
+
+    def __init__(self, options: Options, context: Context, policy: Policy) -> None:
+        samples = options.rollout_steps * context.num_worlds
+        if options.minibatch_size > samples:
+            raise ConfigError(
+                f"learner.minibatch_size={options.minibatch_size} is larger than an iteration: "
+                f"num_worlds × learner.rollout_steps = {samples}."
+            )
+        self.options, self.policy = options, policy
+        self.rollout_steps = options.rollout_steps
+        fused = context.device.type == "cuda"
+        self._actor = list(policy.actor_parameters())
+        self._critic = list(policy.critic_parameters())
+        self._actor_optimiser = torch.optim.Adam(self._actor, options.actor_learning_rate, fused=fused)
+        self._critic_optimiser = torch.optim.Adam(self._critic, options.critic_learning_rate, fused=fused)
+        self._generator = generator(context.seed, "ppo")
+        self._bad_steps = 0
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        advantages = self._digest(rollout)
+        assert rollout.returns is not None
+        flat = _flatten(rollout.observations)
+        actions, log_probs = rollout.actions.flatten(0, 1), rollout.log_probs.flatten()
+        returns = rollout.returns.flatten()
+        advantages = advantages.flatten()
+        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-5)
+
+        options, device = self.options, actions.device
+        batches = max(1, actions.shape[0] // options.minibatch_size)
+        sums = torch.zeros(5, device=device)
+        skipped = 0
+        for _ in range(options.epochs):
+            order = torch.randperm(actions.shape[0], generator=self._generator).to(device)
+            for rows in order[: batches * options.minibatch_size].view(batches, -1):
+                seen = {name: value[rows] for name, value in flat.items()}
+                with torch.autocast(
+                    device.type, torch.bfloat16, enabled=options.precision == "bfloat16"
+                ):
+                    distribution = self.policy.distribution(seen)
+                    values = self.policy.value(seen).float()
+                new_log_probs = distribution.log_prob(actions[rows])
+                ratio = torch.exp(new_log_probs - log_probs[rows])
+                clipped = ratio.clamp(1 - options.clip, 1 + options.clip)
+                gain = torch.minimum(ratio * advantages[rows], clipped * advantages[rows]).mean()
+                entropy = distribution.entropy().mean()
+                value_loss = (values - returns[rows]).square().mean()
+                actor_loss = -gain - options.entropy_weight * entropy
+                if not self._step(actor_loss, value_loss, seen):
+                    skipped += 1
+                    continue
+                with torch.no_grad():
+                    kl = (ratio - 1 - ratio.log()).mean()  # Schulman's k3 estimator
+                    outside = ((ratio - 1).abs() > options.clip).float().mean()
+                    sums += torch.stack([actor_loss, value_loss, entropy, kl, outside]).detach()
+        count = max(1, options.epochs * batches - skipped)
+        actor_loss, value_loss, entropy, kl, outside = (sums / count).tolist()
+        variance = returns.var() + 1e-8
+        explained = 1 - (returns - rollout.values.flatten()).var() / variance if rollout.values is not None else 0.0
+        return {
+            "actor_loss": actor_loss,
+            "value_loss": value_loss,
+            "entropy": entropy,
+            "kl": kl,
+            "clipped": outside,
+            "explained_variance": float(explained),
+            "skipped_steps": float(skipped),
+        }
+
+    @torch.no_grad()
+    def _digest(self, rollout: Rollout) -> Tensor:
+        """Set the rollout's values and TD(lambda) returns; return the advantages, all (T, N)."""
+        last = {k: v.unsqueeze(0) for k, v in rollout.last_observations.items()}
+        values = self.policy.value(
+            {k: torch.cat([v, last[k]]) for k, v in rollout.observations.items()}
+        )
+        values, following = values[:-1], values[1:]
+        ended = rollout.terminated | rollout.truncated
+        next_values = torch.where(ended, rollout.final_values, following)
+        continues = (~ended).float()
+        options = self.options
+
+        def estimate(lam: float) -> Tensor:
+            return lambda_advantages(
+                rollout.rewards, values, next_values, continues, gamma=options.gamma, lam=lam
+            )
+
+        advantages = estimate(options.gae_lambda)
+        same = options.td_lambda == options.gae_lambda
+        rollout.values = values
+        rollout.returns = values + (advantages if same else estimate(options.td_lambda))
+        return advantages
+
+    def _step(self, actor_loss: Tensor, value_loss: Tensor, seen: Mapping[str, Tensor]) -> bool:
+        """One optimiser step; False (and nothing changed) if loss or gradient is not finite."""
+        self._actor_optimiser.zero_grad(set_to_none=True)
+        self._critic_optimiser.zero_grad(set_to_none=True)
+        (actor_loss + value_loss).backward()
+        norm = self.options.max_gradient_norm
+        norms = [nn.utils.clip_grad_norm_(group, norm) for group in (self._actor, self._critic)]
+        if not all(bool(torch.isfinite(x)) for x in (*norms, actor_loss, value_loss)):
+            self._bad_steps += 1
+            if self.on_fault is not None:
+                self.on_fault({f"observations/{k}": v for k, v in seen.items()})
+                self.on_fault = None
+            if self._bad_steps >= self.options.patience:
+                raise TrainingError(
+                    f"{self._bad_steps} optimiser steps in a row had a non-finite loss or gradient. "
+                    "The usual causes are too high a learning rate, or rewards that are huge; the "
+                    "weights are those before the first of them."
+                )
+            return False
+        self._bad_steps = 0
+        self._actor_optimiser.step()
+        self._critic_optimiser.step()
+        return True
+
+    def state_dict(self) -> State:
+        return {
+            "actor": _optimiser_state(self._actor_optimiser),
+            "critic": _optimiser_state(self._critic_optimiser),
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        _load_optimiser(self._actor_optimiser, state["actor"])
+        _load_optimiser(self._critic_optimiser, state["critic"])
+        self._generator.set_state(state["generator"].cpu())
+
+
+def _flatten(observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name: value.flatten(0, 1) for name, value in observations.items()}
+
+
+def _parameters(optimiser: torch.optim.Optimizer) -> Iterable[nn.Parameter]:
+    return optimiser.param_groups[0]["params"]
+
+
+def _optimiser_state(optimiser: torch.optim.Optimizer) -> State:
+    """Adam's moments by parameter position; empty before the first step."""
+    return {
+        str(i): {k: v.clone() for k, v in optimiser.state[p].items()}
+        for i, p in enumerate(_parameters(optimiser))
+        if p in optimiser.state
+    }
+
+
+def _load_optimiser(optimiser: torch.optim.Optimizer, state: State) -> None:
+    for i, p in enumerate(_parameters(optimiser)):
+        if str(i) in state:
+            optimiser.state[p] = {
+                k: v.clone().to(p.device if k != "step" or p.is_cuda else "cpu")
+                for k, v in state[str(i)].items()
+            }

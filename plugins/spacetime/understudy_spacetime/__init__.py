@@ -1,0 +1,50 @@
+"""Spacetime bounds (Ma et al. 2021; thesis chapter 3): learn a skill by staying near a clip."""
+
+from pathlib import Path
+
+from understudy import hookimpl
+from understudy.registry import Registrar
+
+_HERE = "understudy_spacetime"
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    add = register.component
+    add("termination", "spacetime.com_bound", f"{_HERE}.bounds:com_bound", "centre of mass, per axis")
+    add("termination", "spacetime.root_bound", f"{_HERE}.bounds:root_bound", "root orientation")
+    add("termination", "spacetime.joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
+    add("termination", "spacetime.end_effector_bound", f"{_HERE}.bounds:end_effector_bound", "hands and feet")
+    add("reward", "spacetime.survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
+    add("encoder", "spacetime.state", f"{_HERE}.encoders:StateEncoder", "character, phase, root error")
+    add("encoder", "spacetime.feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose")
+    add(
+        "policy",
+        "spacetime.feedforward_feedback",
+        f"{_HERE}.policy:FeedforwardFeedback",
+        "reference pose plus learned offset",
+    )
+    add("initial_states", "spacetime.uniform", f"{_HERE}.initial_states:Uniform", "reference states")
+    add(
+        "initial_states",
+        "spacetime.importance",
+        f"{_HERE}.initial_states:Importance",
+        "reference states, more where returns are low",
+    )
+    add(
+        "initial_states",
+        "spacetime.evolution",
+        f"{_HERE}.initial_states:Evolution",
+        "elite states of past rollouts",
+    )
+    register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")
+    register.citation(
+        "spacetime",
+        "Ma, Yang, Tong, Guo, Yin 2021. Learning and exploring motor skills with spacetime bounds. "
+        "Computer Graphics Forum 40(2), 251-263.",
+    )
+
+
+@hookimpl
+def understudy_config_directory() -> Path:
+    return Path(__file__).parent / "conf"

@@ -1,0 +1,66 @@
+"""Observations of section 3.4.1: the character's state with the phase, and the reference pose."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from understudy.interfaces import Context, Encoder, Shape
+from understudy.rotations import from_axis_angle, inverse_rotate
+from understudy_humanoid.scene import HumanoidScene
+
+
+class StateEncoder(Encoder):
+    """Link poses and velocities in the heading frame, end-effectors, phase, and the root's state.
+
+    The paper gives the root in the world frame. A character that walks away would leave every
+    observed range, so its position and heading stand here relative to the reference's, in the
+    reference's heading frame: the same information, bounded. Rotations are two axes (6 numbers)
+    rather than quaternions, which jump in sign.
+    """
+
+    reads = (
+        "phase", "root_position", "root_heading", "reference_root_position", "reference_root_heading",
+        "link_positions", "link_rotations", "link_linear_velocities", "link_angular_velocities",
+        "end_effector_positions",
+    )  # fmt: skip
+    shape: Shape
+
+    def __init__(self, options: None, context: Context) -> None:
+        layout = context.need_scene(HumanoidScene, "encoder 'spacetime.state'").layout
+        links, effectors = len(layout.link_names), len(layout.end_effectors)
+        self.shape = (3 + 3 + 1 + 2 + links * (3 + 6 + 3 + 3) + effectors * 3,)
+
+    def encode(
+        self,
+        phase: Tensor,
+        root_position: Tensor,
+        root_heading: Tensor,
+        reference_root_position: Tensor,
+        reference_root_heading: Tensor,
+        **links: Tensor,
+    ) -> Tensor:
+        up = torch.tensor([0.0, 0.0, 1.0], dtype=phase.dtype, device=phase.device)
+        frame = from_axis_angle(up, reference_root_heading)
+        error = inverse_rotate(frame, root_position - reference_root_position)
+        turn = root_heading - reference_root_heading
+        angle = phase * (2 * math.pi)
+        scalars = [phase, angle.sin(), angle.cos(), root_position[:, 2], turn.sin(), turn.cos()]
+        return torch.cat(
+            [torch.stack(scalars, dim=1), error, *(value.flatten(1) for value in links.values())], dim=1
+        )
+
+
+class FeedforwardEncoder(Encoder):
+    """The reference's joint targets, (N, A): what the feedforward controller looks up."""
+
+    reads = ("reference_joint_targets",)
+
+    def __init__(self, options: None, context: Context) -> None:
+        layout = context.need_scene(HumanoidScene, "encoder 'spacetime.feedforward'").layout
+        self.shape: Shape = (layout.num_actuators,)
+
+    def encode(self, reference_joint_targets: Tensor) -> Tensor:
+        return reference_joint_targets

@@ -1,0 +1,53 @@
+"""The policy of figure 3.4: a feedforward controller plus a learned feedback controller."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from torch import Tensor, nn
+
+from understudy.errors import ConfigError
+from understudy.interfaces import Context, Policy
+from understudy.nn import DiagonalGaussian
+from understudy_ppo.policy import MLPPolicy, observation_size
+
+
+class FeedforwardFeedback(Policy):
+    """PD targets q = q̂ + Δq: q̂ from the reference by phase, Δq from the network (figure 3.4)."""
+
+    @dataclass(frozen=True)
+    class Options:
+        feedforward: str = "feedforward"  #: name of the observation that holds q̂
+        feedback: MLPPolicy.Options = field(default_factory=MLPPolicy.Options)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        super().__init__()
+        who = "policy 'spacetime.feedforward_feedback'"
+        size = observation_size(context, options.feedforward, who)
+        if size != context.action_size:
+            raise ConfigError(
+                f"{who}: the observation '{options.feedforward}' has {size} numbers and the action "
+                f"{context.action_size}; choose an actuation that takes joint targets."
+            )
+        self._name = options.feedforward
+        self.feedback = MLPPolicy(options.feedback, context)
+
+    def distribution(self, observations: Mapping[str, Tensor]) -> DiagonalGaussian:
+        offset = self.feedback.distribution(observations)
+        return DiagonalGaussian(observations[self._name] + offset.mean, offset.std)
+
+    def value(self, observations: Mapping[str, Tensor]) -> Tensor:
+        return self.feedback.value(observations)
+
+    def actor_parameters(self) -> Iterator[nn.Parameter]:
+        return self.feedback.actor_parameters()
+
+    def critic_parameters(self) -> Iterator[nn.Parameter]:
+        return self.feedback.critic_parameters()
+
+    def observe(self, observations: Mapping[str, Tensor]) -> None:
+        self.feedback.observe(observations)
+
+    def schedule(self, samples: int) -> None:
+        self.feedback.schedule(samples)
