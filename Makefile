@@ -33,4 +33,4 @@ check: install
 
 bench: install
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'
-	$(BIN)/python -m understudy.bench
+	$(BIN)/python benchmarks/cpu.py

@@ -78,6 +78,8 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         if it is missing, damaged, or of a newer format.
     """
     document = read_sealed(path.with_suffix(".json"))
+    if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():
+        raise RunError(f"{path.with_suffix('.json')} is damaged: it is no checkpoint.")
     version = document.get("format")
     if not isinstance(version, int) or version > FORMAT:
         raise RunError(
@@ -94,7 +96,10 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         tensors = load_tensors(data)
     except SafetensorError as error:
         raise RunError(f"{path.with_suffix('.safetensors')} is damaged: {error}.") from error
-    state, meta = _put_tensors(document["state"], tensors), dict(document["meta"])
+    try:
+        state, meta = _put_tensors(document["state"], tensors), dict(document["meta"])
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise RunError(f"{path.with_suffix('.json')} is damaged: its state is not readable.") from error
     for old in range(version, FORMAT):
         if old not in MIGRATIONS:
             raise RunError(f"{path} has checkpoint format {version}, which cannot be migrated.")

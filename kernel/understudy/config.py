@@ -28,7 +28,14 @@ from omegaconf.errors import OmegaConfBaseException
 from understudy.environment import Outcome
 from understudy.errors import ConfigError, suggestion
 from understudy.plugins import Plugins, installed
-from understudy.registry import Component, Option, Registry, checked_options, make_options
+from understudy.registry import (
+    Component,
+    Option,
+    Registry,
+    check_range,
+    checked_options,
+    make_options,
+)
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,8 @@ class ControlOptions:
     substeps: int = 20  #: physics steps per control step
 
     def __post_init__(self) -> None:
-        if not 0 < self.frequency < 1e5 or not 0 < self.substeps < 1e5:
-            raise ValueError("frequency and substeps must be positive.")
+        check_range(self, "frequency", above=0, most=1e5)
+        check_range(self, "substeps", least=1, most=100_000)
 
 
 @dataclass(frozen=True)
@@ -48,8 +55,7 @@ class EpisodeOptions:
     seconds: float = 20.0  #: episodes are truncated at this length
 
     def __post_init__(self) -> None:
-        if not self.seconds > 0:
-            raise ValueError("seconds must be positive.")
+        check_range(self, "seconds", above=0)
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,9 @@ class BudgetOptions:
 
     samples: int | None = None  #: environment steps, summed over worlds
     minutes: float | None = None  #: minutes of training time
+
+    def __post_init__(self) -> None:
+        check_range(self, "samples", "minutes", above=0)
 
 
 @dataclass(frozen=True)
@@ -75,11 +84,22 @@ class EvaluationOptions:
     #: … and this many samples were consumed since the last one.
     every_samples: int = 100_000
 
+    def __post_init__(self) -> None:
+        check_range(self, "episodes", least=1)
+        check_range(self, "seconds", above=0)
+        check_range(self, "criterion", above=0, most=1)
+        check_range(self, "gate", least=0, most=1)
+        check_range(self, "every_samples", least=0)
+
 
 @dataclass(frozen=True)
 class CheckpointOptions:
     minutes: float = 2.0  #: training time between checkpoints
     keep: int = 3  #: how many of the newest are kept
+
+    def __post_init__(self) -> None:
+        check_range(self, "minutes", least=0)
+        check_range(self, "keep", least=1)
 
 
 @dataclass(frozen=True)
@@ -87,6 +107,9 @@ class RunOptions:
     dir: str | None = None  #: run folder; null makes ``runs/<task>-<n>``
     video_seconds: float = 8.0
     observers: bool = True
+
+    def __post_init__(self) -> None:
+        check_range(self, "video_seconds", least=0)
 
 
 @dataclass(frozen=True)
@@ -128,10 +151,8 @@ class Root:
     executor: Any = None
 
     def __post_init__(self) -> None:
-        if self.num_worlds < 1:
-            raise ValueError(f"num_worlds={self.num_worlds} is not possible: at least 1.")
-        if not 0 <= self.seed < 2**63:
-            raise ValueError(f"seed={self.seed} is not possible: 0 to 2^63 - 1.")
+        check_range(self, "num_worlds", least=1)
+        check_range(self, "seed", least=0, most=2**63 - 1)
 
 
 @dataclass(frozen=True)
@@ -208,7 +229,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
             raise ConfigError(
                 f"There is no configuration key '{key}'.{suggestion(str(key), known | set(registry.sections))}"
             )
-    root = make_options(Root, {k: v for k, v in raw.items() if k in known}, "config")
+    root = make_options(Root, {k: v for k, v in raw.items() if k in known}, "")
 
     def choice(kind: str, value: Any, where: str, required: bool = True) -> Any:
         if value is None:
@@ -243,9 +264,9 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
 
     single = {slot: choice(slot, getattr(root, slot), slot) for slot in SINGLE_SLOTS}
     optional = {slot: choice(slot, getattr(root, slot), slot, False) for slot in OPTIONAL_SLOTS}
-    if not root.reward.terms:
+    if not any(root.reward.terms.values()):
         raise ConfigError("reward.terms is empty: a task needs at least one reward term.")
-    if not root.encoder:
+    if not any(root.encoder.values()):
         raise ConfigError("encoder is empty: a task needs at least one encoder.")
     terminations = tuple(
         term("termination", k, v) for k, v in root.termination.terms.items() if v is not None
@@ -327,7 +348,10 @@ def kernel_conf() -> Path:
 
 
 @contextlib.contextmanager
-def _hydra(plugins: Plugins) -> Iterator[None]:
+def _hydra(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
+    for override in overrides:
+        if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
+            raise ConfigError(f"{override}: Hydra itself cannot be configured. Remove it.")
     HydraPlugins.instance().register(UnderstudySearchPath)
     GlobalHydra.instance().clear()
     _active.plugins = plugins
@@ -335,7 +359,7 @@ def _hydra(plugins: Plugins) -> Iterator[None]:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
             yield
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(_plain(error)) from error
+        raise ConfigError(_plain(error) + plugins.registry.absent()) from error
     finally:
         _active.plugins = None
         GlobalHydra.instance().clear()
@@ -351,6 +375,12 @@ def _plain(error: Exception) -> str:
     return f"{text} Available: {known}." if options and known else text
 
 
+def _settable(override: str) -> str:
+    """Let ``a.b=value`` set an option that no file mentions; validation knows which ones exist."""
+    key, equals, _ = override.partition("=")
+    return f"++{override}" if equals and "." in key and key[0] not in "+~" else override
+
+
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
@@ -359,8 +389,8 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     ConfigError
         if Hydra cannot compose it, or it contains a key that names code.
     """
-    with _hydra(plugins or installed()):
-        config = compose("config", overrides=list(overrides))
+    with _hydra(plugins or installed(), overrides):
+        config = compose("config", overrides=[_settable(o) for o in overrides])
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     assert isinstance(raw, dict)
     refuse_code(raw)
@@ -377,9 +407,9 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
     """For each key path of the composed configuration, the file (or override) that set it."""
     plugins = plugins or installed()
     origin: dict[str, str] = {}
-    with _hydra(plugins):
+    with _hydra(plugins, overrides):
         loader = GlobalHydra.instance().config_loader()
-        defaults = loader.compute_defaults_list("config", list(overrides), RunMode.RUN)
+        defaults = loader.compute_defaults_list("config", [_settable(o) for o in overrides], RunMode.RUN)
         sources = [kernel_conf(), *(d for _, d in plugins.config_directories())]
         for item in defaults.defaults:
             path = item.config_path

@@ -31,6 +31,9 @@ from understudy.random import WorldStreams
 #: terminations are known, so only rewards may read it.
 OWN_FIELDS: dict[str, Shape] = {"episode_time": (), "episode_step": (), "failed": ()}
 
+#: Numbers of this size and beyond count as non-finite, as they do for MuJoCo.
+LARGEST = 1e10
+
 #: What a termination term that fires does to the episode; ``report`` only reports it.
 Outcome = Literal["failure", "truncation", "success", "report"]
 
@@ -229,7 +232,7 @@ class Environment:
         self._begin(everywhere)
         self._check_shapes()
         self.statistics.forget_running()
-        self.observations = self._encode()
+        self.observations = self._first()
         return self.observations
 
     @torch.no_grad()
@@ -237,7 +240,7 @@ class Environment:
         """Apply `action` (N, A), advance one control period, judge, and begin ended worlds anew."""
         parts, table = self.parts, self.table
         control = parts.actuation.control(action, **table.pick(parts.actuation.reads))
-        unsound = ~torch.isfinite(control).all(dim=1)
+        unsound = ~sound(control)
         snapshot = parts.simulator.snapshot() if self.on_quarantine else None
         parts.simulator.step(torch.where(unsound.unsqueeze(1), 0.0, control))
         self.episode_step += 1
@@ -254,10 +257,10 @@ class Environment:
                 outcomes[term.outcome] = outcomes[term.outcome] | endings[term.name]
         table.set("failed", outcomes["failure"])
         rewards = self._reward()
-        unsound = unsound | parts.simulator.failed() | ~torch.isfinite(rewards)
+        unsound = unsound | parts.simulator.failed() | ~sound(rewards)
         reached = self._encode()
         for value in reached.values():
-            unsound = unsound | ~torch.isfinite(value.flatten(1)).all(dim=1)
+            unsound = unsound | ~sound(value)
         terminated = outcomes["failure"] | outcomes["success"] | unsound
         truncated = outcomes["truncation"] & ~terminated
         ended = terminated | truncated
@@ -270,7 +273,7 @@ class Environment:
         else:
             self._quarantine(unsound, snapshot, control)
             self._begin(ended)
-            self.observations = self._encode()
+            self.observations = self._first()
             final = {  # an unsound world's numbers must reach nothing, so it shows its next episode
                 name: torch.where(_rows(unsound, value), self.observations[name], value)
                 for name, value in reached.items()
@@ -301,8 +304,17 @@ class Environment:
             for name, encoder in self.parts.encoders.items()
         }
 
+    def _first(self) -> dict[str, Tensor]:
+        """The observations after :meth:`_begin`; zero in worlds that began unsound and fail next."""
+        return {
+            name: torch.where(_rows(sound(value), value), value, 0.0)
+            for name, value in self._encode().items()
+        }
+
     def _begin(self, worlds: Tensor) -> None:
+        before = self._streams.state_dict()
         initial = self.parts.initial_states.sample(self._streams)
+        self._streams.give_back(~worlds, before)  # what a world draws depends on no other world
         self.parts.simulator.set_state(
             worlds, {name: initial[name] for name in self.parts.simulator.state_fields}
         )
@@ -386,6 +398,11 @@ class Environment:
 def _rows(mask: Tensor, like: Tensor) -> Tensor:
     """`mask` (N,) shaped to broadcast over the rows of `like` (N, …)."""
     return mask.view(-1, *([1] * (like.dim() - 1)))
+
+
+def sound(value: Tensor) -> Tensor:
+    """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
+    return (value.abs() < LARGEST).flatten(1).all(dim=1) if value.dim() > 1 else value.abs() < LARGEST
 
 
 class EpisodeStatistics:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from understudy.interfaces import Distribution
 from understudy.random import WorldStreams
+from understudy.registry import check_range
 
 
 def mlp(sizes: Sequence[int], *, activation: type[nn.Module] = nn.ReLU, final_scale: float = 1.0) -> nn.Sequential:
@@ -95,6 +96,9 @@ class Schedule:
     end: float
     samples: int = 1_000_000
 
+    def __post_init__(self) -> None:
+        check_range(self, "samples", least=1)
+
     def at(self, samples: int) -> float:
-        share = min(1.0, samples / max(1, self.samples))
+        share = min(1.0, samples / self.samples)
         return self.start + (self.end - self.start) * share

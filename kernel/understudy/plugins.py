@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,13 +78,14 @@ def load(
     """Load all installed plugins, or just those named in `only`, plus `extra` (name, module) pairs.
 
     ``UNDERSTUDY_PLUGINS=a,b`` allows only the named plugins and ``UNDERSTUDY_DISABLE_PLUGINS=c``
-    leaves some out. A plugin that fails to import is recorded in ``registry.broken`` and the
-    others still load.
+    leaves some out. A plugin that fails to import, misspells a hook, or provides what an earlier
+    one provides already is recorded in ``registry.broken``, with nothing of it kept; the others
+    still load. The bundled plugins come first, then the others by name.
 
     Raises
     ------
     PluginError
-        if two plugins provide the same name or config option, or a hook is misspelled.
+        if two distributions provide a plugin of the same name.
     """
     allowed = _names("UNDERSTUDY_PLUGINS") if only is None else set(only)
     disabled = _names("UNDERSTUDY_DISABLE_PLUGINS") or set()
@@ -107,14 +108,16 @@ def load(
             continue  # the same distribution seen twice on the path
         try:
             module = entry.load()
-        except Exception as error:  # a stranger's import may raise anything; the others must work
-            _broken(result, entry.name, distribution, version, error)
+        except (Exception, SystemExit) as error:  # a stranger's import may raise anything
+            _isolate(result, LoadedPlugin(entry.name, distribution, version, ""), error)
             continue
         _add(result, entry.name, module, distribution, version)
     for name, module in extra:
         _add(result, name, module, "", "")
-    result.registry.check_kinds()
-    _refuse_shadowed_options(result)
+    faults = _shadowed_options(result) | result.registry.unknown_kinds()
+    for plugin in [p for p in result.loaded if p.name in faults]:
+        result.loaded.remove(plugin)
+        _isolate(result, plugin, faults[plugin.name])
     return result
 
 
@@ -123,62 +126,53 @@ def _names(variable: str) -> set[str] | None:
     return None if not text else {name.strip() for name in text.split(",") if name.strip()}
 
 
-def _broken(plugins: Plugins, name: str, distribution: str, version: str, error: Exception) -> None:
+def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> None:
+    """Keep nothing of `plugin` but its name and why it did not load."""
     reason = f"{type(error).__name__}: {error}".splitlines()[0]
-    plugins.registry.broken[name] = reason
-    plugins.loaded.append(LoadedPlugin(name, distribution, version, reason))
+    if plugins.manager.has_plugin(plugin.name):
+        plugins.manager.unregister(name=plugin.name)
+    plugins.registry.remove(plugin.name)
+    plugins.registry.broken[plugin.name] = reason
+    plugins.loaded.append(replace(plugin, status=reason, config_directory=None))
 
 
 def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: str) -> None:
     manager = plugins.manager
-    manager.register(module, name)
+    plugin = LoadedPlugin(name, distribution, version, "ok")
     try:
+        manager.register(module, name)
         manager.check_pending()
-    except pluggy.PluginValidationError as error:
-        manager.unregister(name=name)
-        raise PluginError(f"Plugin '{name}' implements a hook that does not exist: {error}") from error
-    unknown = [
-        item
-        for item in dir(module)
-        if item.startswith("understudy_") and not hasattr(Hooks, item) and callable(getattr(module, item))
-    ]
-    if unknown:
-        raise PluginError(
-            f"Plugin '{name}' defines '{unknown[0]}', which is no hook. The hooks are: "
-            + ", ".join(item for item in vars(Hooks) if item.startswith("understudy_"))
-        )
-    others = [p for p in manager.get_plugins() if p is not module]
-    directory: Path | None = None
-    register = Registrar(plugins.registry, name, distribution, version)
-    try:
+        for item in dir(module):
+            if item.startswith("understudy_") and not hasattr(Hooks, item) and callable(getattr(module, item)):
+                hooks = ", ".join(h for h in vars(Hooks) if h.startswith("understudy_"))
+                raise PluginError(f"it defines '{item}', which is no hook. The hooks are: {hooks}.")
+        others = [p for p in manager.get_plugins() if p is not module]
+        register = Registrar(plugins.registry, name, distribution, version)
         manager.subset_hook_caller("understudy_register", others)(register=register)
         given = manager.subset_hook_caller("understudy_config_directory", others)()
-        directory = Path(given[0]) if given else None
-    except PluginError:
-        raise
-    except Exception as error:  # as at import: named, isolated
-        manager.unregister(name=name)
-        registry = plugins.registry
-        for key in [k for k, c in registry.components.items() if c.plugin == name]:
-            del registry.components[key]
-        for key in [k for k, t in registry.tasks.items() if t.plugin == name]:
-            del registry.tasks[key]
-        _broken(plugins, name, distribution, version, error)
+        if given:
+            plugin = replace(plugin, config_directory=Path(given[0]))
+            if not Path(given[0]).is_dir():
+                raise PluginError(f"its config directory {given[0]} does not exist.")
+    except (Exception, SystemExit) as error:  # as at import: named, isolated
+        _isolate(plugins, plugin, error)
         return
-    plugins.loaded.append(LoadedPlugin(name, distribution, version, "ok", directory))
+    plugins.loaded.append(plugin)
 
 
-def _refuse_shadowed_options(plugins: Plugins) -> None:
+def _shadowed_options(plugins: Plugins) -> dict[str, PluginError]:
+    """By plugin: a config option that an earlier plugin provides already."""
     owner: dict[Path, str] = {}
+    faults: dict[str, PluginError] = {}
     for name, directory in plugins.config_directories():
         for file in sorted(directory.rglob("*.yaml")):
             option = file.relative_to(directory)
-            if option in owner:
-                raise PluginError(
-                    f"Plugins '{owner[option]}' and '{name}' both provide the config option "
-                    f"'{option.with_suffix('')}'. Rename one of them."
+            if owner.setdefault(option, name) != name:
+                faults[name] = PluginError(
+                    f"it provides the config option '{option.with_suffix('')}', which plugin "
+                    f"'{owner[option]}' provides already. Rename one of them."
                 )
-            owner[option] = name
+    return faults
 
 
 @functools.cache

@@ -54,13 +54,13 @@ def private_rng(seed: int, name: str) -> Iterator[None]:
 
 
 class WorldStreams:
-    """Per-world random numbers on one device. State: one draw counter."""
+    """Per-world random numbers on one device. State: each world's number of draws."""
 
     def __init__(self, seed: int, name: str, num_worlds: int, device: torch.device | str) -> None:
         world = torch.arange(num_worlds, dtype=torch.int64, device=device)
         base = torch.tensor(derive_seed(seed, name), dtype=torch.int64, device=device)
         self._key = _mix(base + world * _GAMMA).unsqueeze(1)
-        self._counter = torch.zeros((), dtype=torch.int64, device=device)
+        self._counter = torch.zeros((num_worlds, 1), dtype=torch.int64, device=device)
 
     def bits(self, size: int) -> Tensor:
         """(N, size) int64, uniform over all bit patterns."""
@@ -78,6 +78,10 @@ class WorldStreams:
         radius = torch.sqrt(-2.0 * torch.log((_shift(bits, 40).to(torch.float32) + 1.0) * 2.0**-24))
         angle = (bits & 0xFFFFFF).to(torch.float32) * (2.0 * math.pi * 2.0**-24)
         return torch.cat([radius * torch.cos(angle), radius * torch.sin(angle)], dim=1)[:, :size]
+
+    def give_back(self, worlds: Tensor, before: dict[str, Tensor]) -> None:
+        """Undo the draws since `before` (a :meth:`state_dict`) in `worlds` (N,), which used none."""
+        self._counter.copy_(torch.where(worlds.unsqueeze(1), before["counter"], self._counter))
 
     def state_dict(self) -> dict[str, Tensor]:
         return {"counter": self._counter.clone()}

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import importlib
 import inspect
+import math
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -119,7 +120,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 
     Knows the types that options use: bool, int, float, str, ``X | None``, ``Literal``, tuples and
     lists, mappings, nested dataclasses, and Any. Integers are accepted as floats, never the
-    reverse; NaN is never accepted.
+    reverse; NaN and infinity are never accepted.
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any:
@@ -145,8 +146,8 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
     if annotation is int and isinstance(value, float) and value.is_integer():
         return int(value)  # 1e6 is how people write a million samples
     if annotation is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        if value != value:
-            raise ConfigError(f"{where} is NaN; give a number.")
+        if not math.isfinite(value):
+            raise ConfigError(f"{where}={value} is not possible; give a finite number.")
         return float(value)
     if annotation is str and isinstance(value, str):
         return value
@@ -182,21 +183,44 @@ def make_options(schema: type, values: Any, where: str) -> Any:
     arguments = checked_options(options_of(schema), values, where)
     try:
         return schema(**arguments)
-    except ValueError as error:  # a dataclass's own range checks
-        raise ConfigError(f"{where}: {error}") from error
+    except ValueError as error:  # a dataclass's own range checks; they begin with the option's name
+        raise ConfigError(f"{_below(where)}{error}") from error
+
+
+def check_range(
+    options: Any, *names: str, above: float | None = None, least: float | None = None, most: float | None = None
+) -> None:
+    """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
+    above `above`, at `least` or more, and at `most` or less; a ValueError names the one that does not."""
+    for name in names:
+        value = getattr(options, name)
+        if value is None:
+            continue
+        for bound, holds, how in (
+            (above, above is None or value > above, "greater than"),
+            (least, least is None or value >= least, "at least"),
+            (most, most is None or value <= most, "at most"),
+        ):
+            if not holds:
+                raise ValueError(f"{name}={value!r} is not possible: it must be {how} {bound:g}.")
+
+
+def _below(where: str) -> str:
+    return f"{where}." if where else ""
 
 
 def checked_options(options: Mapping[str, Option], values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """`values` coerced to the types of `options`; unknown and missing ones are errors."""
     for key in values:
         if key not in options:
-            raise ConfigError(f"{where} has no option '{key}'.{suggestion(str(key), options)}")
+            owner = where or "The configuration"
+            raise ConfigError(f"{owner} has no option '{key}'.{suggestion(str(key), options)}")
     result = {}
     for name, option in options.items():
         if name in values:
-            result[name] = coerce(values[name], option.annotation, f"{where}.{name}")
+            result[name] = coerce(values[name], option.annotation, f"{_below(where)}{name}")
         elif option.default is REQUIRED:
-            raise ConfigError(f"{where}.{name} is not set. Give it a value.")
+            raise ConfigError(f"{_below(where)}{name} is not set. Give it a value.")
     return result
 
 
@@ -252,14 +276,16 @@ class Registry:
     #: What could not be loaded, by plugin name: the reason, raised when it is asked for.
     broken: dict[str, str] = field(default_factory=dict)
 
-    def check_kinds(self) -> None:
-        """Once all plugins are loaded: every component's kind must be somebody's."""
-        for component in self.components.values():
-            if component.kind not in self.kinds:
-                raise PluginError(
-                    f"Plugin '{component.plugin}' registers '{component.name}' as a '{component.kind}', "
-                    f"which is no kind of component.{suggestion(component.kind, self.kinds)}"
-                )
+    def unknown_kinds(self) -> dict[str, PluginError]:
+        """Once all plugins are loaded: by plugin, a component of a kind that is nobody's."""
+        return {
+            c.plugin: PluginError(
+                f"it registers '{c.name}' as a '{c.kind}', which is no kind of component."
+                + suggestion(c.kind, self.kinds)
+            )
+            for c in self.components.values()
+            if c.kind not in self.kinds
+        }
 
     def add(self, component: Component) -> None:
         other = self.components.get((component.kind, component.name))
@@ -284,10 +310,18 @@ class Registry:
         elsewhere = [k for k, n in self.components if n == name]
         if elsewhere:
             message += f" '{name}' is a {elsewhere[0]}."
-        plugin = name.partition(".")[0]
-        if plugin in self.broken:
-            message += f" Plugin '{plugin}' did not load: {self.broken[plugin]}"
-        raise ConfigError(message)
+        raise ConfigError(message + self.absent())
+
+    def absent(self) -> str:
+        """Which plugins did not load and why, to end the error about what was not found."""
+        return "".join(f" Plugin '{name}' did not load: {why}" for name, why in self.broken.items())
+
+    def remove(self, plugin: str) -> None:
+        """Forget what `plugin` registered."""
+        tables: tuple[dict[Any, Any], ...] = (self.components, self.tasks, self.sections)
+        for table in tables:
+            for key in [k for k, entry in table.items() if entry.plugin == plugin]:
+                del table[key]
 
 
 @dataclass(frozen=True)

@@ -73,13 +73,15 @@ class Run:
         RunError
             if another process trains in it.
         """
-        self._lock = open(self.path / ".lock", "w")  # noqa: SIM115 - held until the run ends
         try:
+            self._lock = open(self.path / ".lock", "w")  # noqa: SIM115 - held until the run ends
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        except BlockingIOError as error:
             raise RunError(
                 f"Another process is training in {self.path}. Wait for it, or give run.dir another folder."
             ) from error
+        except OSError as error:
+            raise RunError(f"{self.path} cannot be written: {error.strerror}.") from error
 
     def unlock(self) -> None:
         if self._lock is not None:
@@ -151,7 +153,8 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         ],
     }
     try:
-        (path / "checkpoints").mkdir(parents=True, exist_ok=True)
+        for folder in ("checkpoints", "faults"):
+            (path / folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RunError(f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one.") from error
     run = Run(path, info)
@@ -185,6 +188,9 @@ def open_run(path: str | Path) -> Run:
         info = json.loads(file.read_text(encoding="utf-8"))
         layout = info["layout"]
         config = info["config"]
+        refuse_code(config)
+        if not {"overrides", "sources"} <= info.keys():
+            raise ValueError("it lacks overrides or sources")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
     if not isinstance(layout, int) or layout > LAYOUT:
@@ -194,7 +200,6 @@ def open_run(path: str | Path) -> Run:
         )
     if not isinstance(config, dict):
         raise RunError(f"{file} is damaged: its config is no mapping.")
-    refuse_code(config)
     return Run(path, info)
 
 

@@ -161,6 +161,14 @@ class Training:
         self.learner.on_fault = self._dump_minibatch
         return self
 
+    def sources(self) -> dict[str, Any]:
+        """Where the data of each config section came from, with licences."""
+        return {
+            name: section.provenance()
+            for name, section in self.built.context.sections.items()
+            if hasattr(section, "provenance")
+        }
+
     # ------------------------------------------------------------------ state
 
     def state_dict(self) -> State:
@@ -216,11 +224,17 @@ class Training:
             self.run.keep_metrics_until(0)
             return
         state, meta, _ = checkpoint.load_newest(self.run.checkpoints, self.reporter.message)
-        for change in differences(meta["config"], self.run.config):
+        for change in differences(meta.get("config"), self.run.config):
             self.reporter.message(f"Differs from the checkpoint: {change}")
-        for change in differences(meta["versions"], versions()):
+        for change in differences(meta.get("versions"), versions()):
             self.reporter.message(f"Version differs from the checkpoint: {change}")
-        self.load_state_dict(state)
+        try:
+            self.load_state_dict(state)
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            raise RunError(
+                f"The newest checkpoint of {self.run.path} does not fit this configuration: "
+                f"{type(error).__name__}: {error}. Resume with the configuration it was made with."
+            ) from error
         self.run.keep_metrics_until(self.progress.iteration)
 
     # ------------------------------------------------------------------ the loop
@@ -365,7 +379,6 @@ class Training:
     def _dump(self, name: str, state: State) -> None:
         assert self.run is not None
         folder = self.run.path / "faults"
-        folder.mkdir(exist_ok=True)
         meta = {"config": self.run.config, "versions": versions(), "samples": self.progress.samples}
         checkpoint.save(folder / name, state, meta)
         self.reporter.message(f"Numbers left the finite; what led to it is in {folder / name}.json.")

@@ -88,19 +88,10 @@ def _clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def sources_of(training: Training) -> dict[str, Any]:
-    """Where the data of each section came from, with licences."""
-    return {
-        name: section.provenance()
-        for name, section in training.built.context.sections.items()
-        if hasattr(section, "provenance")
-    }
-
-
 def train(experiment: Experiment, overrides: Sequence[str]) -> int:
     """Train a new run; prints ``run: PATH`` last."""
     training = Training(experiment)
-    run = runs.create(experiment, overrides, sources_of(training))
+    run = runs.create(experiment, overrides, training.sources())
     return _carry_out(training.attach(run), run)
 
 

@@ -1,1 +1,12 @@
 """Motion clips: reading, checking, sampling. Nothing here knows a particular character."""
+
+from understudy import hookimpl
+from understudy.registry import Registrar
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    register.kind("clip", "a generated motion clip")
+    register.section(
+        "motion", "understudy_motion.section:MotionOptions", "understudy_motion.section:Motion"
+    )

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 
 from understudy.errors import FileError, suggestion
+from understudy.registry import Component
 
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
 
 DATA_VARIABLE = "UNDERSTUDY_DATA"
 SUFFIXES = (".txt", ".json")
-
-_generated: dict[str, Callable[[], Clip]] = {}
-
-
-def register_generated(name: str, factory: Callable[[], Clip]) -> None:
-    """Make ``load(name)`` return ``factory()``; a second registration replaces the first."""
-    _generated[name] = factory
 
 
 def data_folder() -> Path | None:
@@ -29,15 +23,13 @@ def data_folder() -> Path | None:
     return folder if folder.is_dir() else None
 
 
-def available() -> list[str]:
-    """Every name that ``load`` knows, sorted."""
-    return sorted({*_generated, *_files()})
-
-
-def load(name: str | None = None, file: str | None = None) -> Clip:
+def load(
+    name: str | None, file: str | None, generated: Mapping[str, Component] | None = None
+) -> Clip:
     """The clip of a file, or the clip of a name.
 
     Args:
+        generated: components that make clips, by name.
         name: a generated clip, else the stem of a file in ``motions/*`` of the data folder.
         file: path of a clip file; wins over ``name``.
 
@@ -50,13 +42,14 @@ def load(name: str | None = None, file: str | None = None) -> Clip:
         raise FileError("No motion clip: give motion.name=NAME or motion.file=PATH.")
     if "/" in name or "\\" in name or ".." in name:
         raise FileError(f"'{name}' is not a clip's name; for a file give motion.file=PATH.")
-    if name in _generated:
-        return _generated[name]()
+    generated = generated or {}
+    if name in generated:
+        return generated[name].factory()
     files = _files()
     if name in files:
         return deepmimic.read(files[name])
     raise FileError(
-        f"No motion clip '{name}'.{suggestion(name, available())} Clip files are given as "
+        f"No motion clip '{name}'.{suggestion(name, {*generated, *files})} Clip files are given as "
         f"motion.file=PATH or looked for in ${DATA_VARIABLE}/motions."
     )
 

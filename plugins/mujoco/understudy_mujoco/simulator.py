@@ -14,6 +14,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, FileError
 from understudy.interfaces import Context, Shape, Simulator
+from understudy.registry import check_range
 from understudy_mujoco.scene import MujocoScene
 
 #: MjData fields that tasks may read, beside the state. Names and frames are MuJoCo's.
@@ -44,6 +45,9 @@ class MujocoSimulator(Simulator):
     @dataclass(frozen=True)
     class Options:
         threads: int = 0  #: 0 uses every core this process may run on
+
+        def __post_init__(self) -> None:
+            check_range(self, "threads", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         if context.device.type != "cpu":
@@ -100,7 +104,7 @@ class MujocoSimulator(Simulator):
         warned = (warnings != self._seen)[:, _BAD].any(axis=1)
         self._seen[:] = warnings
         sound = np.isfinite(self._views["qpos"]).all(1) & np.isfinite(self._views["qvel"]).all(1)
-        return torch.from_numpy(warned | ~sound)
+        return torch.from_numpy(warned | ~sound | (self.batch.status != 0))
 
     def snapshot(self) -> dict[str, Tensor]:
         return {"state": torch.from_numpy(self._rows.copy())}

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from understudy.errors import ConfigError, TrainingError
 from understudy.interfaces import Context, Learner, Policy, Rollout, State
 from understudy.random import generator
+from understudy.registry import check_range
 from understudy_ppo.returns import lambda_advantages
 
 
@@ -42,18 +43,16 @@ class PPO(Learner):
         patience: int = 20
 
         def __post_init__(self) -> None:
-            for name in ("rollout_steps", "epochs", "minibatch_size", "patience"):
-                if getattr(self, name) < 1:
-                    raise ValueError(f"{name} must be at least 1.")
-            for name in ("gamma", "gae_lambda", "td_lambda"):
-                if not 0 <= getattr(self, name) <= 1:
-                    raise ValueError(f"{name} must be between 0 and 1.")
-            for name in ("clip", "actor_learning_rate", "critic_learning_rate", "max_gradient_norm"):
-                if not getattr(self, name) > 0:
-                    raise ValueError(f"{name} must be positive.")
+            check_range(self, "rollout_steps", "epochs", "minibatch_size", "patience", least=1)
+            check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
+            check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)
+            check_range(self, "max_gradient_norm", above=0)
+            check_range(self, "entropy_weight", least=0)
 
     def __init__(self, options: Options, context: Context, policy: Policy) -> None:
         samples = options.rollout_steps * context.num_worlds
+        if samples < 2:
+            raise ConfigError("One sample an iteration is too few: raise num_worlds or learner.rollout_steps.")
         if options.minibatch_size > samples:
             raise ConfigError(
                 f"learner.minibatch_size={options.minibatch_size} is larger than an iteration: "
@@ -72,33 +71,24 @@ class PPO(Learner):
     def update(self, rollout: Rollout) -> dict[str, float]:
         advantages = self._digest(rollout)
         assert rollout.returns is not None
-        flat = _flatten(rollout.observations)
-        actions, log_probs = rollout.actions.flatten(0, 1), rollout.log_probs.flatten()
         returns = rollout.returns.flatten()
-        advantages = advantages.flatten()
-        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-5)
-
-        options, device = self.options, actions.device
-        batches = max(1, actions.shape[0] // options.minibatch_size)
+        flat = {f"observations/{name}": value.flatten(0, 1) for name, value in rollout.observations.items()}
+        flat |= {
+            "actions": rollout.actions.flatten(0, 1),
+            "log_probs": rollout.log_probs.flatten(),
+            "returns": returns,
+            "advantages": (advantages.flatten() - advantages.mean()) / (advantages.std() + 1e-5),
+        }
+        options, device = self.options, returns.device
+        batches = returns.shape[0] // options.minibatch_size
         sums = torch.zeros(5, device=device)
         skipped = 0
         for _ in range(options.epochs):
-            order = torch.randperm(actions.shape[0], generator=self._generator).to(device)
+            order = torch.randperm(returns.shape[0], generator=self._generator).to(device)
             for rows in order[: batches * options.minibatch_size].view(batches, -1):
-                seen = {name: value[rows] for name, value in flat.items()}
-                with torch.autocast(
-                    device.type, torch.bfloat16, enabled=options.precision == "bfloat16"
-                ):
-                    distribution = self.policy.distribution(seen)
-                    values = self.policy.value(seen).float()
-                new_log_probs = distribution.log_prob(actions[rows])
-                ratio = torch.exp(new_log_probs - log_probs[rows])
-                clipped = ratio.clamp(1 - options.clip, 1 + options.clip)
-                gain = torch.minimum(ratio * advantages[rows], clipped * advantages[rows]).mean()
-                entropy = distribution.entropy().mean()
-                value_loss = (values - returns[rows]).square().mean()
-                actor_loss = -gain - options.entropy_weight * entropy
-                if not self._step(actor_loss, value_loss, seen):
+                minibatch = {name: value[rows] for name, value in flat.items()}
+                actor_loss, value_loss, entropy, ratio = self.losses(minibatch)
+                if not self._step(actor_loss, value_loss, minibatch):
                     skipped += 1
                     continue
                 with torch.no_grad():
@@ -118,6 +108,24 @@ class PPO(Learner):
             "explained_variance": float(explained),
             "skipped_steps": float(skipped),
         }
+
+    def losses(self, minibatch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Actor loss, value loss, entropy, and the probability ratios (B,), of a minibatch such as
+        a fault dump holds: ``observations/…``, ``actions``, ``log_probs``, ``returns``,
+        ``advantages``."""
+        prefix, options, advantages = "observations/", self.options, minibatch["advantages"]
+        seen = {k.removeprefix(prefix): v for k, v in minibatch.items() if k.startswith(prefix)}
+        with torch.autocast(
+            advantages.device.type, torch.bfloat16, enabled=options.precision == "bfloat16"
+        ):
+            distribution = self.policy.distribution(seen)
+            values = self.policy.value(seen).float()
+        ratio = torch.exp(distribution.log_prob(minibatch["actions"]) - minibatch["log_probs"])
+        clipped = ratio.clamp(1 - options.clip, 1 + options.clip)
+        gain = torch.minimum(ratio * advantages, clipped * advantages).mean()
+        entropy = distribution.entropy().mean()
+        value_loss = (values - minibatch["returns"]).square().mean()
+        return -gain - options.entropy_weight * entropy, value_loss, entropy, ratio
 
     @torch.no_grad()
     def _digest(self, rollout: Rollout) -> Tensor:
@@ -143,7 +151,7 @@ class PPO(Learner):
         rollout.returns = values + (advantages if same else estimate(options.td_lambda))
         return advantages
 
-    def _step(self, actor_loss: Tensor, value_loss: Tensor, seen: Mapping[str, Tensor]) -> bool:
+    def _step(self, actor_loss: Tensor, value_loss: Tensor, minibatch: Mapping[str, Tensor]) -> bool:
         """One optimiser step; False (and nothing changed) if loss or gradient is not finite."""
         self._actor_optimiser.zero_grad(set_to_none=True)
         self._critic_optimiser.zero_grad(set_to_none=True)
@@ -153,7 +161,7 @@ class PPO(Learner):
         if not all(bool(torch.isfinite(x)) for x in (*norms, actor_loss, value_loss)):
             self._bad_steps += 1
             if self.on_fault is not None:
-                self.on_fault({f"observations/{k}": v for k, v in seen.items()})
+                self.on_fault(minibatch)
                 self.on_fault = None
             if self._bad_steps >= self.options.patience:
                 raise TrainingError(
@@ -178,10 +186,6 @@ class PPO(Learner):
         _load_optimiser(self._actor_optimiser, state["actor"])
         _load_optimiser(self._critic_optimiser, state["critic"])
         self._generator.set_state(state["generator"].cpu())
-
-
-def _flatten(observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    return {name: value.flatten(0, 1) for name, value in observations.items()}
 
 
 def _parameters(optimiser: torch.optim.Optimizer) -> Iterable[nn.Parameter]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from understudy.errors import ConfigError, suggestion
 from understudy.interfaces import Context, Policy
 from understudy.nn import DiagonalGaussian, RunningNormaliser, Schedule, mlp
+from understudy.registry import check_range
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
 
@@ -36,21 +38,24 @@ class MLPPolicy(Policy):
     class Options:
         observation: str = "state"  #: name of the encoder read
         hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)
-        activation: str = "relu"
+        activation: Literal["relu", "elu", "tanh"] = "relu"
         #: Standard deviation of the action, in its units.
         noise: Schedule = field(default_factory=lambda: Schedule(0.1, 0.05))
         learn_noise: bool = False  #: learn the deviation from ``noise.start`` instead of scheduling
         final_scale: float = 0.01  #: scale of the actor's last layer at the start
 
+        def __post_init__(self) -> None:
+            if any(units < 1 for units in self.hidden):
+                raise ValueError(f"hidden={self.hidden} is not possible: every layer needs a unit.")
+            for end in ("start", "end"):  # checked here: other schedules may reach zero
+                if not getattr(self.noise, end) > 0:
+                    raise ValueError(f"noise.{end}={getattr(self.noise, end)} is not possible: it must be greater than 0.")
+            check_range(self, "final_scale", least=0)
+
     deviation: Tensor
 
     def __init__(self, options: Options, context: Context) -> None:
         super().__init__()
-        if options.activation not in ACTIVATIONS:
-            raise ConfigError(
-                f"policy.activation={options.activation} is not possible."
-                + suggestion(options.activation, ACTIVATIONS)
-            )
         self.options = options
         size = observation_size(context, options.observation, "policy 'mlp'")
         activation = ACTIVATIONS[options.activation]

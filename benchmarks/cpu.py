@@ -1,0 +1,161 @@
+"""Speed on the CPU, as ratios measured in one run (``make bench``).
+
+1. Environment: control steps of ``experiment=spacetime/walk`` while collecting, against bare
+   ``mujoco.batch.Batch`` stepping the same model with the same controls.
+2. End to end (collect and learn), against Stable-Baselines3's PPO on Gymnasium's Humanoid-v5 with
+   networks of the same size.
+
+Prints a table and appends it, with the hardware, to ``docs/benchmarks/cpu.jsonl``. Each ratio is the
+median over rounds in which both sides run in turn, so drift of the machine's speed cancels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from mujoco.batch import Batch
+
+from understudy.config import load_experiment
+from understudy.runs import versions
+from understudy.training import Collector, Training
+
+RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "cpu.jsonl"
+
+
+def environment_against_batch(rounds: int, steps: int, overrides: list[str]) -> dict[str, Any]:
+    """Ratio of environment stepping (policy acting included and excluded) to bare stepping."""
+    experiment = load_experiment(["experiment=spacetime/walk", *overrides])
+    training = Training(experiment)
+    environment, simulator = training.environment, training.built.context.simulator
+    model = simulator.model  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
+    substeps = experiment.root.control.substeps
+    n = environment.num_worlds
+    environment.reset()
+    bare = Batch(model, n, simulator.batch.nthread)  # pyright: ignore
+    ratios, env_rates, bare_rates, collect_ratios = [], [], [], []
+    collector = Collector(environment, training.policy, 0)
+    for _ in range(rounds):
+        # Both sides begin in the same states and hold the same targets.
+        environment.reset(seed=0)
+        bare.state[:] = simulator.snapshot()["state"].numpy()  # pyright: ignore
+        bare.bind("ctrl")[:] = environment.observations["feedforward"].numpy()
+        began = time.perf_counter()
+        for _ in range(steps):
+            bare.step(nstep=substeps)
+        bare_time = time.perf_counter() - began
+
+        began = time.perf_counter()
+        for _ in range(steps):
+            environment.step(environment.observations["feedforward"])
+        env_time = time.perf_counter() - began
+        if int(environment.quarantined):
+            raise SystemExit("The benchmark's worlds left the finite; its figures would mean nothing.")
+
+        began = time.perf_counter()
+        collector.collect(steps)
+        collect_time = time.perf_counter() - began
+        ratios.append(bare_time / env_time)
+        collect_ratios.append(bare_time / collect_time)
+        env_rates.append(n * steps / env_time)
+        bare_rates.append(n * steps / bare_time)
+    if not np.isfinite(bare.bind("qpos")).all():
+        raise SystemExit("The bare simulation left the finite; its figures would mean nothing.")
+    training.close()
+    return {
+        "worlds": n,
+        "bare_physics_steps_per_second": statistics.median(bare_rates) * substeps,
+        "environment_steps_per_second": statistics.median(env_rates),
+        "environment_to_bare": statistics.median(ratios),
+        "collecting_to_bare": statistics.median(collect_ratios),
+    }
+
+
+def end_to_end_against_sb3(rounds: int, seconds: float, overrides: list[str]) -> dict[str, Any]:
+    """Ratio of samples/s, collecting and learning, to Stable-Baselines3's PPO on Humanoid-v5."""
+    import gymnasium
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    training = Training(load_experiment(["experiment=spacetime/walk", *overrides]))
+    training.iterate()
+    hidden = list(training.experiment.policy.options.feedback.hidden)  # pyright: ignore
+    peer_environment = DummyVecEnv([lambda: gymnasium.make("Humanoid-v5")] * 2)
+    peer = PPO(
+        "MlpPolicy",
+        peer_environment,
+        n_steps=1024,
+        batch_size=256,
+        n_epochs=5,
+        policy_kwargs={"net_arch": hidden, "activation_fn": torch.nn.ReLU},
+        device="cpu",
+    )
+    peer.learn(2048)
+    ours, theirs = [], []
+    for _ in range(rounds):
+        began, samples = time.perf_counter(), training.progress.samples
+        while time.perf_counter() - began < seconds:
+            training.iterate()
+        ours.append((training.progress.samples - samples) / (time.perf_counter() - began))
+        began = time.perf_counter()
+        before = peer.num_timesteps
+        while time.perf_counter() - began < seconds:
+            peer.learn(2048, reset_num_timesteps=False)
+        theirs.append((peer.num_timesteps - before) / (time.perf_counter() - began))
+    training.close()
+    peer_environment.close()
+    ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+    return {
+        "hidden": hidden,
+        "samples_per_second": statistics.median(ours),
+        "peer": "stable-baselines3 PPO, Humanoid-v5, 2 environments, 5 epochs of 256",
+        "peer_samples_per_second": statistics.median(theirs),
+        "samples_ratio": ratio,
+        # Humanoid-v5 makes 5 physics steps a sample, the walk 20.
+        "physics_steps_ratio": ratio * training.experiment.root.control.substeps / 5,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=32)
+    parser.add_argument("--seconds", type=float, default=12.0)
+    parser.add_argument("--skip-peer", action="store_true")
+    parser.add_argument("overrides", nargs="*", help="Hydra overrides of experiment=spacetime/walk")
+    options = parser.parse_args()
+    result: dict[str, Any] = {
+        "when": time.strftime("%Y-%m-%d"),
+        "processor": _processor(),
+        "threads": torch.get_num_threads(),
+        "versions": versions(),
+        "environment": environment_against_batch(options.rounds, options.steps, options.overrides),
+    }
+    if not options.skip_peer:
+        result["end_to_end"] = end_to_end_against_sb3(options.rounds, options.seconds, options.overrides)
+    for part in ("environment", "end_to_end"):
+        for key, value in result.get(part, {}).items():
+            shown = f"{value:,.2f}" if isinstance(value, float) else str(value)
+            print(f"{part:12} {key:32} {shown}")
+    with open(RESULTS, "a", encoding="utf-8") as file:
+        file.write(json.dumps(result) + "\n")
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return f"{len(names)} × {names[0]}" if names else platform.processor()
+
+
+if __name__ == "__main__":
+    main()

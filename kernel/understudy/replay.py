@@ -1,0 +1,45 @@
+"""Replaying fault dumps: repeats the simulator step in which a training's numbers went wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from understudy import checkpoint
+from understudy.building import build_environment
+from understudy.config import validate
+from understudy.environment import sound
+from understudy.plugins import Plugins, installed
+
+
+@dataclass(frozen=True)
+class ReplayedStep:
+    """What repeating a dumped step gave; rows are the dumped worlds."""
+
+    worlds: Tensor  #: their numbers in the training
+    failed: Tensor  #: (W,) bool: those whose controls or simulation go wrong again
+    snapshot: dict[str, Tensor]  #: the simulator's state after the step
+
+
+def replay_step(path: Path | str, plugins: Plugins | None = None) -> ReplayedStep:
+    """Repeat the step that a run's ``faults/step.json`` holds, in as many worlds as failed in it.
+
+    Raises
+    ------
+    RunError
+        if the dump is missing or damaged.
+    """
+    state, meta = checkpoint.load(Path(path))
+    experiment = validate(meta["config"], (plugins or installed()).registry)
+    environment = build_environment(experiment, num_worlds=len(state["worlds"])).environment
+    simulator, control = environment.parts.simulator, state["control"]
+    try:
+        simulator.restore(state["snapshot"])
+        good = sound(control)
+        simulator.step(torch.where(good.unsqueeze(1), control, 0.0))
+        return ReplayedStep(state["worlds"], simulator.failed() | ~good, simulator.snapshot())
+    finally:
+        environment.close()

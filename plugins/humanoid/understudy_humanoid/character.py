@@ -1,0 +1,216 @@
+"""The humanoid: one table of bodies, and the MuJoCo model built from it.
+
+34 degrees of freedom (a free root, 8 ball joints, 4 hinges), 15 links, 45 kg (thesis, section 3.5).
+Frames: z up, x forward, y left; all body frames are parallel in the zero pose, which stands with
+the arms hanging. Lengths in m, masses in kg, angles in rad, torques in N m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint and its actuator: stable PD with gains `kp`, `kd`, limited to `torque`."""
+
+    kind: Literal["ball", "hinge"]
+    torque: float
+    kp: float
+    kd: float
+    axis: Vector = (0.0, 1.0, 0.0)
+    range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Body:
+    """A link: where its joint sits in the parent's frame, and its geometry in its own."""
+
+    name: str
+    parent: str | None
+    offset: Vector
+    shape: Literal["sphere", "capsule", "box"]
+    #: Sphere: (radius,); capsule: (radius, half length), along z; box: half sizes along x, y, z.
+    size: tuple[float, ...]
+    centre: Vector
+    mass: float
+    joint: Joint | None = None
+
+
+_KNEE = Joint("hinge", 150, 500, 50, axis=(0, 1, 0), range=(0.0, 3.0))
+_ELBOW = Joint("hinge", 60, 300, 30, axis=(0, -1, 0), range=(0.0, 3.0))
+
+
+def _leg(side: str, y: float) -> Iterator[Body]:
+    hip, ankle = Joint("ball", 200, 500, 50), Joint("ball", 90, 400, 40)
+    yield Body(f"{side}_hip", "root", (0, y, 0), "capsule", (0.055, 0.15), (0, 0, -0.21), 4.5, hip)
+    yield Body(f"{side}_knee", f"{side}_hip", (0, 0, -0.422), "capsule", (0.05, 0.155), (0, 0, -0.2), 3.0, _KNEE)
+    yield Body(f"{side}_ankle", f"{side}_knee", (0, 0, -0.41), "box", (0.0885, 0.045, 0.0275), (0.045, 0, -0.0225), 1.0, ankle)
+
+
+def _arm(side: str, y: float) -> Iterator[Body]:
+    shoulder = Joint("ball", 100, 400, 40)
+    yield Body(f"{side}_shoulder", "chest", (-0.024, y, 0.2435), "capsule", (0.045, 0.09), (0, 0, -0.14), 1.5, shoulder)
+    yield Body(f"{side}_elbow", f"{side}_shoulder", (0, 0, -0.275), "capsule", (0.04, 0.0675), (0, 0, -0.12), 1.0, _ELBOW)
+    yield Body(f"{side}_wrist", f"{side}_elbow", (0, 0, -0.259), "sphere", (0.04,), (0, 0, 0), 0.5)
+
+
+#: The character, parents before children. Proportions and gains follow the humanoid that the
+#: DeepMimic clips were made for, so that those clips fit without retargeting.
+BODIES: tuple[Body, ...] = (
+    Body("root", None, (0, 0, 0), "sphere", (0.09,), (0, 0, 0.07), 6.0),
+    Body("chest", "root", (0, 0, 0.236), "sphere", (0.11,), (0, 0, 0.12), 14.0, Joint("ball", 200, 1000, 100)),
+    Body("neck", "chest", (0, 0, 0.224), "sphere", (0.1025,), (0, 0, 0.175), 2.0, Joint("ball", 50, 100, 10)),
+    *_leg("right", -0.085),
+    *_arm("right", -0.183),
+    *_leg("left", 0.085),
+    *_arm("left", 0.183),
+)
+
+END_EFFECTORS = ("right_ankle", "right_wrist", "left_ankle", "left_wrist")
+
+#: Height of the root above the soles in the zero pose: thigh, shin, and the foot's depth.
+STANDING_HEIGHT = 0.422 + 0.41 + 0.05
+
+COLOUR = (0.85, 0.62, 0.35, 1.0)
+REFERENCE_COLOUR = (0.45, 0.72, 0.5, 1.0)
+
+_SHAPES = {
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+}
+
+
+def build_spec(*, timestep: float = 1 / 600, self_collision: bool = False) -> mujoco.MjSpec:
+    """The humanoid on a floor, as a model specification to be compiled or added to.
+
+    Actuators are position servos on exponential maps (ball) and angles (hinge), three or one a
+    joint in table order. Their velocity gain is ``kd + kp * timestep``: with implicit integration of
+    the velocity term that is stable PD (Tan et al. 2011), which compares the target with the
+    position one step ahead, ``q + timestep * qdot``.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "humanoid"
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    option.iterations, option.ls_iterations = 6, 8
+    _dress(spec)
+    floor = spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], material="floor"
+    )
+    floor.contype, floor.conaffinity, floor.condim = 1, 2, 3
+    floor.friction = [1.0, 0.005, 0.0001]
+    add_character(spec, self_collision=self_collision)
+    return spec
+
+
+def add_character(
+    spec: mujoco.MjSpec,
+    *,
+    prefix: str = "",
+    colour: tuple[float, float, float, float] = COLOUR,
+    collides: bool = True,
+    self_collision: bool = False,
+) -> None:
+    """Add the character's bodies, and actuators if it `collides`, with names after `prefix`."""
+    made: dict[str, mujoco.MjsBody] = {}
+    for row in BODIES:
+        parent = spec.worldbody if row.parent is None else made[row.parent]
+        offset = row.offset if row.parent is not None else (0, 0, STANDING_HEIGHT)
+        body = made[row.name] = parent.add_body(name=prefix + row.name, pos=offset)
+        geom = body.add_geom(
+            name=prefix + row.name,
+            type=_SHAPES[row.shape],
+            size=[*row.size, 0, 0][:3],
+            pos=row.centre,
+            mass=row.mass,
+            rgba=colour,
+        )
+        # Bit 1: floor to character; bit 2: character to character.
+        geom.contype = 2 if collides else 0
+        geom.conaffinity = (1 | (2 if self_collision else 0)) if collides else 0
+        geom.condim = 3
+        geom.friction = [1.0, 0.005, 0.0001]
+        if row.parent is None:
+            body.add_freejoint(name=prefix + row.name)
+        elif row.joint is not None:
+            _add_joint(spec, body, prefix + row.name, row.joint, actuated=collides)
+
+
+def _add_joint(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, row: Joint, actuated: bool
+) -> None:
+    ball = row.kind == "ball"
+    joint = body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_BALL if ball else mujoco.mjtJoint.mjJNT_HINGE,
+        armature=0.01,  # rotor inertia; keeps light limbs' accelerations bounded
+    )
+    if not ball:
+        joint.axis = row.axis
+        if row.range is not None:
+            joint.limited, joint.range = True, row.range
+    if not actuated:
+        return
+    damping = row.kd + row.kp * spec.option.timestep
+    for i in range(3 if ball else 1):
+        actuator = spec.add_actuator(
+            name=f"{name}_{'xyz'[i]}" if ball else name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            forcelimited=True,
+            forcerange=[-row.torque, row.torque],
+        )
+        actuator.gear = [float(i == k) for k in range(3)] + [0, 0, 0] if ball else [1, 0, 0, 0, 0, 0]
+        actuator.gainprm[0] = row.kp
+        actuator.biasprm[1], actuator.biasprm[2] = -row.kp, -damping
+
+
+def _dress(spec: mujoco.MjSpec) -> None:
+    """Sky, floor, light and a camera that follows: nothing that physics sees."""
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.98],
+        rgb2=[0.62, 0.7, 0.8],
+        width=256,
+        height=1536,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.78, 0.8, 0.83],
+        rgb2=[0.72, 0.745, 0.78],
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(name="floor", reflectance=0.05)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    floor.texrepeat = [1.0, 1.0]
+    floor.texuniform = True
+    spec.worldbody.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, 6],
+        dir=[0.4, 0.6, -1],
+        diffuse=[0.6, 0.6, 0.6],
+        castshadow=True,
+    )

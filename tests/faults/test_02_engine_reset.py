@@ -1,0 +1,44 @@
+"""Fault 2: a state in which MuJoCo would silently reset counts as a failure, never as a teleport."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from understudy.building import build_environment
+from understudy.config import load_experiment
+from understudy.plugins import Plugins
+from worlds import PADDLE_TASK, SMALL
+
+
+@pytest.mark.parametrize("value", [float("nan"), 1e12])
+@pytest.mark.parametrize("field", ["qpos", "qvel"])
+def test_the_engine_does_not_reset(plugins: Plugins, field: str, value: float) -> None:
+    simulator = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).context.simulator
+    assert simulator is not None
+    simulator._views[field][5, 2] = value  # type: ignore[attr-defined]
+    simulator.step(torch.zeros(16, 1))
+    assert simulator.failed().tolist() == [i == 5 for i in range(16)]
+    state = np.concatenate([simulator.read("qpos"), simulator.read("qvel")], axis=1)[5]
+    assert not (np.abs(state) < 1e10).all(), "the engine put the world somewhere else"
+
+
+def test_even_if_it_did(plugins: Plugins) -> None:
+    """With the engine's automatic reset on, only its warning tells; it must be enough."""
+    simulator = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).context.simulator
+    assert simulator is not None
+    simulator.batch.expand("opt.disableflags")[:] &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # type: ignore[attr-defined]
+    simulator._views["qpos"][5, 2] = float("nan")  # type: ignore[attr-defined]
+    simulator.step(torch.zeros(16, 1))
+    assert torch.isfinite(simulator.read("qpos")).all()
+    assert simulator.failed().tolist() == [i == 5 for i in range(16)]
+
+
+def test_report_counts_warnings(plugins: Plugins) -> None:
+    simulator = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).context.simulator
+    assert simulator is not None
+    simulator._views["qvel"][3, 0] = float("inf")  # type: ignore[attr-defined]
+    simulator.step(torch.zeros(16, 1))
+    assert simulator.report()["badqvel"] >= 1
