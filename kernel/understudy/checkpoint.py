@@ -58,7 +58,8 @@ def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
     """Write `state` (nested mappings of tensors, numbers, strings, lists) as the checkpoint `path`."""
     tensors: dict[str, Tensor] = {}
     tree = _take_tensors(state, "", tensors)
-    data = save_tensors({k: v.detach().cpu().contiguous() for k, v in tensors.items()})
+    owned = {k: v.detach().to("cpu", copy=True).contiguous() for k, v in tensors.items()}
+    data = save_tensors(owned)  # copies, since tensors that share memory are refused
     content = {
         "format": FORMAT,
         "meta": dict(meta),

@@ -16,7 +16,6 @@ from fractions import Fraction
 from itertools import chain
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 
 from understudy.errors import RunError
@@ -61,8 +60,10 @@ def _encode(
     """Encode `frames` of one `shape` (H, W, 3) into `path`; returns why it failed, if it did."""
     height, width, _ = shape
     try:
+        import imageio_ffmpeg  # a training needs no encoder, so only this fails without one
+
         command = [imageio_ffmpeg.get_ffmpeg_exe()]
-    except RuntimeError:
+    except (ImportError, RuntimeError):
         return "there is no ffmpeg, which imageio-ffmpeg brings or the system provides"
     command += ["-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
     command += ["-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator(1001))]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 import platform
 import re
 import sys
@@ -95,11 +96,13 @@ class Run:
         """The rows of the metrics file; a row cut short by a crash is left out."""
         rows = []
         if self.metrics_file.exists():
-            for line in self.metrics_file.read_text(encoding="utf-8").splitlines():
+            for line in self.metrics_file.read_text(encoding="utf-8", errors="replace").splitlines():
                 try:
-                    rows.append(json.loads(line))
+                    row = json.loads(line)
                 except ValueError:
                     continue
+                if isinstance(row, dict):
+                    rows.append(row)
         return rows
 
     def keep_metrics_until(self, iteration: int) -> None:
@@ -142,7 +145,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "overrides": list(overrides),
         "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": versions(),
-        "machine": {"system": platform.platform(), "processor": platform.processor()},
+        "machine": {"system": platform.platform(), "cores": len(os.sched_getaffinity(0))},
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "components": [dict(zip(("kind", "name", "plugin", "distribution", "version"), c, strict=True)) for c in components],
         "sources": dict(sources),

@@ -284,14 +284,12 @@ class Training:
             when the numbers leave the finite for good.
         """
         run, root, progress = self.run, self.experiment.root, self.progress
-        observers = self.reporter.observers
         saved_at = progress.seconds
         outcome = "failed"
         with StopRequest() as stop:
             try:
                 if run is not None:
-                    for observer in observers:
-                        observer.started(run)
+                    self._notify("started", run)
                     if progress.iteration == 0:
                         self.environment.reset()
                         self.save()
@@ -307,8 +305,7 @@ class Training:
                     self.reporter.iteration(row)
                     if run is not None:
                         run.append_metrics(row)
-                        for observer in observers:
-                            observer.iteration(run, row)
+                        self._notify("iteration", run, row)
                         due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
                         if due or stop.received is not None:
                             self.save()
@@ -325,8 +322,18 @@ class Training:
                 return Outcome(outcome, progress, evaluation)
             finally:
                 if run is not None:
-                    for observer in observers:
-                        observer.finished(run, outcome)
+                    self._notify("finished", run, outcome)
+
+    def _notify(self, event: str, *arguments: Any) -> None:
+        """Tell the observers; one that fails is named and told nothing more."""
+        for observer in tuple(self.reporter.observers):
+            try:
+                getattr(observer, event)(*arguments)
+            except Exception as error:  # it only watches: the training goes on
+                self.reporter.observers = [o for o in self.reporter.observers if o is not observer]
+                self.reporter.message(
+                    f"The observer {type(observer).__name__} is left out: {type(error).__name__}: {error}"
+                )
 
     def _spent(self) -> bool:
         budget = self.experiment.root.budget
@@ -380,8 +387,11 @@ class Training:
         assert self.run is not None
         folder = self.run.path / "faults"
         meta = {"config": self.run.config, "versions": versions(), "samples": self.progress.samples}
-        checkpoint.save(folder / name, state, meta)
-        self.reporter.message(f"Numbers left the finite; what led to it is in {folder / name}.json.")
+        try:
+            checkpoint.save(folder / name, state, meta)
+            self.reporter.message(f"Numbers left the finite; what led to it is in {folder / name}.json.")
+        except RunError as error:  # the training can go on without it
+            self.reporter.message(f"Numbers left the finite, and {error}")
 
     def close(self) -> None:
         self.environment.close()

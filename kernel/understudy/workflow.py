@@ -196,6 +196,7 @@ def _evaluate_and_draw(
     learned = reference = None
     if tracks:
         learned, reference = scene.outlines(tracks)
+        (run.path / "video.mp4").unlink(missing_ok=True)
         try:
             began = time.perf_counter()
             write_video(run.path / "video.mp4", scene.draw(tracks), 1.0 / environment.control_dt)

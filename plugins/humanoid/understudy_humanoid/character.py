@@ -112,6 +112,7 @@ def build_spec(*, timestep: float = 1 / 600, self_collision: bool = False) -> mu
     floor.contype, floor.conaffinity, floor.condim = 1, 2, 3
     floor.friction = [1.0, 0.005, 0.0001]
     add_character(spec, self_collision=self_collision)
+    _add_sun(spec)
     return spec
 
 
@@ -180,7 +181,7 @@ def _add_joint(
 
 
 def _dress(spec: mujoco.MjSpec) -> None:
-    """Sky, floor, light and a camera that follows: nothing that physics sees."""
+    """Sky, floor texture and picture settings: nothing that physics sees."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
@@ -206,10 +207,19 @@ def _dress(spec: mujoco.MjSpec) -> None:
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     floor.texrepeat = [1.0, 1.0]
     floor.texuniform = True
-    spec.worldbody.add_light(
+    # The shadow map covers this box around the light; the light goes where the character goes.
+    spec.stat.center, spec.stat.extent = [0, 0, 1], 3
+    spec.visual.map.shadowclip = 1.0
+    spec.visual.quality.shadowsize = 4096
+
+
+def _add_sun(spec: mujoco.MjSpec) -> None:
+    """Sunlight that follows the character, so that it always casts its shadow."""
+    spec.body("root").add_light(
         name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 6],
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+        pos=[-1.6, -2.4, 4],
         dir=[0.4, 0.6, -1],
         diffuse=[0.6, 0.6, 0.6],
         castshadow=True,

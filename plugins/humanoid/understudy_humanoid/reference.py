@@ -12,7 +12,7 @@ from torch import Tensor
 from understudy import rotations
 from understudy.errors import FileError, suggestion
 from understudy_humanoid.kinematics import CharacterLayout, ground_clearance, kinematics
-from understudy_motion.clip import Clip, CycleTransform, cycle_transform
+from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
 from understudy_motion.clip import sample as sample_clip
 
 #: Table rows per control step. Between rows everything is interpolated linearly.
@@ -98,6 +98,8 @@ class ReferenceMotion:
             return clip_to_qpos(self.clip, model, layout, at)
 
         qpos = qpos_at(times)
+        for start in (3, *layout.ball_qpos[:, 0].tolist()):  # the root's quaternion, and the balls'
+            qpos[:, start : start + 4] = align_signs(qpos[:, start : start + 4])
         edge = 0.0 if self.loop else _EPSILON
         centre = times.clamp(edge, self.duration - edge)
         qvel = finite_difference_qvel(

@@ -96,7 +96,7 @@ class Clip:
             self._require(off_unit[:, joint] <= UNIT_TOLERANCE, f"{name} quaternion is not unit")
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "root_position", position)
-        object.__setattr__(self, "rotations", _align_signs(rotations.normalize(rotation)))
+        object.__setattr__(self, "rotations", align_signs(rotations.normalize(rotation)))
 
     @property
     def num_frames(self) -> int:
@@ -243,8 +243,11 @@ def _carry(
     return moved, torch.cat((root, rotation[:, 1:]), dim=1)
 
 
-def _align_signs(q: Tensor) -> Tensor:
-    """Choose between q and -q so that frames follow one another closely; the first has w >= 0."""
+def align_signs(q: Tensor) -> Tensor:
+    """Of q and -q, per frame, the one nearer to the frame before; the first with w >= 0.
+
+    (F, ..., 4) -> (F, ..., 4). Only then may frames be interpolated component by component.
+    """
     q = torch.cat((rotations.canonical(q[:1]), q[1:]))
     against = (q[1:] * q[:-1]).sum(dim=-1) < 0.0
     flips = torch.cat((torch.zeros_like(against[:1]), against)).cumsum(dim=0) % 2

@@ -60,13 +60,13 @@ class PPO(Learner):
             )
         self.options, self.policy = options, policy
         self.rollout_steps = options.rollout_steps
-        fused = context.device.type == "cuda"
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
-        self._actor_optimiser = torch.optim.Adam(self._actor, options.actor_learning_rate, fused=fused)
-        self._critic_optimiser = torch.optim.Adam(self._critic, options.critic_learning_rate, fused=fused)
+        self._actor_optimiser = torch.optim.Adam(self._actor, options.actor_learning_rate, fused=True)
+        self._critic_optimiser = torch.optim.Adam(self._critic, options.critic_learning_rate, fused=True)
         self._generator = generator(context.seed, "ppo")
-        self._bad_steps = 0
+        #: () optimiser steps in a row that were not finite.
+        self._bad_steps = torch.zeros((), dtype=torch.int64, device=context.device)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         advantages = self._digest(rollout)
@@ -81,22 +81,21 @@ class PPO(Learner):
         }
         options, device = self.options, returns.device
         batches = returns.shape[0] // options.minibatch_size
-        sums = torch.zeros(5, device=device)
-        skipped = 0
+        sums = torch.zeros(6, device=device)
         for _ in range(options.epochs):
             order = torch.randperm(returns.shape[0], generator=self._generator).to(device)
             for rows in order[: batches * options.minibatch_size].view(batches, -1):
                 minibatch = {name: value[rows] for name, value in flat.items()}
                 actor_loss, value_loss, entropy, ratio = self.losses(minibatch)
-                if not self._step(actor_loss, value_loss, minibatch):
-                    skipped += 1
-                    continue
+                sound = self._step(actor_loss, value_loss, minibatch)
                 with torch.no_grad():
                     kl = (ratio - 1 - ratio.log()).mean()  # Schulman's k3 estimator
                     outside = ((ratio - 1).abs() > options.clip).float().mean()
-                    sums += torch.stack([actor_loss, value_loss, entropy, kl, outside]).detach()
-        count = max(1, options.epochs * batches - skipped)
-        actor_loss, value_loss, entropy, kl, outside = (sums / count).tolist()
+                    row = [actor_loss, value_loss, entropy, kl, outside, torch.ones_like(kl)]
+                    sums += torch.where(sound, torch.stack(row), 0.0)
+        *totals, taken = sums.tolist()  # the update's one wait for the device
+        actor_loss, value_loss, entropy, kl, outside = (x / max(1.0, taken) for x in totals)
+        self._refuse_hopeless()
         variance = returns.var() + 1e-8
         explained = 1 - (returns - rollout.values.flatten()).var() / variance if rollout.values is not None else 0.0
         return {
@@ -106,7 +105,7 @@ class PPO(Learner):
             "kl": kl,
             "clipped": outside,
             "explained_variance": float(explained),
-            "skipped_steps": float(skipped),
+            "skipped_steps": options.epochs * batches - taken,
         }
 
     def losses(self, minibatch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -151,29 +150,36 @@ class PPO(Learner):
         rollout.returns = values + (advantages if same else estimate(options.td_lambda))
         return advantages
 
-    def _step(self, actor_loss: Tensor, value_loss: Tensor, minibatch: Mapping[str, Tensor]) -> bool:
-        """One optimiser step; False (and nothing changed) if loss or gradient is not finite."""
+    def _step(
+        self, actor_loss: Tensor, value_loss: Tensor, minibatch: Mapping[str, Tensor]
+    ) -> Tensor:
+        """One optimiser step; returns () bool, false (and nothing changed) if it was not finite.
+
+        The optimisers skip on the device by ``found_inf``, so a GPU is not waited for.
+        """
         self._actor_optimiser.zero_grad(set_to_none=True)
         self._critic_optimiser.zero_grad(set_to_none=True)
         (actor_loss + value_loss).backward()
         norm = self.options.max_gradient_norm
         norms = [nn.utils.clip_grad_norm_(group, norm) for group in (self._actor, self._critic)]
-        if not all(bool(torch.isfinite(x)) for x in (*norms, actor_loss, value_loss)):
-            self._bad_steps += 1
-            if self.on_fault is not None:
-                self.on_fault(minibatch)
-                self.on_fault = None
-            if self._bad_steps >= self.options.patience:
-                raise TrainingError(
-                    f"{self._bad_steps} optimiser steps in a row had a non-finite loss or gradient. "
-                    "The usual causes are too high a learning rate, or rewards that are huge; the "
-                    "weights are those before the first of them."
-                )
-            return False
-        self._bad_steps = 0
-        self._actor_optimiser.step()
-        self._critic_optimiser.step()
-        return True
+        sound = torch.isfinite(torch.stack([*norms, actor_loss.detach(), value_loss.detach()])).all()
+        for optimiser in (self._actor_optimiser, self._critic_optimiser):
+            optimiser.found_inf = (~sound).float()  # pyright: ignore[reportAttributeAccessIssue]
+            optimiser.step()
+        self._bad_steps = torch.where(sound, 0, self._bad_steps + 1)
+        if sound.device.type == "cpu" and self.on_fault is not None and not bool(sound):
+            self.on_fault(minibatch)
+            self.on_fault = None
+        return sound
+
+    def _refuse_hopeless(self) -> None:
+        bad = int(self._bad_steps)
+        if bad >= self.options.patience:
+            raise TrainingError(
+                f"{bad} optimiser steps in a row had a non-finite loss or gradient. The usual causes "
+                "are too high a learning rate, or rewards that are huge; the weights are those before "
+                "the first of them."
+            )
 
     def state_dict(self) -> State:
         return {
@@ -205,6 +211,6 @@ def _load_optimiser(optimiser: torch.optim.Optimizer, state: State) -> None:
     for i, p in enumerate(_parameters(optimiser)):
         if str(i) in state:
             optimiser.state[p] = {
-                k: v.clone().to(p.device if k != "step" or p.is_cuda else "cpu")
+                k: v.clone().to(p.device)
                 for k, v in state[str(i)].items()
             }

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from understudy import rotations
 from understudy.errors import FileError
+from understudy.registry import Component
 from understudy_motion import library
 from understudy_motion.clip import (
     Clip,
@@ -92,7 +93,8 @@ def test_velocities_match_the_motion_also_across_the_seam() -> None:
 def test_resampling_keeps_the_motion_and_the_loop() -> None:
     clip = arc_clip(frames=601)
     denser = resample(clip, 97.0)
-    assert denser.num_frames == 195 and denser.duration == clip.duration
+    assert denser.num_frames == 195
+    assert denser.duration == clip.duration
     assert cycle_transform(denser).heading == pytest.approx(0.7)
     times = torch.linspace(-3.0, 9.0, 50)
     assert close(sample(denser, times)[0], sample(clip, times)[0], 1e-3)
@@ -136,14 +138,13 @@ def test_other_nonsense_is_refused() -> None:
         Clip("one", torch.zeros(1), torch.zeros(1, 3), torch.ones(1, 1, 4) / 2, ("a",), False)
 
 
-def test_library_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "_generated", {})
-    library.register_generated("arc", arc_clip)
-    assert library.load("arc").name == "arc"
+def test_library_names() -> None:
+    generated = {"arc": Component("clip", "arc", arc_clip, "tests")}
+    assert library.load("arc", None, generated).name == "arc"
     with pytest.raises(FileError, match="Did you mean 'arc'"):
-        library.load("arcs")
-    with pytest.raises(FileError, match="motion.file=PATH"):
-        library.load(None)
+        library.load("arcs", None, generated)
+    with pytest.raises(FileError, match=r"motion\.file=PATH"):
+        library.load(None, None, generated)
     for name in ("../arc", "a/b", "a\\b", ".."):
         with pytest.raises(FileError, match="not a clip's name"):
-            library.load(name)
+            library.load(name, None, generated)

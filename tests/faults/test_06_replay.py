@@ -1,0 +1,123 @@
+"""Fault 6: dumps reproduce the failure bit for bit; the normaliser survives extreme inputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from understudy import checkpoint
+from understudy.errors import RunError
+from understudy.nn import RunningNormaliser
+from understudy.plugins import Plugins
+from understudy.replay import replay_step
+from understudy.testing.fake import FAKE_TASK
+from worlds import PADDLE_TASK, SMALL, make_training
+
+
+def test_engine_failure_replays(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A box thrown so fast that it diverges within the step; its neighbours do not matter."""
+    training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
+    simulator = training.environment.parts.simulator
+    training.iterate()
+    after: dict[str, torch.Tensor] = {}
+    step = simulator.step
+
+    def remembered(control: torch.Tensor) -> None:
+        step(control)
+        if not after:
+            after.update(simulator.snapshot())
+
+    for world in (3, 11):
+        simulator._views["qvel"][world, :3] = (0, 0, -9.9e9)  # type: ignore[attr-defined]
+    monkeypatch.setattr(simulator, "step", remembered)
+    training.iterate()
+    replayed = replay_step(tmp_path / "run/faults/step", plugins)
+    assert replayed.worlds.tolist() == [3, 11]
+    assert replayed.failed.all()
+    for name, value in replayed.snapshot.items():
+        there = after[name][replayed.worlds]
+        assert value.numpy().tobytes() == there.numpy().tobytes(), name
+
+
+def test_sound_worlds_replay_bitwise(plugins: Plugins, tmp_path: Path) -> None:
+    """Other worlds in the batch change no bit: dump two that are well, in the middle of contacts."""
+    training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
+    training.iterate()
+    simulator, rows = training.environment.parts.simulator, torch.arange(16) % 7 == 2
+    before, control = simulator.snapshot(), torch.linspace(-3, 3, 16).unsqueeze(1)
+    training._dump_worlds(before, control, rows)
+    simulator.step(control)
+    replayed = replay_step(tmp_path / "run/faults/step", plugins)
+    assert not replayed.failed.any()
+    assert torch.equal(replayed.snapshot["state"], simulator.snapshot()["state"][rows])
+
+
+def test_bad_control_replays(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.environment.reset()
+    action = torch.zeros(16, 1)
+    action[4] = 1e12
+    training.environment.step(action)
+    replayed = replay_step(tmp_path / "run/faults/step.json", plugins)
+    assert replayed.worlds.tolist() == [4]
+    assert replayed.failed.all()
+
+
+def test_only_the_first_failure_is_dumped(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.environment.reset()
+    for world in (4, 9):
+        action = torch.zeros(16, 1)
+        action[world] = float("nan")
+        training.environment.step(action)
+    state, meta = checkpoint.load(tmp_path / "run/faults/step")
+    assert state["worlds"].tolist() == [4]
+    assert meta["config"]["seed"] == 0
+    assert meta["versions"]["torch"] == torch.__version__.partition("+")[0] or meta["versions"]["torch"]
+
+
+def test_no_dump(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="cannot be read"):
+        replay_step(tmp_path / "step")
+
+
+@pytest.mark.parametrize("value", [0.0, 7.0, -3e9, 1e9])
+def test_normaliser_constant_input(value: float) -> None:
+    normaliser = RunningNormaliser(3)
+    for _ in range(50):
+        normaliser.observe(torch.full((64, 3), value))
+    out = normaliser(torch.full((5, 3), value))
+    assert torch.isfinite(out).all()
+    assert (out.abs() <= 5).all()
+    assert torch.isfinite(normaliser(torch.full((5, 3), -value))).all()
+
+
+def test_normaliser_huge_and_tiny_columns() -> None:
+    generator = torch.Generator().manual_seed(0)
+    scale = torch.tensor([1e-9, 1.0, 9e9])
+    normaliser = RunningNormaliser(3)
+    for _ in range(200):
+        normaliser.observe(torch.randn(256, 3, generator=generator) * scale)
+    out = normaliser(torch.randn(4096, 3, generator=generator) * scale)
+    assert torch.isfinite(out).all()
+    assert (out[:, 1:].std(0) - 1).abs().max() < 0.05
+    assert out[:, 0].abs().max() < 1e-3, "noise far below the floor is not blown up"
+
+
+def test_normaliser_a_billion_samples() -> None:
+    """After 1e9 samples at an offset of 1e5 the statistics are still those of the input."""
+    generator = torch.Generator().manual_seed(0)
+    normaliser = RunningNormaliser(1)
+    normaliser.count.fill_(1e9)
+    normaliser.mean.fill_(1e5)
+    normaliser.variance.fill_(4.0)
+    for _ in range(1000):
+        normaliser.observe(1e5 + 2 * torch.randn(4096, 1, generator=generator, dtype=torch.float64))
+    assert float(normaliser.count) == normaliser.horizon
+    assert abs(float(normaliser.mean) - 1e5) < 0.01
+    assert abs(float(normaliser.variance) - 4.0) < 0.05
+    for _ in range(3000):  # and it still follows a change
+        normaliser.observe(torch.full((100_000, 1), 5.0))
+    assert abs(float(normaliser.mean) - 5.0) < 0.1 * 1e5

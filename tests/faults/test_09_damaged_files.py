@@ -1,0 +1,98 @@
+"""Fault 9: truncated, empty and changed files are refused; resuming falls back and says so."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import pytest
+import torch
+
+from understudy import checkpoint
+from understudy.errors import RunError
+from understudy.plugins import Plugins
+from understudy.testing.fake import FAKE_TASK
+from worlds import SMALL, assert_same_state, make_training, resumed
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    generator = torch.Generator().manual_seed(0)
+    state = {"w": torch.randn(40, 5, generator=generator), "n": 3, "list": [1.5, None, "text"]}
+    checkpoint.save(tmp_path / "00000001", state, {"config": {"seed": 1}})
+    return tmp_path / "00000001"
+
+
+@pytest.mark.parametrize("ending", [".json", ".safetensors"])
+def test_every_byte_matters(path: Path, ending: str) -> None:
+    file = path.with_suffix(ending)
+    whole = file.read_bytes()
+    good = checkpoint.load(path)
+    harmless = 0
+    for position in range(len(whole)):
+        for bit in (0x01, 0x20, 0x80):
+            broken = bytearray(whole)
+            broken[position] ^= bit
+            file.write_bytes(broken)
+            try:
+                found = checkpoint.load(path)
+            except RunError as error:
+                assert str(path) in str(error)
+            else:  # another spelling of the same JSON, and nothing else
+                assert_same_state(found[0], good[0])
+                assert found[1] == good[1]
+                harmless += 1
+    assert harmless <= 4
+
+
+@pytest.mark.parametrize("ending", [".json", ".safetensors"])
+def test_truncated_and_empty(path: Path, ending: str) -> None:
+    file = path.with_suffix(ending)
+    whole = file.read_bytes()
+    for length in range(0, len(whole), 7):
+        file.write_bytes(whole[:length])
+        with pytest.raises(RunError, match=r"damaged"):
+            checkpoint.load(path)
+    file.write_bytes(whole + b"\0")
+    with pytest.raises(RunError, match=r"damaged"):
+        checkpoint.load(path)
+    file.unlink()
+    with pytest.raises(RunError, match=r"cannot be read: No such file"):
+        checkpoint.load(path)
+
+
+@pytest.mark.parametrize("ending", [".json", ".safetensors"])
+def test_resume_falls_back(plugins: Plugins, tmp_path: Path, ending: str) -> None:
+    run = tmp_path / "run"
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], run)
+    states = []
+    for _ in range(2):
+        row = training.iterate()
+        assert training.run is not None
+        training.run.append_metrics(row)
+        training.save()
+        states.append(copy.deepcopy(training.state_dict()))
+    training.run.unlock()
+    file = (run / "checkpoints/00000002").with_suffix(ending)
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    file.write_bytes(data)
+    messages: list[str] = []
+    again = resumed(plugins, run, messages)
+    assert again.progress.iteration == 1
+    assert_same_state(again.state_dict(), states[0], ignore=())
+    assert any("00000002" in m and "damaged" in m and "Falling back" in m for m in messages)
+    assert again.run is not None
+    assert [row["iteration"] for row in again.run.metrics()] == [1]
+
+
+def test_all_damaged(plugins: Plugins, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], run)
+    training.iterate()
+    training.save()
+    assert training.run is not None
+    training.run.unlock()
+    (run / "checkpoints/00000001.json").write_bytes(b"")
+    with pytest.raises(RunError, match=r"no usable checkpoint\. The newest: .*00000001\.json is damaged"):
+        resumed(plugins, run)

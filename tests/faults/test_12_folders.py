@@ -1,0 +1,100 @@
+"""Fault 12: folders that cannot be written or are missing, and two runs in one, give one clear error."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from understudy import checkpoint, runs
+from understudy.errors import RunError
+from understudy.plugins import Plugins
+from understudy.testing.fake import FAKE_TASK
+from worlds import CLI, SMALL, child_environment, make_training, resumed
+
+
+@pytest.mark.parametrize("where", ["file/run", "/proc/run"])
+def test_impossible_folder(plugins: Plugins, tmp_path: Path, where: str) -> None:
+    (tmp_path / "file").write_text("")
+    path = tmp_path / where
+    with pytest.raises(RunError, match=rf"The run folder {path} cannot be made: .*run\.dir"):
+        make_training(plugins, [*FAKE_TASK, *SMALL], path)
+
+
+def test_folder_that_becomes_unwritable(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.iterate()
+    (tmp_path / "run/checkpoints").rmdir()
+    with pytest.raises(RunError, match=r"00000001.safetensors could not be written: No such file"):
+        training.save()
+    (tmp_path / "run/metrics.jsonl").mkdir()
+    assert training.run is not None
+    with pytest.raises(RunError, match=r"metrics.jsonl could not be written: Is a directory"):
+        training.run.append_metrics({})
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_read_only_run(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.save()
+    assert training.run is not None
+    training.run.unlock()
+    for folder in ("run/checkpoints", "run"):
+        (tmp_path / folder).chmod(0o500)
+    with pytest.raises(RunError, match="cannot be written|could not be written"):
+        resumed(plugins, tmp_path / "run")
+
+
+def test_lock_file_cannot_be_made(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    assert training.run is not None
+    training.run.unlock()
+    (tmp_path / "run/.lock").unlink()
+    (tmp_path / "run/.lock").mkdir()
+    with pytest.raises(RunError, match=r"run cannot be written: Is a directory"):
+        runs.open_run(tmp_path / "run").lock()
+
+
+def test_missing_folders(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"nowhere is no run folder: it has no run\.json"):
+        runs.open_run(tmp_path / "nowhere")
+    with pytest.raises(RunError, match=r"has no usable checkpoint"):
+        checkpoint.load_newest(tmp_path)
+
+
+def test_second_run_in_a_folder(plugins: Plugins, tmp_path: Path) -> None:
+    make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    with pytest.raises(RunError, match=r"already holds a run\. Continue it with"):
+        make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+
+
+def test_two_processes_in_one_folder(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.save()
+    code = CLI + "sys.exit(main(['resume', sys.argv[1]]))"
+    command = [sys.executable, "-c", code, str(tmp_path / "run")]
+    done = subprocess.run(command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert "Another process is training in" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_lock_of_a_killed_process_is_free(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    assert training.run is not None
+    training.run.unlock()
+    holder = subprocess.Popen(
+        [sys.executable, "-c", "import fcntl,sys,time; f=open(sys.argv[1],'w'); "
+         "fcntl.flock(f, fcntl.LOCK_EX); print(flush=True); time.sleep(60)", str(tmp_path / "run/.lock")],
+        stdout=subprocess.PIPE,
+    )  # fmt: skip
+    assert holder.stdout is not None
+    holder.stdout.readline()
+    with pytest.raises(RunError, match="Another process"):
+        runs.open_run(tmp_path / "run").lock()
+    holder.kill()
+    holder.wait()
+    runs.open_run(tmp_path / "run").lock()

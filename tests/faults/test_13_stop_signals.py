@@ -1,0 +1,119 @@
+"""Fault 13: a stop signal at any moment: the run saves at the next boundary and exits with 75."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from understudy import checkpoint
+from understudy.errors import PreemptedError
+from understudy.plugins import Plugins
+from understudy.testing.fake import FAKE_TASK
+from understudy.training import Training
+from worlds import CLI, SMALL, assert_same_state, child_environment, make_training, resumed
+
+LONG = (*FAKE_TASK, *SMALL, "budget.samples=100000000", "checkpoint.minutes=1000")
+
+
+def newest_equals(training: Training, run: Path) -> None:
+    state, _, path = checkpoint.load_newest(run / "checkpoints")
+    assert path.name == f"{training.progress.iteration:08d}"
+    assert_same_state(state, training.state_dict(), ignore=())
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1, signal.SIGINT])
+def test_each_signal(plugins: Plugins, tmp_path: Path, number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    training = make_training(plugins, LONG, tmp_path / "run")
+
+    def kill(row: Any) -> None:
+        if row["iteration"] == 3:
+            os.kill(os.getpid(), number)
+            os.kill(os.getpid(), signal.SIGTERM)  # a second one does no harm
+
+    training.reporter.iteration = kill
+    with pytest.raises(PreemptedError, match=r"everything is saved\. Continue with `understudy resume") as caught:
+        training.train()
+    assert caught.value.exit_status == 75
+    assert training.progress.iteration == 3, "at the next boundary"
+    newest_equals(training, tmp_path / "run")
+    assert signal.getsignal(number) == before, "handlers are given back"
+
+
+def test_at_random_moments(plugins: Plugins, tmp_path: Path) -> None:
+    """Twenty stops at any instruction; the training that was stopped so ends like any other."""
+    rng, run = random.Random(0), tmp_path / "run"
+    training = make_training(plugins, LONG, run)
+    for _ in range(20):
+        shots = [threading.Timer(rng.uniform(0.001, 0.08), os.kill, (os.getpid(), n))
+                 for n in rng.choices([signal.SIGTERM, signal.SIGUSR1, signal.SIGINT], k=2)]  # fmt: skip
+        # a shot before or after train() must not end the test itself
+        guard = {n: signal.signal(n, lambda *_: None) for n in (15, 10, 2)}
+        started = time.monotonic()
+        for shot in shots:
+            shot.start()
+        late = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGTERM))  # if both came too early
+        late.start()
+        with pytest.raises(PreemptedError):
+            training.train()
+        assert time.monotonic() - started < 5
+        for shot in (*shots, late):
+            shot.cancel()
+            shot.join()
+        for n, handler in guard.items():
+            signal.signal(n, handler)
+        newest_equals(training, run)
+        assert training.run is not None
+        training.run.unlock()
+        iteration = training.progress.iteration
+        training = resumed(plugins, run)
+        assert training.progress.iteration == iteration
+    straight = make_training(plugins, LONG)
+    for _ in range(training.progress.iteration):
+        straight.iterate()
+    assert_same_state(straight.state_dict(), training.state_dict())
+
+
+def test_during_a_save(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    training = make_training(plugins, [*LONG, "checkpoint.minutes=0"], tmp_path / "run")
+    fsync = os.fsync
+
+    def interrupted(descriptor: int) -> None:
+        if training.progress.iteration == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(PreemptedError):
+        training.train()
+    newest_equals(training, tmp_path / "run")
+    assert training.progress.iteration == 2
+    assert not list((tmp_path / "run/checkpoints").glob(".*"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_command(plugins: Plugins, tmp_path: Path, number: signal.Signals) -> None:
+    run = tmp_path / "run"
+    child = subprocess.Popen(
+        [sys.executable, "-c", CLI + "sys.exit(main(['train', *sys.argv[1:]]))", *LONG, f"run.dir={run}"],
+        cwd=tmp_path, env=child_environment(), stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not (run / "metrics.jsonl").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    child.send_signal(number)
+    _, errors = child.communicate(timeout=30)
+    assert child.returncode == 75, errors
+    last = errors.strip().splitlines()[-1]
+    assert last.startswith(f"understudy: Stopped by {number.name} after ")
+    assert last.endswith(f"Continue with `understudy resume {run}`.")
+    assert resumed(plugins, run).progress.samples > 0

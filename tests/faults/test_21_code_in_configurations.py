@@ -1,0 +1,89 @@
+"""Fault 21: Python paths in overrides, run folders and checkpoints are refused before any import."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from understudy import checkpoint, runs
+from understudy.config import CODE_KEYS, load_experiment, provenance, validate
+from understudy.errors import ConfigError, UnderstudyError
+from understudy.plugins import Plugins
+from understudy.replay import replay_step
+from understudy.testing.fake import FAKE_TASK
+from worlds import SMALL, make_training, resumed
+
+
+@pytest.fixture(autouse=True)
+def _sentinel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module ``sentinel`` that leaves a file behind when anybody imports it."""
+    package = tmp_path / "path/sentinel"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w')\n")
+    monkeypatch.syspath_prepend(str(tmp_path / "path"))
+    monkeypatch.delitem(sys.modules, "sentinel", raising=False)
+
+
+@pytest.fixture
+def untouched(tmp_path: Path) -> Path:
+    return tmp_path / "imported"
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        *(f"+scene.{key}=sentinel.x" for key in sorted(CODE_KEYS)),
+        "+learner={name: ppo, _target_: sentinel.x}",
+        "+anything.deep={list: [{_target_: sentinel.x}]}",
+        "+reward.terms.a={_target_: sentinel.x, name: fake.near_origin}",
+        "hydra.searchpath=[pkg://sentinel]",
+        "++hydra.searchpath=[pkg://sentinel]",
+        "+hydra.callbacks.a._target_=sentinel.x",
+        "hydra/launcher=sentinel",
+    ],
+)
+def test_overrides(plugins: Plugins, untouched: Path, override: str) -> None:
+    for use in (load_experiment, provenance):
+        if use is provenance and "hydra" not in override:
+            continue
+        with pytest.raises(ConfigError):
+            use([*FAKE_TASK, *SMALL, override], plugins)
+    assert not untouched.exists()
+
+
+@pytest.mark.parametrize(
+    ("slot", "name"),
+    [("scene", "sentinel:x"), ("learner", "sentinel.x"), ("policy", "sentinel"), ("simulator", "/tmp/x.py")],
+)
+def test_python_paths_as_names(plugins: Plugins, untouched: Path, slot: str, name: str) -> None:
+    raw = dict(load_experiment([*FAKE_TASK, *SMALL], plugins).raw)
+    with pytest.raises(ConfigError, match=rf"There is no {slot} '{name}'"):
+        validate({**raw, slot: {"name": name}}, plugins.registry)
+    assert not untouched.exists()
+
+
+def test_run_folder_and_checkpoint(plugins: Plugins, tmp_path: Path, untouched: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    training.save()
+    assert training.run is not None
+    training.run.unlock()
+    file = tmp_path / "run/run.json"
+    good = json.loads(file.read_text())
+    evil = {**good["config"], "scene": {"name": "fake", "_target_": "sentinel.x"}}
+    file.write_text(json.dumps({**good, "config": evil}))
+    with pytest.raises(ConfigError, match=r"scene\._target_: configurations name registered components"):
+        runs.open_run(tmp_path / "run")
+    file.write_text(json.dumps({**good, "overrides": [*good["overrides"], "hydra.searchpath=[pkg://sentinel]"]}))
+    with pytest.raises(ConfigError, match="Hydra itself cannot be configured"):
+        resumed(plugins, tmp_path / "run", more=["seed=0"])
+    file.write_text(json.dumps(good))
+    state, meta = checkpoint.load(tmp_path / "run/checkpoints/00000000")
+    checkpoint.save(tmp_path / "run/checkpoints/00000000", state, {**meta, "config": evil})
+    resumed(plugins, tmp_path / "run")  # a checkpoint's configuration is only compared
+    checkpoint.save(tmp_path / "step", {"worlds": [0]}, {"config": evil})
+    with pytest.raises(UnderstudyError, match="_target_"):
+        replay_step(tmp_path / "step", plugins)
+    assert not untouched.exists()

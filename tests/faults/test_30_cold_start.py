@@ -1,0 +1,38 @@
+"""Fault 30: loading plugins imports no heavy library; the first step needs no network and no home."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from worlds import python
+
+
+def test_plugins_load_without_heavy_imports(tmp_path: Path) -> None:
+    code = """
+import sys, understudy.plugins
+plugins = understudy.plugins.load()
+heavy = {"torch", "warp", "mujoco", "mujoco_warp", "scipy", "hydra", "omegaconf", "tensorboard", "imageio"}
+print(sorted(heavy & sys.modules.keys()), [p.status for p in plugins.loaded if p.name in ("ppo", "mujoco")])
+"""
+    done = python(code, cwd=tmp_path)
+    assert done.stdout.strip() == "[] ['ok', 'ok']", done.stdout + done.stderr
+
+
+def test_first_step_without_network_home_or_cache(tmp_path: Path) -> None:
+    code = """
+import socket, sys, time
+def refuse(*a, **k): raise OSError("no network here")
+socket.socket.connect = socket.getaddrinfo = socket.create_connection = refuse
+began = time.monotonic()
+import worlds
+for task in (worlds.fake.FAKE_TASK, worlds.PADDLE_TASK):
+    training = worlds.make_training(worlds.all_plugins(), [*task, *worlds.SMALL])
+    training.iterate()
+assert time.monotonic() - began < 60
+"""
+    nowhere = "/proc/no-home"
+    done = python(
+        code, cwd=tmp_path, HOME=nowhere, XDG_CACHE_HOME=nowhere, TORCH_HOME=nowhere,
+        WARP_CACHE_PATH=nowhere, CUDA_VISIBLE_DEVICES="", PYTHONDONTWRITEBYTECODE="1",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr

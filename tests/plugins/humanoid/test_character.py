@@ -1,0 +1,119 @@
+"""The humanoid model against its published figures, and that it can stand."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from understudy_humanoid.character import (
+    BODIES,
+    REFERENCE_COLOUR,
+    STANDING_HEIGHT,
+    add_character,
+    build_spec,
+)
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return build_spec().compile()
+
+
+def test_size(model: mujoco.MjModel) -> None:
+    assert (model.nq, model.nv, model.nu) == (43, 34, 28)
+    assert model.nbody - 1 == len(BODIES) == 15
+    assert model.body_mass.sum() == pytest.approx(45.0, abs=1e-6)
+    assert model.opt.timestep == pytest.approx(1 / 600)
+
+
+def test_actuators_follow_the_table_with_stable_pd_gains(model: mujoco.MjModel) -> None:
+    rows = [
+        row.joint
+        for row in BODIES
+        if row.joint
+        for _ in range(3 if row.joint.kind == "ball" else 1)
+    ]
+    kp, kd = np.array([row.kp for row in rows]), np.array([row.kd for row in rows])
+    np.testing.assert_allclose(model.actuator_gainprm[:, 0], kp)
+    np.testing.assert_allclose(model.actuator_biasprm[:, 1], -kp)
+    np.testing.assert_allclose(model.actuator_biasprm[:, 2], -(kd + kp / 600))
+    np.testing.assert_allclose(model.actuator_forcerange[:, 1], [row.torque for row in rows])
+    np.testing.assert_allclose(model.actuator_forcerange[:, 0], [-row.torque for row in rows])
+
+
+def test_zero_pose_stands_on_the_floor_left_right_symmetric(model: mujoco.MjModel) -> None:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.qpos[2] == STANDING_HEIGHT
+    for side in ("left", "right"):
+        sole = data.geom(f"{side}_ankle").xpos[2] - model.geom(f"{side}_ankle").size[2]
+        assert sole == pytest.approx(0.0, abs=1e-9)
+    for row in BODIES:
+        if row.name.startswith("left"):
+            other = data.body(row.name.replace("left", "right")).xpos * [1, -1, 1]
+            np.testing.assert_allclose(data.body(row.name).xpos, other)
+
+
+def test_a_standing_target_holds_it_upright(model: mujoco.MjModel) -> None:
+    data = mujoco.MjData(model)
+    for _ in range(450):
+        mujoco.mj_step(model, data)
+    assert data.qpos[2] > 0.95 * STANDING_HEIGHT
+    assert np.abs(data.qvel).max() < 3.0
+
+
+def test_a_limp_character_falls_and_rests_on_the_floor() -> None:
+    model = build_spec().compile()
+    model.actuator_gainprm[:] = 0.0
+    model.actuator_biasprm[:] = 0.0
+    model.dof_damping[6:] = 1.0
+    data = mujoco.MjData(model)
+    data.qvel[0] = 0.5
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+    assert data.qpos[2] < 0.3
+    assert data.geom_xpos[1:, 2].min() > 0.0
+    support = sum(_contact_force(model, data, i)[0] for i in range(data.ncon))
+    assert support == pytest.approx(45.0 * 9.81, rel=0.2)
+
+
+def _contact_force(model: mujoco.MjModel, data: mujoco.MjData, contact: int) -> np.ndarray:
+    force = np.zeros(6)
+    mujoco.mj_contactForce(model, data, contact, force)
+    return force
+
+
+@pytest.mark.parametrize("self_collision", [False, True])
+def test_links_collide_with_one_another_only_on_request(self_collision: bool) -> None:
+    model = build_spec(self_collision=self_collision).compile()
+    data = mujoco.MjData(model)
+    data.qpos[2] = 3.0
+    data.joint("right_hip").qpos = [np.cos(0.15), np.sin(0.15), 0.0, 0.0]  # into the left leg
+    mujoco.mj_forward(model, data)
+    assert (data.ncon > 0) == self_collision
+
+
+def test_knee_flexion_takes_the_heel_back_and_elbow_flexion_the_hand_forward(
+    model: mujoco.MjModel,
+) -> None:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ankle, wrist = data.body("left_ankle").xpos.copy(), data.body("left_wrist").xpos.copy()
+    data.joint("left_knee").qpos = 0.5
+    data.joint("left_elbow").qpos = 0.5
+    mujoco.mj_kinematics(model, data)
+    assert data.body("left_ankle").xpos[0] < ankle[0] - 0.1
+    assert data.body("left_wrist").xpos[0] > wrist[0] + 0.1
+
+
+def test_a_second_character_for_show_changes_no_physics(model: mujoco.MjModel) -> None:
+    spec = build_spec()
+    add_character(spec, prefix="reference_", colour=REFERENCE_COLOUR, collides=False)
+    both = spec.compile()
+    assert both.nu == model.nu
+    assert both.nq == 2 * model.nq
+    one, two = mujoco.MjData(model), mujoco.MjData(both)
+    for _ in range(60):
+        mujoco.mj_step(model, one)
+        mujoco.mj_step(both, two)
+    np.testing.assert_allclose(two.qpos[:43], one.qpos, atol=1e-6)
