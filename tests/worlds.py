@@ -12,7 +12,6 @@ from typing import Any
 import mujoco
 import torch
 from torch import Tensor
-
 from understudy import runs
 from understudy.config import load_experiment
 from understudy.interfaces import Actuation, Context, Encoder, InitialStates
@@ -26,7 +25,7 @@ from understudy_mujoco.scene import MujocoScene
 #: A tiny learner and policy; with them an iteration takes milliseconds.
 SMALL = (
     "+policy={name: mlp, hidden: [16]}",
-    "+learner={name: ppo, rollout_steps: 8, minibatch_size: 32, epochs: 2}",
+    "+learner={name: ppo, rollout_steps: 8, minibatches: 4, epochs: 2}",
     "num_worlds=16",
     "evaluation.criterion=null",
 )
@@ -127,7 +126,10 @@ def all_plugins() -> Plugins:
 
 
 def make_training(
-    plugins: Plugins, overrides: Sequence[str], run: Path | None = None, reporter: Reporter | None = None
+    plugins: Plugins,
+    overrides: Sequence[str],
+    run: Path | None = None,
+    reporter: Reporter | None = None,
 ) -> Training:
     """A training of `overrides`, in a new run folder if `run` is given."""
     overrides = [*overrides, *([f"run.dir={run}"] if run else [])]
@@ -136,7 +138,9 @@ def make_training(
     return training.attach(runs.create(experiment, overrides, {})) if run else training
 
 
-def resumed(plugins: Plugins, run: Path, messages: list[str] | None = None, more: Sequence[str] = ()) -> Training:
+def resumed(
+    plugins: Plugins, run: Path, messages: list[str] | None = None, more: Sequence[str] = ()
+) -> Training:
     """The training in the folder `run`, continued from its newest checkpoint."""
     opened = runs.open_run(run)
     opened.lock()
@@ -154,13 +158,17 @@ def resumed(plugins: Plugins, run: Path, messages: list[str] | None = None, more
 def flat(state: Any, where: str = "") -> dict[str, Any]:
     """The leaves of a nested state, by path."""
     if isinstance(state, Mapping):
-        return {k: v for name, item in state.items() for k, v in flat(item, f"{where}/{name}").items()}
+        return {
+            k: v for name, item in state.items() for k, v in flat(item, f"{where}/{name}").items()
+        }
     if isinstance(state, (list, tuple)):
         return {k: v for i, item in enumerate(state) for k, v in flat(item, f"{where}/{i}").items()}
     return {where: state}
 
 
-def assert_same_state(first: Any, second: Any, ignore: Sequence[str] = ("/progress/seconds",)) -> None:
+def assert_same_state(
+    first: Any, second: Any, ignore: Sequence[str] = ("/progress/seconds",)
+) -> None:
     """Equal to the last bit, NaN equal to NaN."""
     one, two = flat(first), flat(second)
     assert one.keys() == two.keys()
@@ -177,7 +185,9 @@ def assert_same_state(first: Any, second: Any, ignore: Sequence[str] = ("/progre
     assert not different, different
 
 
-def python(code: str, *arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def python(
+    code: str, *arguments: str, cwd: Path, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """Run `code` in a fresh interpreter that can import this module."""
     return subprocess.run(
         [sys.executable, "-c", code, *arguments],
@@ -190,7 +200,8 @@ def python(code: str, *arguments: str, cwd: Path, **environment: str) -> subproc
 
 
 def child_environment(**more: str) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "OMP_NUM_THREADS": "1", **more}
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1", **more}
 
 
 #: Begins a child's code: the command line with the fake parts among the installed plugins.

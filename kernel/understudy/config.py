@@ -18,6 +18,7 @@ import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.plugins import Plugins as HydraPlugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
@@ -358,7 +359,7 @@ def _hydra(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     try:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
             yield
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ConfigError(_plain(error) + plugins.registry.absent()) from error
     finally:
         _active.plugins = None
@@ -422,18 +423,11 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
                     prefix = "" if package in ("_global_", "") else package
                     for key in _paths(yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix):
                         origin[key] = _shorten(file)
-    for override in overrides:
-        key = override.lstrip("+~").partition("=")[0].partition("@")[0]
-        for existing in [k for k in origin if k == key or k.startswith(f"{key}.")]:
-            if "/" not in key and "=" in override and _is_leaf(origin, existing, key):
-                origin[existing] = f"command line: {override}"
-        if "." in key:
-            origin[key] = f"command line: {override}"
+        for override in OverridesParser.create().parse_overrides(list(overrides)):
+            for key in _paths(override.value(), override.key_or_group):
+                if not any(k.startswith(f"{key}.") for k in origin):  # else it chose a file
+                    origin[key] = f"command line: {override.input_line}"
     return origin
-
-
-def _is_leaf(origin: Mapping[str, str], existing: str, key: str) -> bool:
-    return existing == key and not any(k.startswith(f"{key}.") for k in origin)
 
 
 def _paths(value: Any, prefix: str) -> Iterator[str]:

@@ -140,12 +140,12 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
     manager = plugins.manager
     plugin = LoadedPlugin(name, distribution, version, "ok")
     try:
-        manager.register(module, name)
-        manager.check_pending()
         for item in dir(module):
             if item.startswith("understudy_") and not hasattr(Hooks, item) and callable(getattr(module, item)):
                 hooks = ", ".join(h for h in vars(Hooks) if h.startswith("understudy_"))
                 raise PluginError(f"it defines '{item}', which is no hook. The hooks are: {hooks}.")
+        manager.register(module, name)
+        manager.check_pending()
         others = [p for p in manager.get_plugins() if p is not module]
         register = Registrar(plugins.registry, name, distribution, version)
         manager.subset_hook_caller("understudy_register", others)(register=register)

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 import torch
-
 from understudy.building import build_environment
 from understudy.config import load_experiment
 from understudy.environment import Environment, Step
@@ -28,7 +27,10 @@ def environment(plugins: Plugins, task: Any = PADDLE_TASK) -> Environment:
 
 def roll(env: Environment, steps: int, seed: int) -> list[Step]:
     generator = torch.Generator().manual_seed(seed)
-    return [env.step(torch.randn(env.num_worlds, env.action_size, generator=generator)) for _ in range(steps)]
+    return [
+        env.step(torch.randn(env.num_worlds, env.action_size, generator=generator))
+        for _ in range(steps)
+    ]
 
 
 def assert_only_bad_failed(clean: list[Step], hurt: list[Step]) -> None:
@@ -39,7 +41,11 @@ def assert_only_bad_failed(clean: list[Step], hurt: list[Step]) -> None:
     assert not hurt[0].truncated[BAD]
     assert hurt[0].rewards[BAD] == 0
     for one, two in zip(clean, hurt, strict=True):
-        for tensor in (*two.observations.values(), *(two.final_observations or {}).values(), two.rewards):
+        for tensor in (
+            *two.observations.values(),
+            *(two.final_observations or {}).values(),
+            two.rewards,
+        ):
             assert torch.isfinite(tensor).all()
             assert (tensor.abs() < 1e10).all()
         assert torch.equal(one.observations["state"][others], two.observations["state"][others])
@@ -86,7 +92,9 @@ def test_derived_numbers(plugins: Plugins, where: str, value: float) -> None:
             encode = parts.encoders["state"].encode
             patch.setattr(parts.encoders["state"], "encode", lambda **f: spoil(encode(**f)))
         elif where == "reward":
-            patch.setattr(parts, "rewards", [dataclasses.replace(parts.rewards[0], function=bad_low)])
+            patch.setattr(
+                parts, "rewards", [dataclasses.replace(parts.rewards[0], function=bad_low)]
+            )
         elif where == "sensor":
             read = parts.simulator.read
             patch.setattr(
@@ -95,7 +103,9 @@ def test_derived_numbers(plugins: Plugins, where: str, value: float) -> None:
         else:  # what the world begins with is wrong, and fails at its first step
             sample = parts.initial_states.sample
             patch.setattr(
-                parts.initial_states, "sample", lambda s: {k: spoil(v) for k, v in sample(s).items()}
+                parts.initial_states,
+                "sample",
+                lambda s: {k: spoil(v) for k, v in sample(s).items()},
             )
             clean.reset(3), hurt.reset(3)
             assert torch.isfinite(hurt.observations["state"]).all()

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-
 from understudy.building import build_environment
 from understudy.config import load_experiment
 from understudy.plugins import Plugins
@@ -16,7 +15,9 @@ from worlds import PADDLE_TASK, SMALL
 @pytest.mark.parametrize("value", [float("nan"), 1e12])
 @pytest.mark.parametrize("field", ["qpos", "qvel"])
 def test_the_engine_does_not_reset(plugins: Plugins, field: str, value: float) -> None:
-    simulator = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).context.simulator
+    simulator = build_environment(
+        load_experiment([*PADDLE_TASK, *SMALL], plugins)
+    ).context.simulator
     assert simulator is not None
     simulator._views[field][5, 2] = value  # type: ignore[attr-defined]
     simulator.step(torch.zeros(16, 1))
@@ -27,7 +28,9 @@ def test_the_engine_does_not_reset(plugins: Plugins, field: str, value: float) -
 
 def test_even_if_it_did(plugins: Plugins) -> None:
     """With the engine's automatic reset on, only its warning tells; it must be enough."""
-    simulator = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).context.simulator
+    simulator = build_environment(
+        load_experiment([*PADDLE_TASK, *SMALL], plugins)
+    ).context.simulator
     assert simulator is not None
     simulator.batch.expand("opt.disableflags")[:] &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # type: ignore[attr-defined]
     simulator._views["qpos"][5, 2] = float("nan")  # type: ignore[attr-defined]
@@ -37,8 +40,23 @@ def test_even_if_it_did(plugins: Plugins) -> None:
 
 
 def test_report_counts_warnings(plugins: Plugins) -> None:
-    simulator = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).context.simulator
+    simulator = build_environment(
+        load_experiment([*PADDLE_TASK, *SMALL], plugins)
+    ).context.simulator
     assert simulator is not None
     simulator._views["qvel"][3, 0] = float("inf")  # type: ignore[attr-defined]
     simulator.step(torch.zeros(16, 1))
     assert simulator.report()["badqvel"] >= 1
+
+
+def test_no_teleport_inside_an_episode(plugins: Plugins) -> None:
+    """All numbers are finite after the engine's reset, and yet the episode ends as a failure."""
+    environment = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).environment
+    simulator = environment.parts.simulator
+    simulator.batch.expand("opt.disableflags")[:] &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # type: ignore[attr-defined]
+    environment.reset()
+    simulator._views["qpos"][5, 2] = 1e12  # type: ignore[attr-defined]
+    step = environment.step(torch.zeros(16, 1))
+    assert step.failed.tolist() == step.terminated.tolist() == [i == 5 for i in range(16)]
+    assert environment.episode_step.tolist() == [0 if i == 5 else 1 for i in range(16)]
+    assert step.rewards[5] == 0

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from understudy import checkpoint
 from understudy.building import build_environment, build_learner, build_policy
 from understudy.config import validate
@@ -36,7 +35,12 @@ def spoil_rewards(training: Training, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def learned(training: Training) -> dict[str, torch.Tensor]:
     """Weights and optimiser moments; the normaliser and random streams go on."""
-    state = flat({"policy": dict(training.policy.named_parameters()), "learner": training.learner.state_dict()})
+    state = flat(
+        {
+            "policy": dict(training.policy.named_parameters()),
+            "learner": training.learner.state_dict(),
+        }
+    )
     return {k: v.detach().clone() for k, v in state.items() if k not in IGNORED}
 
 
@@ -54,7 +58,10 @@ def test_loss(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         assert row["skipped_steps"] == STEPS
         training.iterate()
         assert_same_state(learned(training), before)
-    assert sorted(p.name for p in (tmp_path / "run/faults").iterdir()) == ["update.json", "update.safetensors"]
+    assert sorted(p.name for p in (tmp_path / "run/faults").iterdir()) == [
+        "update.json",
+        "update.safetensors",
+    ]
     assert len(messages) == 1, messages
     assert "faults/update.json" in messages[0]
     assert training.iterate()["skipped_steps"] == 0, "it goes on when the numbers are sound again"
@@ -69,7 +76,9 @@ def test_gradient(plugins: Plugins) -> None:
     training.policy.schedule(training.progress.samples)
     before = learned(training)
     weight = next(training.policy.actor_parameters())
-    hook = weight.register_hook(lambda g: torch.where(torch.arange(g.numel()).view_as(g) == 0, float("nan"), g))
+    hook = weight.register_hook(
+        lambda g: torch.where(torch.arange(g.numel()).view_as(g) == 0, float("nan"), g)
+    )
     assert training.iterate()["skipped_steps"] == STEPS
     assert_same_state(learned(training), before)
     hook.remove()
@@ -77,9 +86,13 @@ def test_gradient(plugins: Plugins) -> None:
 
 
 def test_patience(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    training = make_training(plugins, [*FAKE_TASK, *SMALL, "+learner.patience=20"], tmp_path / "run")
+    training = make_training(
+        plugins, [*FAKE_TASK, *SMALL, "+learner.patience=20"], tmp_path / "run"
+    )
     spoil_rewards(training, monkeypatch)
-    with pytest.raises(TrainingError, match=r"^\d+ optimiser steps in a row had a non-finite loss") as caught:
+    with pytest.raises(
+        TrainingError, match=r"^\d+ optimiser steps in a row had a non-finite loss"
+    ) as caught:
         training.train()
     assert caught.value.exit_status == 1
     assert "\n" not in str(caught.value)

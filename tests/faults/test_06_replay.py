@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from understudy import checkpoint
 from understudy.errors import RunError
 from understudy.nn import RunningNormaliser
@@ -16,7 +15,9 @@ from understudy.testing.fake import FAKE_TASK
 from worlds import PADDLE_TASK, SMALL, make_training
 
 
-def test_engine_failure_replays(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_engine_failure_replays(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A box thrown so fast that it diverges within the step; its neighbours do not matter."""
     training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
     simulator = training.environment.parts.simulator
@@ -75,7 +76,10 @@ def test_only_the_first_failure_is_dumped(plugins: Plugins, tmp_path: Path) -> N
     state, meta = checkpoint.load(tmp_path / "run/faults/step")
     assert state["worlds"].tolist() == [4]
     assert meta["config"]["seed"] == 0
-    assert meta["versions"]["torch"] == torch.__version__.partition("+")[0] or meta["versions"]["torch"]
+    assert (
+        meta["versions"]["torch"] == torch.__version__.partition("+")[0]
+        or meta["versions"]["torch"]
+    )
 
 
 def test_no_dump(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from understudy import checkpoint
 from understudy.errors import RunError
 from understudy.interfaces import RunObserver
@@ -28,7 +27,9 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 1 MB, where this may be mounted."""
     path = tmp_path / "disk"
     path.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1M", "tmpfs", path], capture_output=True).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1M", "tmpfs", path], capture_output=True
+    ).returncode:
         pytest.skip("may not mount a small file system here")
     yield path
     subprocess.run(["umount", "-l", path], check=True)
@@ -41,7 +42,9 @@ def state(n: float, size: int = 50_000) -> dict[str, torch.Tensor]:
 def test_full_file_system(small_disk: Path) -> None:
     for n in range(3):
         checkpoint.save(small_disk / f"{n:08d}", state(n), {})
-    with pytest.raises(RunError, match=r"00000003.safetensors could not be written: No space left on device"):
+    with pytest.raises(
+        RunError, match=r"00000003.safetensors could not be written: No space left on device"
+    ):
         for n in range(3, 10):
             checkpoint.save(small_disk / f"{n:08d}", state(n, 150_000), {})
     assert not list(small_disk.glob(".*.partial")), "nothing half-written keeps the disk full"
@@ -95,7 +98,9 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 """
     overrides = [*FAKE_TASK, *SMALL, "budget.samples=100000", f"run.dir={tmp_path / 'run'}"]
-    done = python(CLI + limit + "sys.exit(main(['train', *sys.argv[1:]]))", *overrides, cwd=tmp_path)
+    done = python(
+        CLI + limit + "sys.exit(main(['train', *sys.argv[1:]]))", *overrides, cwd=tmp_path
+    )
     assert done.returncode == 2, done.stderr
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("understudy: ")
@@ -105,7 +110,9 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
     training.train()
 
 
-def test_fault_dump_does_not_fit(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fault_dump_does_not_fit(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The run goes on without the dump, and says so."""
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
     messages: list[str] = []
@@ -131,7 +138,9 @@ def test_a_log_that_cannot_be_written_is_left_out(plugins: Plugins, tmp_path: Pa
 
     messages: list[str] = []
     reporter = Reporter(message=messages.append, observers=[log := Log()])
-    training = make_training(plugins, [*FAKE_TASK, *SMALL, "budget.samples=500"], tmp_path / "run", reporter)
+    training = make_training(
+        plugins, [*FAKE_TASK, *SMALL, "budget.samples=500"], tmp_path / "run", reporter
+    )
     assert training.train().reason == "budget"
     assert log.calls == 1
     assert messages == ["The observer Log is left out: OSError: [Errno 28] No space left on device"]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from understudy import checkpoint
 from understudy.errors import RunError
 from understudy.plugins import Plugins
@@ -94,5 +93,7 @@ def test_all_damaged(plugins: Plugins, tmp_path: Path) -> None:
     assert training.run is not None
     training.run.unlock()
     (run / "checkpoints/00000001.json").write_bytes(b"")
-    with pytest.raises(RunError, match=r"no usable checkpoint\. The newest: .*00000001\.json is damaged"):
+    with pytest.raises(
+        RunError, match=r"no usable checkpoint\. The newest: .*00000001\.json is damaged"
+    ):
         resumed(plugins, run)

@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import pytest
-
 from understudy import checkpoint
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-
 from understudy import checkpoint, runs
 from understudy.errors import RunError
 from understudy.plugins import Plugins
@@ -51,11 +50,17 @@ def test_harmless_differences_are_told(plugins: Plugins, run: Path) -> None:
     checkpoint.save(run / "checkpoints/00000001", state, meta)
     messages: list[str] = []
     resumed(plugins, run, messages, ["learner.clip=0.3"])
-    assert any(m.startswith("Differs from the checkpoint: learner.clip: added (0.3)") for m in messages), messages
-    assert any(m.startswith("Version differs from the checkpoint: torch: '1.0' → ") for m in messages), messages
+    assert any(
+        m.startswith("Differs from the checkpoint: learner.clip: added (0.3)") for m in messages
+    ), messages
+    assert any(
+        m.startswith("Version differs from the checkpoint: torch: '1.0' → ") for m in messages
+    ), messages
 
 
-def test_newer_checkpoint_format(plugins: Plugins, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newer_checkpoint_format(
+    plugins: Plugins, run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     state, meta = checkpoint.load(run / "checkpoints/00000001")
     monkeypatch.setattr(checkpoint, "FORMAT", 2)
     checkpoint.save(run / "checkpoints/00000002", state, meta)

@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
 from understudy import checkpoint, runs
 from understudy.errors import RunError
 from understudy.plugins import Plugins
@@ -76,7 +75,9 @@ def test_two_processes_in_one_folder(plugins: Plugins, tmp_path: Path) -> None:
     training.save()
     code = CLI + "sys.exit(main(['resume', sys.argv[1]]))"
     command = [sys.executable, "-c", code, str(tmp_path / "run")]
-    done = subprocess.run(command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True
+    )
     assert done.returncode == 2, done.stderr
     assert "Another process is training in" in done.stderr
     assert "Traceback" not in done.stderr

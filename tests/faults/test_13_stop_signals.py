@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from understudy import checkpoint
 from understudy.errors import PreemptedError
 from understudy.plugins import Plugins
@@ -41,7 +40,9 @@ def test_each_signal(plugins: Plugins, tmp_path: Path, number: signal.Signals) -
             os.kill(os.getpid(), signal.SIGTERM)  # a second one does no harm
 
     training.reporter.iteration = kill
-    with pytest.raises(PreemptedError, match=r"everything is saved\. Continue with `understudy resume") as caught:
+    with pytest.raises(
+        PreemptedError, match=r"everything is saved\. Continue with `understudy resume"
+    ) as caught:
         training.train()
     assert caught.value.exit_status == 75
     assert training.progress.iteration == 3, "at the next boundary"
@@ -61,7 +62,9 @@ def test_at_random_moments(plugins: Plugins, tmp_path: Path) -> None:
         started = time.monotonic()
         for shot in shots:
             shot.start()
-        late = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGTERM))  # if both came too early
+        late = threading.Timer(
+            0.2, os.kill, (os.getpid(), signal.SIGTERM)
+        )  # if both came too early
         late.start()
         with pytest.raises(PreemptedError):
             training.train()

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from understudy.building import build_environment
 from understudy.config import load_experiment
 from understudy.interfaces import RunObserver
@@ -29,7 +28,7 @@ def threads() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-def trained(plugins: Plugins, *overrides: str, iterations: int = 6) -> Training:
+def trained(plugins: Plugins, *overrides: str, iterations: int = 4) -> Training:
     training = make_training(plugins, [*overrides])
     for _ in range(iterations):
         training.iterate()
@@ -50,7 +49,13 @@ def test_same_seed_same_bits(plugins: Plugins, task: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_one_thread_equals_two(plugins: Plugins, task: str) -> None:
     """Networks and batches large enough that torch does split them between threads."""
-    overrides = [*TASKS[task], *SMALL, "num_worlds=256", "policy.hidden=[256]", "learner.minibatch_size=1024"]
+    overrides = [
+        *TASKS[task],
+        *SMALL,
+        "num_worlds=256",
+        "policy.hidden=[256]",
+        "learner.minibatches=2",
+    ]
     states = []
     for count in (1, 2):
         torch.set_num_threads(count)
@@ -108,13 +113,22 @@ def test_observers_change_nothing(plugins: Plugins, tmp_path: Path) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_evaluating_in_between_changes_nothing(plugins: Plugins, task: str) -> None:
     failures = "far" if task == "fake" else "gone"
-    overrides = [*TASKS[task], *SMALL, f"evaluation.failures=[{failures}]", "evaluation.seconds=0.5"]
+    overrides = [
+        *TASKS[task],
+        *SMALL,
+        f"evaluation.failures=[{failures}]",
+        "evaluation.seconds=0.5",
+    ]
     one, two = make_training(plugins, overrides), make_training(plugins, overrides)
     found = []
-    for _ in range(4):
+    for _ in range(2):
         one.iterate(), two.iterate()
         found.append((two.evaluate(), two.evaluate()))
-    assert_same_state(one.state_dict(), two.state_dict(), ("/progress/seconds", "/progress/evaluated_at", "/progress/best"))
+    assert_same_state(
+        one.state_dict(),
+        two.state_dict(),
+        ("/progress/seconds", "/progress/evaluated_at", "/progress/best"),
+    )
     assert all(first == second for first, second in found), "and an evaluation repeats exactly"
 
 

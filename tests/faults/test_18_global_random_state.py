@@ -8,7 +8,6 @@ import random
 import numpy as np
 import pytest
 import torch
-
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
@@ -20,7 +19,9 @@ def test_untouched(plugins: Plugins, task: tuple[str, ...]) -> None:
     for seed in (1, 2):
         random.seed(seed), np.random.seed(seed), torch.manual_seed(seed)  # noqa: NPY002
         python, legacy, tensor = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-        training = make_training(plugins, [*task, *SMALL, "budget.samples=400", "evaluation.seconds=0.2"])
+        training = make_training(
+            plugins, [*task, *SMALL, "budget.samples=400", "evaluation.seconds=0.2"]
+        )
         training.train()
         training.evaluate()
         assert random.getstate() == python

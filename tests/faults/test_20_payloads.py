@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 import torch
-
 from understudy import checkpoint, runs
 from understudy.errors import UnderstudyError
 from understudy.replay import replay_step
@@ -51,7 +50,12 @@ def test_pickle_in_a_checkpoint(path: Path, kind: str, ending: str, sealed: bool
     data = payloads()[kind]
     path.with_suffix(ending).write_bytes(data)
     if sealed:  # an attacker computes the digests, too
-        document = {"format": 1, "state": {"map": {}}, "meta": {}, "sha256": hashlib.sha256(data).hexdigest()}
+        document = {
+            "format": 1,
+            "state": {"map": {}},
+            "meta": {},
+            "sha256": hashlib.sha256(data).hexdigest(),
+        }
         if ending == ".safetensors":
             path.with_suffix(".json").write_bytes(checkpoint._sealed(document))
     for read in (checkpoint.load, replay_step):
@@ -93,7 +97,10 @@ def test_odd_content_with_a_right_seal(path: Path, document: Any) -> None:
 def test_nested_without_end(path: Path) -> None:
     deep: Any = {"value": 1}
     body = '{"list": [' * 200_000 + "]}" * 200_000
-    for text in (body, json.dumps({"content": body, "digest": hashlib.sha256(body.encode()).hexdigest()})):
+    for text in (
+        body,
+        json.dumps({"content": body, "digest": hashlib.sha256(body.encode()).hexdigest()}),
+    ):
         path.with_suffix(".json").write_text(text)
         with pytest.raises(UnderstudyError):
             checkpoint.load(path)
@@ -120,7 +127,9 @@ def test_odd_run_files(tmp_path: Path, text: str) -> None:
 def test_run_file_nested_to_the_limit(tmp_path: Path) -> None:
     for depth in range(900, 1000, 3):  # wherever the interpreter's limit strikes
         config = '{"a":' * depth + "1" + "}" * depth
-        (tmp_path / "run.json").write_text(f'{{"layout":1,"overrides":[],"sources":{{}},"config":{config}}}')
+        (tmp_path / "run.json").write_text(
+            f'{{"layout":1,"overrides":[],"sources":{{}},"config":{config}}}'
+        )
         with contextlib.suppress(UnderstudyError):
             runs.open_run(tmp_path)
 

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
 from understudy import checkpoint, runs
 from understudy.config import CODE_KEYS, load_experiment, provenance, validate
 from understudy.errors import ConfigError, UnderstudyError
@@ -56,7 +55,12 @@ def test_overrides(plugins: Plugins, untouched: Path, override: str) -> None:
 
 @pytest.mark.parametrize(
     ("slot", "name"),
-    [("scene", "sentinel:x"), ("learner", "sentinel.x"), ("policy", "sentinel"), ("simulator", "/tmp/x.py")],
+    [
+        ("scene", "sentinel:x"),
+        ("learner", "sentinel.x"),
+        ("policy", "sentinel"),
+        ("simulator", "/tmp/x.py"),
+    ],
 )
 def test_python_paths_as_names(plugins: Plugins, untouched: Path, slot: str, name: str) -> None:
     raw = dict(load_experiment([*FAKE_TASK, *SMALL], plugins).raw)
@@ -74,9 +78,13 @@ def test_run_folder_and_checkpoint(plugins: Plugins, tmp_path: Path, untouched: 
     good = json.loads(file.read_text())
     evil = {**good["config"], "scene": {"name": "fake", "_target_": "sentinel.x"}}
     file.write_text(json.dumps({**good, "config": evil}))
-    with pytest.raises(ConfigError, match=r"scene\._target_: configurations name registered components"):
+    with pytest.raises(
+        ConfigError, match=r"scene\._target_: configurations name registered components"
+    ):
         runs.open_run(tmp_path / "run")
-    file.write_text(json.dumps({**good, "overrides": [*good["overrides"], "hydra.searchpath=[pkg://sentinel]"]}))
+    file.write_text(
+        json.dumps({**good, "overrides": [*good["overrides"], "hydra.searchpath=[pkg://sentinel]"]})
+    )
     with pytest.raises(ConfigError, match="Hydra itself cannot be configured"):
         resumed(plugins, tmp_path / "run", more=["seed=0"])
     file.write_text(json.dumps(good))

@@ -9,7 +9,6 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-
 from understudy import plugins as plugins_module
 from understudy.building import build_environment
 from understudy.cli import main
@@ -98,10 +97,16 @@ def test_misspelled_hook() -> None:
     def register(register: Registrar) -> None:
         register.component("learner", "stranger.learner", object)
 
-    assert_isolated(loaded(module(understudy_register=register, understudy_registre=register)), "understudy_registre")
+    assert_isolated(
+        loaded(module(understudy_register=register, understudy_registre=register)),
+        "understudy_registre",
+    )
     plain = ModuleType("stranger")
     plain.understudy_regster = register  # type: ignore[attr-defined]  # not even marked as a hook
-    assert_isolated(loaded(plain), "defines 'understudy_regster', which is no hook. The hooks are: understudy_register,")
+    assert_isolated(
+        loaded(plain),
+        "defines 'understudy_regster', which is no hook. The hooks are: understudy_register,",
+    )
 
 
 def test_wrong_hook_signature() -> None:
@@ -112,7 +117,9 @@ def test_config_directories(tmp_path: Path) -> None:
     (tmp_path / "conf/learner").mkdir(parents=True)
     (tmp_path / "conf/learner/ppo.yaml").write_text("name: stranger.learner\n")
     shadows = module(understudy_config_directory=lambda: tmp_path / "conf")
-    assert_isolated(loaded(shadows), "the config option 'learner/ppo', which plugin 'ppo' provides already")
+    assert_isolated(
+        loaded(shadows), "the config option 'learner/ppo', which plugin 'ppo' provides already"
+    )
     missing = module(understudy_config_directory=lambda: tmp_path / "nowhere")
     assert_isolated(loaded(missing), "nowhere does not exist")
 
@@ -132,11 +139,19 @@ def with_entry(monkeypatch: pytest.MonkeyPatch, *entries: Entry) -> None:
 
 
 def entry(what: Any, value: str = "stranger", dist: str = "strange") -> Entry:
-    return Entry(name="stranger", value=value, what=what, dist=SimpleNamespace(name=dist, version="1.0"))
+    return Entry(
+        name="stranger", value=value, what=what, dist=SimpleNamespace(name=dist, version="1.0")
+    )
 
 
 @pytest.mark.parametrize(
-    "error", [ImportError("libgone.so is missing"), ZeroDivisionError("x"), SystemExit("bye"), SyntaxError("y")]
+    "error",
+    [
+        ImportError("libgone.so is missing"),
+        ZeroDivisionError("x"),
+        SystemExit("bye"),
+        SyntaxError("y"),
+    ],
 )
 def test_import(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     with_entry(monkeypatch, entry(error))
@@ -165,8 +180,13 @@ def test_component_whose_module_is_missing() -> None:
 
     plugins = loaded(module(understudy_register=register))
     assert status(plugins) == "ok"
-    for name, reason in (("learner", "No module named 'no_such_module'"), ("other", "which does not exist")):
-        with pytest.raises(Exception, match=rf"learner 'stranger.{name}' of plugin 'stranger' .*{reason}"):
+    for name, reason in (
+        ("learner", "No module named 'no_such_module'"),
+        ("other", "which does not exist"),
+    ):
+        with pytest.raises(
+            Exception, match=rf"learner 'stranger.{name}' of plugin 'stranger' .*{reason}"
+        ):
             load_experiment([*FAKE_TASK, *SMALL, f"learner.name=stranger.{name}"], plugins)
 
 
@@ -175,9 +195,14 @@ def test_commands(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
     plugins_module.installed.cache_clear()
     try:
         assert main(["plugins"]) == 0
-        assert "stranger 1.0 (strange): ImportError: libgone.so is missing" in capsys.readouterr().out
+        assert (
+            "stranger 1.0 (strange): ImportError: libgone.so is missing" in capsys.readouterr().out
+        )
         assert main(["config", "learner=stranger/learner"]) == 2
-        assert "Plugin 'stranger' did not load: ImportError: libgone.so is missing" in capsys.readouterr().err
+        assert (
+            "Plugin 'stranger' did not load: ImportError: libgone.so is missing"
+            in capsys.readouterr().err
+        )
     finally:
         plugins_module.installed.cache_clear()
 

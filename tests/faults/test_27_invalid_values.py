@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
 from understudy.config import load_experiment
 from understudy.errors import ConfigError
 from understudy.plugins import Plugins
@@ -42,7 +41,7 @@ INVALID: dict[str, tuple[str, ...]] = {
     "+policy.noise": ("{start: 0.1, end: 0}", "{start: 0, end: 0.1}", "0.1", "{start: 0.1, end: 0.1, samples: 0}"),
     "learner.rollout_steps": ("0", "-1", "2.5"),
     "learner.epochs": ("0",),
-    "learner.minibatch_size": ("0", "-32"),
+    "learner.minibatches": ("0", "-32"),
     "+learner.gamma": ("1.5", "-0.1", ".nan"),
     "+learner.gae_lambda": ("1.5",),
     "+learner.td_lambda": ("-1",),
@@ -86,19 +85,31 @@ def test_simulator_threads(plugins: Plugins, value: str) -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("+num_world=3", r"There is no configuration key 'num_world'\. Did you mean 'num_worlds'\?"),
+        (
+            "+num_world=3",
+            r"There is no configuration key 'num_world'\. Did you mean 'num_worlds'\?",
+        ),
         ("num_world=3", r"num_world"),
-        ("+control.frequenzy=3", r"^control has no option 'frequenzy'\. Did you mean 'frequency'\?"),
+        (
+            "+control.frequenzy=3",
+            r"^control has no option 'frequenzy'\. Did you mean 'frequency'\?",
+        ),
         ("+learner.gama=0.9", r"^learner has no option 'gama'\. Did you mean 'gamma'\?"),
-        ("+policy.noise={strt: 1}", r"^policy\.noise has no option 'strt'\. Did you mean 'start'\?"),
+        (
+            "+policy.noise={strt: 1}",
+            r"^policy\.noise has no option 'strt'\. Did you mean 'start'\?",
+        ),
         ("+policy.noise={start: 1}", r"^policy\.noise\.end is not set"),
-        ("+reward.terms.near.scal=1", r"^reward\.terms\.near has no option 'scal'\. Did you mean 'scale'\?"),
+        (
+            "+reward.terms.near.scal=1",
+            r"^reward\.terms\.near has no option 'scal'\. Did you mean 'scale'\?",
+        ),
         ("+simulator.threads=1", r"^simulator has no option 'threads'"),
         ("+reward.terms.more={weight: 2}", r"^reward\.terms\.more must be \{name: COMPONENT"),
         ("+encoder.more=3", r"^encoder\.more must be"),
         ("reward.terms.near=null", r"^reward\.terms is empty"),
         ("encoder.state=null", r"^encoder is empty"),
-        ("scene=null", r"^scene is not set"),
+        ("learner=null", r"Config group override must be"),
         ("seed=[", r"."),
         ("=3", r"."),
         ("seed=${nowhere}", r"nowhere"),
@@ -116,10 +127,11 @@ def test_keys_and_slots(plugins: Plugins, override: str, message: str) -> None:
     ("override", "message"),
     [
         ("device=quantum", r"^device=quantum is no device"),
-        ("learner.minibatch_size=100000", r"^learner\.minibatch_size=100000 is larger than an iteration"),
+        (
+            "learner.minibatches=100000",
+            r"^learner\.minibatches=100000 are more than the samples of an iteration",
+        ),
         ("+policy.observation=stat", r"needs the observation 'stat'.*Did you mean 'state'\?"),
-        ("policy=null", r"^policy is not set"),
-        ("learner=null", r"^learner is not set"),
     ],
 )
 def test_refused_before_the_first_step(plugins: Plugins, override: str, message: str) -> None:
@@ -128,8 +140,23 @@ def test_refused_before_the_first_step(plugins: Plugins, override: str, message:
         Training(load_experiment([*FAKE_TASK, *SMALL, override], plugins))
 
 
+@pytest.mark.parametrize(
+    "slot", ["scene", "simulator", "actuation", "initial_states", "policy", "learner"]
+)
+def test_missing_part(plugins: Plugins, slot: str) -> None:
+    overrides = [o for o in (*FAKE_TASK, *SMALL) if slot not in o.partition("=")[0]]
+    with pytest.raises(ConfigError, match=rf"^{slot} is not set"):
+        Training(load_experiment(overrides, plugins))
+
+
 def test_one_sample_is_too_few(plugins: Plugins) -> None:
-    overrides = [*FAKE_TASK, *SMALL, "num_worlds=1", "learner.rollout_steps=1", "learner.minibatch_size=1"]
+    overrides = [
+        *FAKE_TASK,
+        *SMALL,
+        "num_worlds=1",
+        "learner.rollout_steps=1",
+        "learner.minibatches=1",
+    ]
     with pytest.raises(ConfigError, match="raise num_worlds or learner.rollout_steps"):
         Training(load_experiment(overrides, plugins))
 

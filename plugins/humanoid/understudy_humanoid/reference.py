@@ -106,11 +106,12 @@ class ReferenceMotion:
             model, qpos_at(centre - _EPSILON), qpos_at(centre + _EPSILON), 2 * _EPSILON
         )
         state = _forward(model, qpos, qvel)
+        self.height_offset = 0.0
         if ground:
-            lift = -float(ground_clearance(layout, state["xpos"], state["xquat"]).min())
-            qpos[:, 2] += lift
+            clearance = ground_clearance(layout, state["xpos"], state["xquat"])
+            self.height_offset = -float(clearance.min())
+            qpos[:, 2] += self.height_offset
             state = _forward(model, qpos, qvel)
-        self.height_offset = lift if ground else 0.0
         derived = kinematics(layout, **state)
         targets = _joint_targets(model, layout, qpos_at(times + lead))
         return {

@@ -28,7 +28,8 @@ class PPO(Learner):
     class Options:
         rollout_steps: int = 16  #: T, steps per world and iteration
         epochs: int = 4
-        minibatch_size: int = 512
+        #: Optimiser steps per epoch; each sees its share of the iteration's samples.
+        minibatches: int = 8
         gamma: float = 0.95
         gae_lambda: float = 0.95
         td_lambda: float = 0.95
@@ -38,12 +39,12 @@ class PPO(Learner):
         entropy_weight: float = 0.0
         max_gradient_norm: float = 1.0
         #: Number format of the networks' matrix products during updates.
-        precision: Literal["float32", "bfloat16"] = "float32"
+        precision: Literal["float32", "tf32", "bfloat16"] = "float32"
         #: Non-finite optimiser steps in a row after which the training stops.
         patience: int = 20
 
         def __post_init__(self) -> None:
-            check_range(self, "rollout_steps", "epochs", "minibatch_size", "patience", least=1)
+            check_range(self, "rollout_steps", "epochs", "minibatches", "patience", least=1)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)
             check_range(self, "max_gradient_norm", above=0)
@@ -53,11 +54,13 @@ class PPO(Learner):
         samples = options.rollout_steps * context.num_worlds
         if samples < 2:
             raise ConfigError("One sample an iteration is too few: raise num_worlds or learner.rollout_steps.")
-        if options.minibatch_size > samples:
+        if options.minibatches > samples:
             raise ConfigError(
-                f"learner.minibatch_size={options.minibatch_size} is larger than an iteration: "
+                f"learner.minibatches={options.minibatches} are more than the samples of an iteration: "
                 f"num_worlds × learner.rollout_steps = {samples}."
             )
+        if options.precision == "tf32":  # the process's setting, which also serves acting
+            torch.backends.cuda.matmul.allow_tf32 = True
         self.options, self.policy = options, policy
         self.rollout_steps = options.rollout_steps
         self._actor = list(policy.actor_parameters())
@@ -80,11 +83,11 @@ class PPO(Learner):
             "advantages": (advantages.flatten() - advantages.mean()) / (advantages.std() + 1e-5),
         }
         options, device = self.options, returns.device
-        batches = returns.shape[0] // options.minibatch_size
         sums = torch.zeros(6, device=device)
+        used = returns.shape[0] // options.minibatches * options.minibatches
         for _ in range(options.epochs):
             order = torch.randperm(returns.shape[0], generator=self._generator).to(device)
-            for rows in order[: batches * options.minibatch_size].view(batches, -1):
+            for rows in order[:used].view(options.minibatches, -1):
                 minibatch = {name: value[rows] for name, value in flat.items()}
                 actor_loss, value_loss, entropy, ratio = self.losses(minibatch)
                 sound = self._step(actor_loss, value_loss, minibatch)
@@ -105,7 +108,7 @@ class PPO(Learner):
             "kl": kl,
             "clipped": outside,
             "explained_variance": float(explained),
-            "skipped_steps": options.epochs * batches - taken,
+            "skipped_steps": options.epochs * options.minibatches - taken,
         }
 
     def losses(self, minibatch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:

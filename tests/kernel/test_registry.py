@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import pytest
+from understudy.errors import ConfigError, PluginError
+from understudy.registry import (
+    REQUIRED,
+    Component,
+    Registrar,
+    Registry,
+    check_range,
+    coerce,
+    make_options,
+    options_of,
+)
+
+
+@dataclass(frozen=True)
+class Inner:
+    size: int = 3
+
+
+@dataclass(frozen=True)
+class Outer:
+    name: str
+    inner: Inner = field(default_factory=Inner)
+    many: tuple[float, ...] = ()
+    maybe: int | None = None
+
+    def __post_init__(self) -> None:
+        check_range(self, "maybe", least=0, most=5)
+
+
+class Part:
+    Options = Outer
+
+
+def term(qpos: Any, qvel: Any, *, scale: float = 2.0, limit: float) -> Any: ...
+
+
+@pytest.mark.parametrize(
+    ("value", "annotation", "result"),
+    [
+        (3, float, 3.0), (1e6, int, 1_000_000), (True, bool, True), ("a", str, "a"), (None, int | None, None),
+        (2, int | None, 2), ([1, 2], tuple[float, ...], (1.0, 2.0)), ([1, "a"], tuple[int, str], (1, "a")),
+        ([1], list[float], [1.0]), ({"a": 1}, Mapping[str, float], {"a": 1.0}), ("x", Literal["x", "y"], "x"),
+        ({"size": 4}, Inner, Inner(4)), ({"a": object}, Any, {"a": object}), ("7", int | str, "7"),
+    ],
+)  # fmt: skip
+def test_coerce(value: Any, annotation: Any, result: Any) -> None:
+    found = coerce(value, annotation, "here")
+    assert found == result
+    assert type(found) is type(result)
+
+
+@pytest.mark.parametrize(
+    ("value", "annotation", "where"),
+    [
+        (True, int, "here=True"), (1.5, int, "here=1.5"), (1, bool, "here=1"), (1, str, "here=1"), ("1", float, "here='1'"),
+        (float("nan"), float, "here=nan"), (float("inf"), float, "here=inf"), (None, float, "here=None"),
+        ([1, "a"], tuple[float, ...], r"here\[1\]='a'"), ([1], tuple[int, str], "here takes 2 values, got 1"),
+        ({"a": "b"}, Mapping[str, float], r"here\.a='b'"), ("z", Literal["x", "y"], "here='z'"),
+        ({"size": "b"}, Inner, r"here\.size='b'"), ({"sise": 1}, Inner, "here has no option 'sise'. Did you mean 'size'"),
+        (3, Inner, "it takes a mapping"), ("abc", tuple[str, ...], "here='abc'"), ("x", int | None, "here='x'"),
+    ],
+)  # fmt: skip
+def test_coerce_refuses(value: Any, annotation: Any, where: str) -> None:
+    with pytest.raises(ConfigError, match=where):
+        coerce(value, annotation, "here")
+
+
+def test_options_of_classes_and_functions() -> None:
+    assert options_of(Part)["name"].default is REQUIRED
+    assert options_of(Part)["inner"].default == Inner()
+    assert list(options_of(term)) == ["scale", "limit"]
+    assert options_of(term)["scale"].default == 2.0
+    assert options_of(term)["limit"].default is REQUIRED
+    assert options_of(type("Plain", (), {})) == {}
+
+
+def test_make_options() -> None:
+    made = make_options(Outer, {"name": "a", "inner": {"size": 1}, "many": [1]}, "part")
+    assert made == Outer("a", Inner(1), (1.0,))
+    with pytest.raises(ConfigError, match=r"^part\.name is not set"):
+        make_options(Outer, {}, "part")
+    with pytest.raises(ConfigError, match=r"^part\.maybe=6 is not possible: it must be at most 5"):
+        make_options(Outer, {"name": "a", "maybe": 6}, "part")
+    with pytest.raises(ConfigError, match=r"^maybe=-1 is not possible"):
+        make_options(Outer, {"name": "a", "maybe": -1}, "")
+
+
+def test_find() -> None:
+    registry = Registry()
+    register = Registrar(registry, "mine", "mine-dist", "1.0")
+    register.component("learner", "mine.ppo", Part, "text")
+    found = registry.find("learner", "mine.ppo")
+    assert (found.plugin, found.distribution, found.version) == ("mine", "mine-dist", "1.0")
+    with pytest.raises(
+        ConfigError,
+        match=r"There is no learner 'mine.pop' \(asked for at learner\)\. Did you mean 'mine.ppo'",
+    ):
+        registry.find("learner", "mine.pop", "learner")
+    with pytest.raises(ConfigError, match=r"'mine.ppo' is a learner\."):
+        registry.find("policy", "mine.ppo")
+    with pytest.raises(PluginError, match="Both plugin 'mine' and plugin 'other'"):
+        Registrar(registry, "other").component("learner", "mine.ppo", Part)
+    registry.remove("mine")
+    assert registry.names("learner") == []
+
+
+@pytest.mark.parametrize("what", ["task", "section", "kind"])
+def test_everything_once(what: str) -> None:
+    register = Registrar(Registry(), "mine")
+    arguments = {"task": ("x", ""), "section": ("x", dict, dict), "kind": ("x", "")}[what]
+    getattr(register, what)(*arguments)
+    with pytest.raises(PluginError):
+        getattr(register, what)(*arguments)
+
+
+def test_targets_are_imported_when_used() -> None:
+    component = Component("learner", "x", "understudy_ppo.learner:PPO", "ppo")
+    assert component.factory.__name__ == "PPO"
+    assert component.options["clip"].default == 0.2
+    with pytest.raises(PluginError, match="cannot be used"):
+        _ = Component("learner", "x", "nowhere.at_all:PPO", "ppo").factory
+    with pytest.raises(PluginError, match="does not exist"):
+        _ = Component("learner", "x", "understudy_ppo.learner:POP", "ppo").factory
