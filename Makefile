@@ -2,7 +2,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
 
-.PHONY: demo test test-slow test-gpu check bench install
+.PHONY: demo test test-slow test-gpu check bench bench-gpu install
 
 install: $(VENV)/.installed
 
@@ -29,8 +29,12 @@ test-gpu: install
 check: install
 	$(BIN)/ruff format --check kernel plugins tests
 	$(BIN)/ruff check kernel plugins tests
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 bench: install
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'
 	$(BIN)/python benchmarks/cpu.py
+
+bench-gpu: install
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[gpu]'
+	$(BIN)/python benchmarks/gpu.py

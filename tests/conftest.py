@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from understudy.plugins import Plugins
 from worlds import all_plugins
+
+from understudy.plugins import Plugins
 
 torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
 

@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 import torch
 from torch import Tensor
+
 from understudy import runs
 from understudy.config import load_experiment
 from understudy.interfaces import Actuation, Context, Encoder, InitialStates

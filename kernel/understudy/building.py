@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +11,7 @@ import torch
 from understudy.config import Experiment, TermChoice
 from understudy.environment import Environment, Parts, Term
 from understudy.errors import ConfigError
-from understudy.interfaces import Context, Learner, Policy, Scene
+from understudy.interfaces import Context, Learner, Policy, Scene, Simulator
 from understudy.random import private_rng
 from understudy.registry import Registry
 
@@ -66,9 +65,10 @@ def build_environment(
         for name, options in experiment.sections.items()
     }
     context.scene = scene or experiment.scene.build(context)
-    context.simulator = experiment.simulator.build(context)
+    simulator: Simulator = experiment.simulator.build(context)
+    context.simulator = simulator
     parts = Parts(
-        simulator=context.simulator,
+        simulator=simulator,
         fields=[(name, choice.build(context)) for name, choice in experiment.fields.items()],
         encoders={name: choice.build(context) for name, choice in experiment.encoders.items()},
         actuation=experiment.actuation.build(context),
@@ -100,12 +100,12 @@ def build_environment(
 
 def build_term(choice: TermChoice, context: Context) -> Term:
     """The term's function with its options bound; a class is built first and then called."""
-    factory, options = choice.component.factory, choice.options
-    if inspect.isclass(factory):
-        schema = getattr(factory, "Options", None)
-        factory = factory(schema(**options) if schema else None, context)
-        options = {}
-    return Term(choice.name, factory, options, choice.weight, choice.outcome)
+    function: Any = choice.component.factory
+    options = choice.options
+    if isinstance(choice.component.factory, type):
+        schema = getattr(function, "Options", None)
+        function, options = function(schema(**options) if schema else None, context), {}
+    return Term(choice.name, function, options, choice.weight, choice.outcome)
 
 
 def providers_of(field: str, registry: Registry) -> list[str]:

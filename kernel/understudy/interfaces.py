@@ -113,7 +113,7 @@ class Simulator(ABC):
     """Owns the physics state of N worlds and advances all of them at once."""
 
     #: Readable fields and their shapes without N.
-    fields: Mapping[str, Shape]
+    fields: Mapping[str, Shape] = {}
     #: Fields that :meth:`set_state` needs to define a state.
     state_fields: tuple[str, ...]
     #: U, the number of controls.
@@ -160,7 +160,7 @@ class Fields(ABC):
     provides: Mapping[str, Shape]
 
     @abstractmethod
-    def compute(self, **fields: Tensor) -> Mapping[str, Tensor]:
+    def compute(self, *args: Any, **fields: Any) -> Mapping[str, Tensor]:
         """All provided fields, each (N, …). A pure function of its arguments."""
 
 
@@ -172,7 +172,8 @@ class Encoder(ABC):
     shape: Shape
 
     @abstractmethod
-    def encode(self, **fields: Tensor) -> Tensor: ...
+    def encode(self, *args: Any, **fields: Any) -> Tensor:
+        """The observation (N, …); called with the fields of ``reads`` by keyword."""
 
 
 class Actuation(ABC):
@@ -183,7 +184,8 @@ class Actuation(ABC):
     action_size: int
 
     @abstractmethod
-    def control(self, action: Tensor, **fields: Tensor) -> Tensor: ...
+    def control(self, *args: Any, **fields: Any) -> Tensor:
+        """(N, U); called with the action (N, A), and the fields of ``reads`` by keyword."""
 
 
 class InitialStates(ABC):

@@ -49,7 +49,7 @@ def private_rng(seed: int, name: str) -> Iterator[None]:
     For library code that can only draw from the global generator (``nn.Linear``'s initialisation).
     """
     with torch.random.fork_rng(devices=[]):
-        torch.random.default_generator.manual_seed(derive_seed(seed, name))
+        torch.default_generator.manual_seed(derive_seed(seed, name))
         yield
 
 

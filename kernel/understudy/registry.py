@@ -87,13 +87,14 @@ class Option:
 REQUIRED: Any = inspect.Parameter.empty
 
 
-def options_of(factory: Callable[..., Any]) -> dict[str, Option]:
+def options_of(factory: Any) -> dict[str, Option]:
     """The options of a factory.
 
     A class's options are the fields of its ``Options`` dataclass; a function's (a term's) are its
     keyword-only parameters.
     """
-    schema = factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
+    function: Any = factory
+    schema: Any = factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
     if schema is not None:
         hints = typing.get_type_hints(schema)
         result = {}
@@ -107,10 +108,10 @@ def options_of(factory: Callable[..., Any]) -> dict[str, Option]:
         return result
     if inspect.isclass(factory):
         return {}
-    hints = typing.get_type_hints(factory)
+    hints = typing.get_type_hints(function)
     return {
         name: Option(name, hints.get(name, Any), parameter.default)
-        for name, parameter in inspect.signature(factory).parameters.items()
+        for name, parameter in inspect.signature(function).parameters.items()
         if parameter.kind is inspect.Parameter.KEYWORD_ONLY
     }
 
@@ -161,9 +162,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         return origin(
             coerce(v, kind, f"{where}[{i}]") for i, (v, kind) in enumerate(zip(value, kinds, strict=True))
         )
-    if (origin in (dict, Mapping) or (inspect.isclass(origin) and issubclass(origin, Mapping))) and isinstance(
-        value, Mapping
-    ):
+    if origin in (dict, Mapping) and isinstance(value, Mapping):
         kind = arguments[1] if arguments else Any
         return {str(k): coerce(v, kind, f"{where}.{k}") for k, v in value.items()}
     if annotation in (dict, Mapping) and isinstance(value, Mapping):
@@ -318,7 +317,7 @@ class Registry:
 
     def remove(self, plugin: str) -> None:
         """Forget what `plugin` registered."""
-        tables: tuple[dict[Any, Any], ...] = (self.components, self.tasks, self.sections)
+        tables: Any = (self.components, self.tasks, self.sections)
         for table in tables:
             for key in [k for k, entry in table.items() if entry.plugin == plugin]:
                 del table[key]

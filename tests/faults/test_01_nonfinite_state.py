@@ -7,13 +7,14 @@ from typing import Any
 
 import pytest
 import torch
+from worlds import PADDLE_TASK, SMALL, flat, low, make_training
+
 from understudy.building import build_environment
 from understudy.config import load_experiment
 from understudy.environment import Environment, Step
 from understudy.interfaces import Rollout
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from worlds import PADDLE_TASK, SMALL, flat, low, make_training
 
 BAD = 5
 VALUES = [float("nan"), float("inf"), -float("inf"), 1e12]

@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from worlds import PADDLE_TASK, SMALL
+
 from understudy.building import build_environment
 from understudy.config import load_experiment
 from understudy.plugins import Plugins
-from worlds import PADDLE_TASK, SMALL
 
 
 @pytest.mark.parametrize("value", [float("nan"), 1e12])

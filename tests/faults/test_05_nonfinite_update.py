@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from worlds import SMALL, assert_same_state, flat, make_training
+
 from understudy import checkpoint
 from understudy.building import build_environment, build_learner, build_policy
 from understudy.config import validate
@@ -15,7 +17,6 @@ from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy.training import Training
 from understudy_ppo.learner import PPO
-from worlds import SMALL, assert_same_state, flat, make_training
 
 #: 8 steps × 16 worlds / 32 = 4 minibatches × 2 epochs = 8 optimiser steps an iteration.
 STEPS = 8

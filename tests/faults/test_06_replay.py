@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from worlds import PADDLE_TASK, SMALL, make_training
+
 from understudy import checkpoint
 from understudy.errors import RunError
 from understudy.nn import RunningNormaliser
 from understudy.plugins import Plugins
 from understudy.replay import replay_step
 from understudy.testing.fake import FAKE_TASK
-from worlds import PADDLE_TASK, SMALL, make_training
 
 
 def test_engine_failure_replays(
@@ -111,17 +112,17 @@ def test_normaliser_huge_and_tiny_columns() -> None:
 
 
 def test_normaliser_a_billion_samples() -> None:
-    """After 1e9 samples at an offset of 1e5 the statistics are still those of the input."""
+    """After 1e9 samples at an offset of 1e6 the statistics are still those of the input."""
     generator = torch.Generator().manual_seed(0)
     normaliser = RunningNormaliser(1)
     normaliser.count.fill_(1e9)
-    normaliser.mean.fill_(1e5)
+    normaliser.mean.fill_(1e6)
     normaliser.variance.fill_(4.0)
     for _ in range(1000):
-        normaliser.observe(1e5 + 2 * torch.randn(4096, 1, generator=generator, dtype=torch.float64))
+        normaliser.observe(1e6 + 2 * torch.randn(4096, 1, generator=generator))
     assert float(normaliser.count) == normaliser.horizon
-    assert abs(float(normaliser.mean) - 1e5) < 0.01
+    assert abs(float(normaliser.mean) - 1e6) < 0.01
     assert abs(float(normaliser.variance) - 4.0) < 0.05
     for _ in range(3000):  # and it still follows a change
         normaliser.observe(torch.full((100_000, 1), 5.0))
-    assert abs(float(normaliser.mean) - 5.0) < 0.1 * 1e5
+    assert abs(float(normaliser.mean) - 5.0) < 0.1 * 1e6

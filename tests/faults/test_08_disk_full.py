@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from worlds import CLI, SMALL, make_training, python, resumed
+
 from understudy import checkpoint
 from understudy.errors import RunError
 from understudy.interfaces import RunObserver
@@ -19,7 +21,6 @@ from understudy.plugins import Plugins
 from understudy.runs import Run
 from understudy.testing.fake import FAKE_TASK
 from understudy.training import Reporter
-from worlds import CLI, SMALL, make_training, python, resumed
 
 
 @pytest.fixture
@@ -42,7 +43,7 @@ def state(n: float, size: int = 50_000) -> dict[str, torch.Tensor]:
 def test_full_file_system(small_disk: Path) -> None:
     for n in range(3):
         checkpoint.save(small_disk / f"{n:08d}", state(n), {})
-    with pytest.raises(
+    with pytest.raises(  # noqa: PT012
         RunError, match=r"00000003.safetensors could not be written: No space left on device"
     ):
         for n in range(3, 10):

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from worlds import SMALL, assert_same_state, make_training, resumed
+
 from understudy import checkpoint
 from understudy.errors import RunError
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from worlds import SMALL, assert_same_state, make_training, resumed
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def test_every_byte_matters(path: Path, ending: str) -> None:
             try:
                 found = checkpoint.load(path)
             except RunError as error:
-                assert str(path) in str(error)
+                assert str(path) in str(error)  # noqa: PT017
             else:  # another spelling of the same JSON, and nothing else
                 assert_same_state(found[0], good[0])
                 assert found[1] == good[1]

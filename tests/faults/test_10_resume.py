@@ -10,9 +10,6 @@ import time
 from pathlib import Path
 
 import pytest
-from understudy import checkpoint
-from understudy.plugins import Plugins
-from understudy.testing.fake import FAKE_TASK
 from worlds import (
     CLI,
     PADDLE_TASK,
@@ -23,6 +20,10 @@ from worlds import (
     python,
     resumed,
 )
+
+from understudy import checkpoint
+from understudy.plugins import Plugins
+from understudy.testing.fake import FAKE_TASK
 
 TASKS = {"fake": (*FAKE_TASK, "episode.seconds=0.7"), "contacts": PADDLE_TASK}
 N = 6

@@ -6,11 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
+from worlds import SMALL, make_training, resumed
+
 from understudy import checkpoint, runs
 from understudy.errors import RunError
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from worlds import SMALL, make_training, resumed
 
 
 @pytest.fixture

@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from worlds import CLI, SMALL, child_environment, make_training, resumed
+
 from understudy import checkpoint, runs
 from understudy.errors import RunError
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from worlds import CLI, SMALL, child_environment, make_training, resumed
 
 
 @pytest.mark.parametrize("where", ["file/run", "/proc/run"])
@@ -43,7 +44,7 @@ def test_read_only_run(plugins: Plugins, tmp_path: Path) -> None:
     training.run.unlock()
     for folder in ("run/checkpoints", "run"):
         (tmp_path / folder).chmod(0o500)
-    with pytest.raises(RunError, match="cannot be written|could not be written"):
+    with pytest.raises(RunError, match=r"cannot be written|could not be written"):
         resumed(plugins, tmp_path / "run")
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
+
 from understudy.building import build_environment
 from understudy.config import load_experiment
 from understudy.interfaces import RunObserver
@@ -16,7 +18,6 @@ from understudy.runs import Run
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 from understudy.training import Reporter, Training
-from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
 
 TASKS = {"fake": (*FAKE_TASK, "episode.seconds=0.7"), "contacts": PADDLE_TASK}
 

@@ -8,9 +8,10 @@ import random
 import numpy as np
 import pytest
 import torch
+from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
+
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
 
 
 @pytest.mark.parametrize("task", [FAKE_TASK, PADDLE_TASK], ids=["fake", "contacts"])

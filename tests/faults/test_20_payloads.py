@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+
 from understudy import checkpoint, runs
 from understudy.errors import UnderstudyError
 from understudy.replay import replay_step

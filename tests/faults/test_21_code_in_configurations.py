@@ -7,13 +7,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from worlds import SMALL, make_training, resumed
+
 from understudy import checkpoint, runs
 from understudy.config import CODE_KEYS, load_experiment, provenance, validate
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.plugins import Plugins
 from understudy.replay import replay_step
 from understudy.testing.fake import FAKE_TASK
-from worlds import SMALL, make_training, resumed
 
 
 @pytest.fixture(autouse=True)

@@ -9,6 +9,8 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
+from worlds import SMALL
+
 from understudy import plugins as plugins_module
 from understudy.building import build_environment
 from understudy.cli import main
@@ -18,7 +20,6 @@ from understudy.plugins import Plugins, hookimpl, load
 from understudy.registry import Registrar
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
-from worlds import SMALL
 
 
 def module(**hooks: Any) -> ModuleType:

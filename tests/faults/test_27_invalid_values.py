@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from worlds import PADDLE_TASK, SMALL
+
 from understudy.config import load_experiment
 from understudy.errors import ConfigError
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy.training import Training
-from worlds import PADDLE_TASK, SMALL
 
 #: Key path and values that cannot work.
 INVALID: dict[str, tuple[str, ...]] = {
@@ -157,7 +158,7 @@ def test_one_sample_is_too_few(plugins: Plugins) -> None:
         "learner.rollout_steps=1",
         "learner.minibatches=1",
     ]
-    with pytest.raises(ConfigError, match="raise num_worlds or learner.rollout_steps"):
+    with pytest.raises(ConfigError, match=r"raise num_worlds or learner\.rollout_steps"):
         Training(load_experiment(overrides, plugins))
 
 

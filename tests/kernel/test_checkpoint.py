@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from worlds import assert_same_state
+
 from understudy import checkpoint
 from understudy.errors import RunError
-from worlds import assert_same_state
 
 
 def test_round_trip(tmp_path: Path) -> None:

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import pytest
+from worlds import SMALL
+
 from understudy.config import compose_raw, load_experiment, provenance, refuse_code, validate
 from understudy.errors import ConfigError
 from understudy.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from worlds import SMALL
 
 
 def test_experiment(plugins: Plugins) -> None:

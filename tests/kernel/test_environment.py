@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 import torch
+from worlds import PADDLE_TASK, assert_same_state
+
 from understudy.building import build_environment
 from understudy.config import load_experiment
 from understudy.environment import Environment, Step, Term, refuse_hopeless
@@ -12,7 +14,6 @@ from understudy.errors import ConfigError, TrainingError
 from understudy.plugins import Plugins
 from understudy.testing import check_environment, check_simulator
 from understudy.testing.fake import FAKE_TASK
-from worlds import PADDLE_TASK, assert_same_state
 
 TASK = (
     *FAKE_TASK,

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+
 from understudy.nn import DiagonalGaussian, RunningNormaliser, Schedule, mlp
 from understudy.random import WorldStreams
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+
 from understudy.random import WorldStreams, derive_seed, generator, private_rng
 
 
@@ -81,7 +82,7 @@ def test_private_rng() -> None:
     before = torch.get_rng_state()
     with private_rng(0, "x"):
         first = torch.rand(3)
-    with pytest.raises(KeyError), private_rng(0, "x"):
+    with pytest.raises(KeyError), private_rng(0, "x"):  # noqa: PT012
         assert torch.equal(torch.rand(3), first)
         raise KeyError
     assert torch.equal(torch.get_rng_state(), before)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pytest
+
 from understudy.errors import ConfigError, PluginError
 from understudy.registry import (
     REQUIRED,

@@ -69,7 +69,7 @@ class MujocoSimulator(Simulator):
         self.control_size = self.model.nu
         self._views = {name: self.batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
         data = mujoco.MjData(self.model)
-        self.fields: dict[str, Shape] = {
+        self.fields: Mapping[str, Shape] = {
             name: tuple(getattr(data, name).shape) for name in (*self._views, *READABLE)
         }
         self._seen = self._warnings().copy()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import torch
@@ -105,7 +106,7 @@ class MujocoWarpSimulator(Simulator):
         self._views = {
             name: wp.to_torch(getattr(self._d, name)) for name in (*STATE, *READABLE, "overflow")
         }
-        self.fields: dict[str, Shape] = {
+        self.fields: Mapping[str, Shape] = {
             name: tuple(self._views[name].shape[1:]) for name in ("qpos", "qvel", "ctrl", *READABLE)
         }
         dropped = mjw.OverflowType
@@ -139,10 +140,10 @@ class MujocoWarpSimulator(Simulator):
 
     # ------------------------------------------------------------------ Warp and torch together
 
-    def _on_device(self):
+    def _on_device(self) -> Any:
         return wp.ScopedDevice(wp.device_from_torch(self._device))
 
-    def _capture(self, work):
+    def _capture(self, work: Callable[[], None]) -> Any:
         """The CUDA graph of `work`, or None on the CPU."""
         if self._device.type != "cuda":
             return None
@@ -152,7 +153,7 @@ class MujocoWarpSimulator(Simulator):
                 work()
             return capture.graph
 
-    def _run(self, graph, work) -> None:
+    def _run(self, graph: Any, work: Callable[[], None]) -> None:
         """Run `work` on torch's stream, so that both libraries' kernels keep their order."""
         if graph is None:
             with self._on_device():

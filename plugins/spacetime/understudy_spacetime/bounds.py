@@ -21,7 +21,7 @@ Size = float | list[list[float]]
 
 def size_at(size: Size, phase: Tensor) -> Tensor | float:
     """The bound's size sigma at `phase` (N,): the number itself, or its knots interpolated, (N,)."""
-    if isinstance(size, float):
+    if isinstance(size, (int, float)):
         return size
     knots = torch.tensor(sorted(size), dtype=phase.dtype, device=phase.device)
     at, value = knots[:, 0].contiguous(), knots[:, 1]

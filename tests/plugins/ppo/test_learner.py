@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import pytest
 import torch
+from worlds import assert_same_state, make_training
+
 from understudy.plugins import Plugins
 from understudy.testing import check_plugin
 from understudy.testing.fake import FAKE_TASK
 from understudy.training import Training
-from worlds import assert_same_state, make_training
 
 TASK = (
     *FAKE_TASK,

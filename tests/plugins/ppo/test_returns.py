@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from understudy_ppo.returns import lambda_advantages
 
 T, N = 7, 5
@@ -21,7 +22,7 @@ def slow(
         estimates = []
         for n in range(1, end - t + 2):
             following = t + n
-            if following <= end:
+            if following <= end:  # noqa: SIM108
                 tail = values[following]
             else:
                 tail = final[end] if ended[end] else last

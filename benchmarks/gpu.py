@@ -1,0 +1,103 @@
+"""Speed on one GPU, as ratios measured in one run (``make bench-gpu``).
+
+For the walk and for a contact-rich scene (the humanoid with self-collision), over world counts:
+bare MuJoCo Warp steps/s; environment steps/s; collecting; learning; everything end to end; and
+their ratios. Prints a table and appends it, with the hardware, to ``docs/benchmarks/gpu.jsonl``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from understudy.config import load_experiment
+from understudy.runs import versions
+from understudy.training import Training
+
+RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "gpu.jsonl"
+SCENES = {"walk": (), "self_collision": ("scene.self_collision=true",)}
+#: Physics steps in one control step.
+SUBSTEPS = 20
+
+
+def rate(work: Callable[[], Any], count: int) -> float:
+    """Calls of `work` per second, after one that is not counted."""
+    work()
+    torch.cuda.synchronize()
+    began = time.perf_counter()
+    for _ in range(count):
+        work()
+    torch.cuda.synchronize()
+    return count / (time.perf_counter() - began)
+
+
+def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[str, Any]:
+    """All rates of one scene and world count."""
+    fixed = ["experiment=spacetime/walk", "simulator=mujoco_warp", f"num_worlds={worlds}"]
+    training = Training(load_experiment([*fixed, *SCENES[scene], *overrides]))
+    environment, simulator = training.environment, training.built.context.simulator
+    environment.reset(seed=0)
+    targets = environment.observations["feedforward"].clone()
+
+    # Both sides step the states of the walk: bare stepping from resets, the environment with them.
+    bare = rate(lambda: simulator.step(targets), steps) * worlds  # pyright: ignore[reportOptionalMemberAccess]
+    environment.reset(seed=0)
+    stepping = rate(lambda: environment.step(environment.observations["feedforward"]), steps) * worlds
+    environment.reset(seed=0)
+    length = training.learner.rollout_steps
+    collecting = rate(lambda: training.collector.collect(length), 3) * worlds * length
+    rollout = training.collector.collect(length)
+    learning = rate(lambda: training.learner.update(rollout), 3) * worlds * length
+    everything = rate(training.iterate, 3) * worlds * length
+    if int(environment.quarantined) or simulator.report():  # pyright: ignore[reportOptionalMemberAccess]
+        raise SystemExit(f"{scene} × {worlds}: numbers left the finite or contacts were dropped.")
+    free, total = torch.cuda.mem_get_info()
+    training.close()
+    return {
+        "scene": scene,
+        "worlds": worlds,
+        "bare_physics_steps_per_second": bare * SUBSTEPS,
+        "environment_steps_per_second": stepping,
+        "collected_samples_per_second": collecting,
+        "learned_samples_per_second": learning,
+        "samples_per_second": everything,
+        "environment_to_bare": stepping / bare,
+        "collecting_to_bare": collecting / bare,
+        "end_to_end_to_collecting": everything / collecting,
+        "gpu_memory_gib": (total - free) / 2**30,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 4096, 16384])
+    parser.add_argument("--scenes", nargs="+", choices=sorted(SCENES), default=sorted(SCENES))
+    parser.add_argument("--steps", type=int, default=24)
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("overrides", nargs="*", help="Hydra overrides of experiment=spacetime/walk")
+    options = parser.parse_args()
+    rows = []
+    for scene in options.scenes:
+        for worlds in options.worlds:
+            row = measure(scene, worlds, options.steps, options.overrides)
+            rows.append(row)
+            torch.cuda.empty_cache()
+            print(json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
+    record = {
+        "when": time.strftime("%Y-%m-%d"),
+        "gpu": torch.cuda.get_device_name(),
+        "versions": versions(),
+        "rows": rows,
+    }
+    with open(options.out, "a", encoding="utf-8") as file:
+        file.write(json.dumps(record) + "\n")
+
+
+if __name__ == "__main__":
+    main()
