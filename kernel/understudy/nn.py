@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from understudy import distributed
 from understudy.interfaces import Distribution
 from understudy.random import WorldStreams
 from understudy.registry import check_range
@@ -49,11 +50,10 @@ class RunningNormaliser(nn.Module):
     @torch.no_grad()
     def observe(self, x: Tensor) -> None:
         """Digest samples `x` (…, D)."""
-        x = x.reshape(-1, x.shape[-1]).double()
-        variance, mean = torch.var_mean(x, dim=0, correction=0)
-        total = self.count + x.shape[0]
+        count, mean, variance = distributed.moments(x.reshape(-1, x.shape[-1]).double())
+        total = self.count + count
         delta = mean - self.mean
-        share = x.shape[0] / total
+        share = count / total
         self.variance.copy_(
             self.variance * (1 - share) + variance * share + delta.square() * share * (1 - share)
         )

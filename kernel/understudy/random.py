@@ -16,6 +16,8 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
+from understudy import distributed
+
 _GAMMA = -0x61C8864680B583EB  # 0x9E3779B97F4A7C15 as int64: 2^64 / golden ratio (Steele et al. 2014)
 _MIX_1 = -0x40A7B892E31B1A47  # 0xBF58476D1CE4E5B9
 _MIX_2 = -0x6B2FB644ECCEEE15  # 0x94D049BB133111EB
@@ -58,6 +60,7 @@ class WorldStreams:
 
     def __init__(self, seed: int, name: str, num_worlds: int, device: torch.device | str) -> None:
         world = torch.arange(num_worlds, dtype=torch.int64, device=device)
+        world += distributed.rank() * num_worlds
         base = torch.tensor(derive_seed(seed, name), dtype=torch.int64, device=device)
         self._key = _mix(base + world * _GAMMA).unsqueeze(1)
         self._counter = torch.zeros((num_worlds, 1), dtype=torch.int64, device=device)

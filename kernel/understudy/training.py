@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy import checkpoint
+from understudy import checkpoint, distributed
 from understudy.building import build_environment, build_learner, build_policy
 from understudy.config import Experiment
 from understudy.environment import refuse_hopeless
@@ -235,7 +235,10 @@ class Training:
                 f"The newest checkpoint of {self.run.path} does not fit this configuration: "
                 f"{type(error).__name__}: {error}. Resume with the configuration it was made with."
             ) from error
-        self.run.keep_metrics_until(self.progress.iteration)
+        if distributed.rank() > 0:  # the checkpoint's worlds are process 0's; others begin anew
+            self.environment.reset()
+        else:
+            self.run.keep_metrics_until(self.progress.iteration)
 
     # ------------------------------------------------------------------ the loop
 
@@ -255,7 +258,7 @@ class Training:
         }
         progress = self.progress
         progress.failing = float(rollout.terminated.float().mean())
-        samples = rollout.rewards.numel()
+        samples = rollout.rewards.numel() * distributed.size()
         progress.iteration += 1
         progress.samples += samples
         ended = time.perf_counter()
@@ -284,6 +287,7 @@ class Training:
             when the numbers leave the finite for good.
         """
         run, root, progress = self.run, self.experiment.root, self.progress
+        device = self.environment.device
         saved_at = progress.seconds
         outcome = "failed"
         with StopRequest() as stop:
@@ -294,27 +298,28 @@ class Training:
                         self.environment.reset()
                         self.save()
                 while True:
-                    evaluation = self._evaluate_if_due()
-                    if evaluation is not None and self._met(evaluation):
-                        outcome = "criterion"
-                        break
-                    if self._spent():
-                        outcome = "budget"
+                    evaluation = self._evaluate_if_due() if distributed.rank() == 0 else None
+                    met = evaluation is not None and self._met(evaluation)
+                    choice = distributed.decided(1 if met else 2 if self._spent() else 0, device)
+                    if choice:
+                        outcome = "criterion" if choice == 1 else "budget"
                         break
                     row = self.iterate()
+                    stopping = distributed.anyone(stop.received is not None, device)
                     self.reporter.iteration(row)
                     if run is not None:
                         run.append_metrics(row)
                         self._notify("iteration", run, row)
                         due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
-                        if due or stop.received is not None:
+                        if due or stopping:
                             self.save()
                             saved_at = progress.seconds
-                    if stop.received is not None:
+                    if stopping:
                         outcome = "preempted"
                         where = f" Continue with `understudy resume {run.path}`." if run else ""
+                        name = signal.Signals(stop.received).name if stop.received else "another process"
                         raise PreemptedError(
-                            f"Stopped by {signal.Signals(stop.received).name} after {progress.samples} "
+                            f"Stopped by {name} after {progress.samples} "
                             f"samples; everything is saved.{where}"
                         )
                 if run is not None:

@@ -12,7 +12,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from understudy import checkpoint, runs
+from understudy import checkpoint, distributed, runs
 from understudy.building import build_policy
 from understudy.config import Experiment, compose_raw, validate
 from understudy.errors import RunError, UnderstudyError
@@ -90,22 +90,41 @@ def _clock(seconds: float) -> str:
 
 def train(experiment: Experiment, overrides: Sequence[str]) -> int:
     """Train a new run; prints ``run: PATH`` last."""
+    distributed.start(experiment.root.device)
     training = Training(experiment)
+    if distributed.rank() > 0:
+        return _follow(training)
     run = runs.create(experiment, overrides, training.sources())
     return _carry_out(training.attach(run), run)
+
+
+def _follow(training: Training) -> int:
+    """Train beside process 0, which alone writes and reports."""
+    try:
+        training.train()
+    finally:
+        training.close()
+        distributed.stop()
+    return 0
 
 
 def resume(path: str, overrides: Sequence[str]) -> int:
     """Continue the run at `path` to its criterion or budget."""
     run = runs.open_run(path)
-    run.lock()
     registry = installed().registry
     if overrides:
         composed = compose_raw([*run.info["overrides"], *overrides])
         composed["run"] = run.config["run"]
         run.info["config"] = composed
-    training = Training(validate(run.config, registry)).attach(run)
+    experiment = validate(run.config, registry)
+    distributed.start(experiment.root.device)
+    if distributed.rank() == 0:
+        run.lock()
+    training = Training(experiment).attach(run)
     training.resume()
+    if distributed.rank() > 0:
+        training.run = None
+        return _follow(training)
     return _carry_out(training, run)
 
 
@@ -117,6 +136,7 @@ def _carry_out(training: Training, run: Run) -> int:
     finally:
         display.close()
         training.close()
+        distributed.stop()
     _finish(training, run, outcome, display)
     print(f"run: {run.path}")
     run.unlock()

@@ -77,7 +77,7 @@ def test_two_processes_in_one_folder(plugins: Plugins, tmp_path: Path) -> None:
     code = CLI + "sys.exit(main(['resume', sys.argv[1]]))"
     command = [sys.executable, "-c", code, str(tmp_path / "run")]
     done = subprocess.run(
-        command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True
+        command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 2, done.stderr
     assert "Another process is training in" in done.stderr

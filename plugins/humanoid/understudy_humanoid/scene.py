@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -50,7 +49,6 @@ class HumanoidScene(MujocoScene):
         self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
     ) -> Iterator[np.ndarray]:
         """The recorded motion in warm colours, its reference beside it in green."""
-        os.environ.setdefault("MUJOCO_GL", "egl")
         spec = self.spec()
         beside = "reference_qpos" in tracks
         if beside:

@@ -1,9 +1,15 @@
 """MuJoCo on the CPU: all worlds stepped in C threads by ``mujoco.batch.Batch``."""
 
+import os
+import sys
 from pathlib import Path
 
 from understudy import hookimpl
 from understudy.registry import Registrar
+
+if sys.platform == "linux":
+    # MuJoCo chooses its renderer when it is imported; EGL needs no display.
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 @hookimpl

@@ -9,6 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from understudy import distributed
 from understudy.errors import ConfigError, TrainingError
 from understudy.interfaces import Context, Learner, Policy, Rollout, State
 from understudy.random import generator
@@ -75,12 +76,13 @@ class PPO(Learner):
         advantages = self._digest(rollout)
         assert rollout.returns is not None
         returns = rollout.returns.flatten()
+        _, mean, variance = distributed.moments(advantages.view(-1, 1))
         flat = {f"observations/{name}": value.flatten(0, 1) for name, value in rollout.observations.items()}
         flat |= {
             "actions": rollout.actions.flatten(0, 1),
             "log_probs": rollout.log_probs.flatten(),
             "returns": returns,
-            "advantages": (advantages.flatten() - advantages.mean()) / (advantages.std() + 1e-5),
+            "advantages": (advantages.flatten() - mean) / (variance.sqrt() + 1e-5),
         }
         options, device = self.options, returns.device
         sums = torch.zeros(6, device=device)
@@ -163,9 +165,11 @@ class PPO(Learner):
         self._actor_optimiser.zero_grad(set_to_none=True)
         self._critic_optimiser.zero_grad(set_to_none=True)
         (actor_loss + value_loss).backward()
+        losses = torch.stack([actor_loss.detach(), value_loss.detach()])
+        losses = distributed.average_gradients([*self._actor, *self._critic], losses)
         norm = self.options.max_gradient_norm
         norms = [nn.utils.clip_grad_norm_(group, norm) for group in (self._actor, self._critic)]
-        sound = torch.isfinite(torch.stack([*norms, actor_loss.detach(), value_loss.detach()])).all()
+        sound = torch.isfinite(torch.cat([torch.stack(norms), losses])).all()
         for optimiser in (self._actor_optimiser, self._critic_optimiser):
             optimiser.found_inf = (~sound).float()  # pyright: ignore[reportAttributeAccessIssue]
             optimiser.step()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from understudy import distributed
 from understudy.interfaces import Context, InitialStates, Rollout, Shape, State
 from understudy.random import WorldStreams, generator
 from understudy_humanoid.scene import reference_motion
@@ -38,6 +39,7 @@ class _SegmentReturns:
         index = (phase * segments).long().clamp(0, segments - 1)
         sums = torch.zeros_like(self.average).index_add_(0, index, returns)
         counts = torch.zeros_like(self.average).index_add_(0, index, torch.ones_like(returns))
+        sums, counts = distributed.total(torch.stack([sums, counts]))
         mean = sums / counts.clamp(min=1.0)
         keep = torch.where(self.seen > 0, self._decay, 0.0)
         updated = keep * self.average + (1 - keep) * mean

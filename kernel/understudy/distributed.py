@@ -1,0 +1,97 @@
+"""Several processes, one GPU each, started by ``torchrun``. In one process all of this is the identity.
+
+Each process owns ``num_worlds`` worlds; process r's are worlds r·N to r·N + N - 1 of the random
+streams. Gradients and statistics are averaged over processes, decisions are process 0's, and only
+process 0 writes files.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+
+from understudy.errors import ConfigError
+
+
+def requested() -> int:
+    """How many processes ``torchrun`` started."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
+def start(device: str) -> None:
+    """Join the other processes, if there are any."""
+    if requested() == 1 or dist.is_initialized():
+        return
+    on_gpu = device.startswith("cuda")
+    local = int(os.environ.get("LOCAL_RANK", "0"))
+    if on_gpu:
+        if local >= torch.cuda.device_count():
+            raise ConfigError(
+                f"torchrun started {requested()} processes and this host has "
+                f"{torch.cuda.device_count()} GPUs. Start one process a GPU (--nproc-per-node)."
+            )
+        torch.cuda.set_device(local)
+    dist.init_process_group("nccl" if on_gpu else "gloo")
+
+
+def stop() -> None:
+    if dist.is_initialized():
+        dist.destroy_process_group()
+
+
+def size() -> int:
+    return dist.get_world_size() if dist.is_initialized() else 1
+
+
+def rank() -> int:
+    return dist.get_rank() if dist.is_initialized() else 0
+
+
+def total(value: Tensor) -> Tensor:
+    """The sum of `value` over processes."""
+    if size() > 1:
+        value = value.clone()
+        dist.all_reduce(value)
+    return value
+
+
+def moments(value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Count (), mean (D,) and population variance (D,) of the rows `value` (B, D) of all processes."""
+    count = total(torch.tensor(float(value.shape[0]), dtype=value.dtype, device=value.device))
+    if size() == 1:
+        variance, mean = torch.var_mean(value, dim=0, correction=0)
+        return count, mean, variance
+    mean = total(value.sum(0)) / count
+    return count, mean, total((value - mean).square().sum(0)) / count
+
+
+def average_gradients(parameters: Sequence[nn.Parameter], values: Tensor) -> Tensor:
+    """Average the gradients of `parameters` in place; returns `values` (K,) averaged with them."""
+    if size() == 1:
+        return values
+    gradients = [p.grad for p in parameters if p.grad is not None]
+    flat = torch.cat([g.flatten() for g in gradients] + [values])
+    dist.all_reduce(flat)
+    flat /= size()
+    parts = flat.split([g.numel() for g in gradients] + [values.numel()])
+    for gradient, part in zip(gradients, parts, strict=False):
+        gradient.copy_(part.view_as(gradient))
+    return parts[-1]
+
+
+def decided(choice: int, device: torch.device) -> int:
+    """Process 0's `choice`, everywhere."""
+    if size() == 1:
+        return choice
+    box = torch.tensor(choice, device=device)
+    dist.broadcast(box, 0)
+    return int(box)
+
+
+def anyone(flag: bool, device: torch.device) -> bool:
+    """Whether `flag` is true in any process."""
+    return bool(total(torch.tensor(float(flag), device=device)) > 0)
