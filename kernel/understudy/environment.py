@@ -131,6 +131,27 @@ class FieldTable:
         return {name: self[name] for name in names}
 
 
+def _alone(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Run a method of the environment on one torch thread when it is on the CPU.
+
+    Its tensors are small, so more threads gain nothing, and idle ones of torch's pool would spin on
+    the cores that the simulator's threads need.
+    """
+
+    @functools.wraps(method)
+    def wrapped(self: Environment, *args: Any, **options: Any) -> Any:
+        threads = torch.get_num_threads()
+        if self.device.type != "cpu" or threads == 1:
+            return method(self, *args, **options)
+        torch.set_num_threads(1)
+        try:
+            return method(self, *args, **options)
+        finally:
+            torch.set_num_threads(threads)
+
+    return wrapped
+
+
 class Environment:
     """N worlds of one task.
 
@@ -221,6 +242,7 @@ class Environment:
     # ------------------------------------------------------------------ running
 
     @torch.no_grad()
+    @_alone
     def reset(self, seed: int | None = None) -> dict[str, Tensor]:
         """Begin a new episode in every world; returns the observations.
 
@@ -236,6 +258,7 @@ class Environment:
         return self.observations
 
     @torch.no_grad()
+    @_alone
     def step(self, action: Tensor) -> Step:
         """Apply `action` (N, A), advance one control period, judge, and begin ended worlds anew."""
         parts, table = self.parts, self.table

@@ -81,6 +81,15 @@ STANDING_HEIGHT = 0.422 + 0.41 + 0.05
 COLOUR = (0.85, 0.62, 0.35, 1.0)
 REFERENCE_COLOUR = (0.45, 0.72, 0.5, 1.0)
 
+#: What joins the trunk's links in pictures: body, capsule's ends in its frame, radius.
+_TRUNK: tuple[tuple[str, Vector, Vector, float], ...] = (
+    ("root", (0, -0.06, 0.03), (0, 0.06, 0.03), 0.075),
+    ("root", (0, 0, 0.08), (0, 0, 0.21), 0.078),
+    ("chest", (0, 0, 0.02), (0, 0, 0.13), 0.09),
+    ("chest", (-0.015, -0.125, 0.215), (-0.015, 0.125, 0.215), 0.052),
+    ("neck", (0, 0, -0.02), (0, 0, 0.1), 0.045),
+)
+
 _SHAPES = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
@@ -149,6 +158,22 @@ def add_character(
             _add_joint(spec, body, prefix + row.name, row.joint, actuated=collides)
 
 
+def add_trunk(
+    spec: mujoco.MjSpec, *, prefix: str = "", colour: tuple[float, float, float, float] = COLOUR
+) -> None:
+    """Join the character's links by shapes without mass or contact, for pictures only."""
+    for name, start, end, radius in _TRUNK:
+        spec.body(prefix + name).add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[*start, *end],
+            size=[radius, 0, 0],
+            mass=0,
+            contype=0,
+            conaffinity=0,
+            rgba=colour,
+        )
+
+
 def _add_joint(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, row: Joint, actuated: bool
 ) -> None:
@@ -203,7 +228,7 @@ def _dress(spec: mujoco.MjSpec) -> None:
         width=256,
         height=256,
     )
-    floor = spec.add_material(name="floor", reflectance=0.05)
+    floor = spec.add_material(name="floor")
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     floor.texrepeat = [1.0, 1.0]
     floor.texuniform = True

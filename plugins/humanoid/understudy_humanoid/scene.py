@@ -12,7 +12,12 @@ import numpy as np
 
 from understudy.errors import UnderstudyError
 from understudy.interfaces import Context
-from understudy_humanoid.character import REFERENCE_COLOUR, add_character, build_spec
+from understudy_humanoid.character import (
+    REFERENCE_COLOUR,
+    add_character,
+    add_trunk,
+    build_spec,
+)
 from understudy_humanoid.kinematics import CharacterLayout, character_layout
 from understudy_humanoid.reference import ReferenceMotion
 from understudy_motion.section import Motion
@@ -50,9 +55,11 @@ class HumanoidScene(MujocoScene):
     ) -> Iterator[np.ndarray]:
         """The recorded motion in warm colours, its reference beside it in green."""
         spec = self.spec()
+        add_trunk(spec)
         beside = "reference_qpos" in tracks
         if beside:
             add_character(spec, prefix="reference_", colour=REFERENCE_COLOUR, collides=False)
+            add_trunk(spec, prefix="reference_", colour=REFERENCE_COLOUR)
         model = spec.compile()
         data = mujoco.MjData(model)
         try:
@@ -61,7 +68,7 @@ class HumanoidScene(MujocoScene):
             reason = str(error).strip().splitlines()
             raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
         camera = mujoco.MjvCamera()
-        camera.distance, camera.elevation, camera.azimuth = 4.2, -14.0, 120.0
+        camera.distance, camera.elevation, camera.azimuth = 3.9, -10.0, 120.0
         own = self.model.nq
         first = True
         try:

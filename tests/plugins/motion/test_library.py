@@ -1,0 +1,110 @@
+"""Which clip a name or a path finds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from understudy.errors import FileError
+from understudy.registry import Component
+from understudy_motion import library
+from understudy_motion.clip import Clip
+
+
+def still() -> Clip:
+    """Two frames of one joint that does nothing for a second."""
+    one = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(2, 1, 4)
+    return Clip("still", torch.tensor([0.0, 1.0]), torch.zeros(2, 3), one, ("root",), False)
+
+
+GENERATED = {"still": Component("clip", "still", still, "tests")}
+LYING = """{"Loop": "none", "Frames": [%s, %s]}""" % (
+    2 * (str([0.5, 0, 0.1, 0, *[1, 0, 0, 0] * 4, 0, *[1, 0, 0, 0] * 2, 0, *[1, 0, 0, 0], 0, *[1, 0, 0, 0] * 2, 0]),)
+)
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A data folder with one clip in it."""
+    folder = tmp_path / "motions" / "ours"
+    folder.mkdir(parents=True)
+    (folder / "lying.json").write_text(LYING)
+    (folder / "lying_character.txt").write_text("{}")
+    (folder / "README.md").write_text("no clip")
+    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path))
+    return tmp_path
+
+
+def test_generated_clips_are_found_by_name(data: Path) -> None:
+    assert library.load("still", None, GENERATED).name == "still"
+
+
+def test_files_are_found_by_stem_and_by_path(data: Path) -> None:
+    path = data / "motions" / "ours" / "lying.json"
+    for clip in (library.load("lying", None), library.load("still", str(path), GENERATED)):
+        assert clip.name == "lying"
+        assert clip.source == str(path)
+
+
+def test_a_generated_clip_wins_over_a_file_of_its_name(data: Path) -> None:
+    component = Component("clip", "lying", still, "tests")
+    assert library.load("lying", None, {"lying": component}).source == "generated"
+
+
+def test_the_first_folder_wins(data: Path) -> None:
+    other = data / "motions" / "another"
+    other.mkdir()
+    (other / "lying.txt").write_text(LYING)
+    assert library.load("lying", None).source == str(other / "lying.txt")
+
+
+@pytest.mark.parametrize(
+    "name", ["../lying", "ours/lying", "a\\b", "..", "/etc/passwd", "motions/../../x"]
+)
+def test_names_that_are_paths_are_refused(data: Path, name: str) -> None:
+    with pytest.raises(FileError, match=r"not a clip's name; for a file give motion\.file=PATH"):
+        library.load(name, None, GENERATED)
+
+
+def test_an_unknown_name_suggests_a_near_one(data: Path) -> None:
+    with pytest.raises(FileError, match="No motion clip 'stil'. Did you mean 'still'"):
+        library.load("stil", None, GENERATED)
+    with pytest.raises(FileError, match="Did you mean 'lying'"):
+        library.load("lyin", None, GENERATED)
+    with pytest.raises(FileError, match="Known: lying, still"):
+        library.load("zzz", None, GENERATED)
+    for other in ("lying_character", "README"):
+        with pytest.raises(FileError, match="No motion clip"):
+            library.load(other, None, GENERATED)
+
+
+@pytest.mark.parametrize("name", [None, ""])
+def test_nothing_asked_for_says_what_to_give(name: str | None) -> None:
+    with pytest.raises(FileError, match=r"motion\.name=NAME or motion\.file=PATH"):
+        library.load(name, None, GENERATED)
+
+
+def test_without_a_data_folder_only_generated_clips_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path / "absent"))
+    assert library.data_folder() is None
+    with pytest.raises(FileError, match="UNDERSTUDY_DATA"):
+        library.load("lying", None, GENERATED)
+
+
+def test_the_folder_beside_the_working_directory_is_the_default(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(library.DATA_VARIABLE)
+    (tmp_path / "work").mkdir()
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared" / "data").symlink_to(data, target_is_directory=True)
+    monkeypatch.chdir(tmp_path / "work")
+    assert library.load("lying", None).name == "lying"
+
+
+def test_a_missing_file_is_named() -> None:
+    with pytest.raises(FileError, match=r"absent\.txt: there is no such file"):
+        library.load("walk", "absent.txt", GENERATED)
