@@ -79,7 +79,7 @@ class EvaluationOptions:
     #: Termination terms that count as failures; the others are only reported.
     failures: tuple[str, ...] = ()
     #: Share of successful episodes at which a training is done; null trains to the budget.
-    criterion: float | None = 0.9
+    criterion: float | None = None
     #: An evaluation starts when this share of training episodes' time was survived …
     gate: float = 0.3
     #: … and this many samples were consumed since the last one.

@@ -96,12 +96,13 @@ class HumanoidScene(MujocoScene):
     def _sticks(self, track: np.ndarray) -> np.ndarray:
         """(T, S, 2, 3): a segment from each link's parent to the link, m, world."""
         model, data = self.model, mujoco.MjData(self.model)
-        links = [b for b in range(1, model.nbody) if model.body_parentid[b] != 0]
+        links = np.array([b for b in range(1, model.nbody) if model.body_parentid[b] != 0])
+        ends = np.stack([model.body_parentid[links], links], axis=1)
         result = []
         for qpos in track:
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
-            result.append([[data.xpos[model.body_parentid[b]], data.xpos[b]] for b in links])
+            result.append(data.xpos[ends])
         return np.array(result)
 
     def describe(self) -> dict[str, Any]:

@@ -23,6 +23,8 @@ def size_at(size: Size, phase: Tensor) -> Tensor | float:
     """The bound's size sigma at `phase` (N,): the number itself, or its knots interpolated, (N,)."""
     if isinstance(size, (int, float)):
         return size
+    if not size or any(len(knot) != 2 for knot in size):
+        raise ConfigError(f"A bound's size is a number or knots [[phase, size], …], not {size}.")
     knots = torch.tensor(sorted(size), dtype=phase.dtype, device=phase.device)
     at, value = knots[:, 0].contiguous(), knots[:, 1]
     if len(at) == 1:

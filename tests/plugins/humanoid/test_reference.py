@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import pytest
@@ -15,7 +16,9 @@ from understudy_humanoid.character import build_spec
 from understudy_humanoid.generated import generated_walk
 from understudy_humanoid.kinematics import CharacterLayout, character_layout
 from understudy_humanoid.reference import ReferenceMotion, clip_to_qpos
+from understudy_motion import library
 from understudy_motion.clip import Clip
+from understudy_motion.readers import deepmimic
 
 DT = 1 / 30
 
@@ -151,3 +154,37 @@ def test_missing_joint_is_named(model: mujoco.MjModel, layout: CharacterLayout) 
     names = tuple("right_nee" if name == "right_knee" else name for name in clip.joint_names)
     with pytest.raises(FileError, match=r"no joint 'right_knee'.*Did you mean 'right_nee'"):
         ReferenceMotion(replace(clip, joint_names=names), model, layout, control_dt=DT)
+
+
+def recorded_clips() -> list[Path]:
+    folder = library.data_folder() or Path(__file__).parents[4] / "shared" / "data"
+    found = sorted(folder.glob("motions/*/*.txt"))
+    return [path for path in found if not path.stem.endswith("character")]
+
+
+@pytest.mark.skipif(
+    not recorded_clips(),
+    reason="no recorded clips: UNDERSTUDY_DATA is not set and ../shared is absent",
+)
+def test_every_recorded_clip_becomes_a_finite_reference_on_the_floor(
+    model: mujoco.MjModel, layout: CharacterLayout
+) -> None:
+    for path in recorded_clips():
+        reference = ReferenceMotion(deepmimic.read(path), model, layout, control_dt=DT)
+        assert abs(reference.height_offset) < 0.2, path
+        fields = reference.sample(torch.linspace(0.0, 2.5 * reference.duration, 301))
+        for name, value in fields.items():
+            assert value.isfinite().all(), (path, name)
+        assert ((fields["phase"] >= 0.0) & (fields["phase"] < 1.0)).all(), path
+        norm = fields["reference_joint_rotations"].norm(dim=-1)
+        assert (norm - 1.0).abs().max() < 1e-5, path
+        back = reference.to_first_cycle(
+            fields["reference_qpos"],
+            fields["reference_qvel"],
+            torch.linspace(0.0, 2.5 * reference.duration, 301),
+        )
+        if reference.loop:
+            assert (back[2] <= reference.duration).all(), path
+            again = reference.sample(back[2])
+            place = (back[0][:, :3] - again["reference_root_position"]).abs().amax(1)
+            assert (place < 0.02).float().mean() > 0.98, path  # but at the seam itself

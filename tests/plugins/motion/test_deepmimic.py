@@ -6,6 +6,7 @@ import copy
 import json
 import math
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -183,3 +184,29 @@ def test_every_recorded_clip_loads(monkeypatch: pytest.MonkeyPatch) -> None:
         assert 0.0 < clip.root_position[:, 2].median() < 2.0, path
     monkeypatch.setenv("UNDERSTUDY_DATA", os.fspath(real_clips()[0].parents[2]))
     assert library.load(real_clips()[0].stem, None).source == str(real_clips()[0])
+
+
+def test_a_million_frames_are_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "long.txt"
+    frame = json.dumps(row(), separators=(",", ":"))
+    path.write_text('{"Loop":"none","Frames":[' + ",".join([frame] * 10**6) + "]}")
+    began = time.perf_counter()
+    with pytest.raises(FileError, match=r"long\.txt: larger than"):
+        deepmimic.read(path)
+    path.write_text('{"Loop":"none","Frames":[' + ",".join(["[]"] * 10**6) + "]}")
+    with pytest.raises(FileError, match="1000000 frames; a clip has from 2 to"):
+        deepmimic.read(path)
+    assert time.perf_counter() - began < 5.0
+
+
+def test_the_largest_allowed_file_loads_in_seconds(tmp_path: Path) -> None:
+    short = [1, 0, 1, 0]
+    for _, width in deepmimic.JOINTS:
+        short += [1, 0, 0, 0] if width == 4 else [0]
+    frame = json.dumps(short, separators=(",", ":"))
+    frames = min(deepmimic.MAX_FRAMES, deepmimic.MAX_BYTES // (len(frame) + 1) - 1)
+    path = tmp_path / "long.txt"
+    path.write_text('{"Loop":"none","Frames":[' + ",".join([frame] * frames) + "]}")
+    began = time.perf_counter()
+    assert deepmimic.read(path).num_frames == frames
+    assert time.perf_counter() - began < 20.0

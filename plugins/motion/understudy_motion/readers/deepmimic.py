@@ -43,8 +43,8 @@ JOINTS: tuple[tuple[str, int], ...] = (
 """Names and how many numbers each takes in a row."""
 
 COLUMNS = 1 + 3 + sum(width for _, width in JOINTS)
-MAX_BYTES = 64 * 2**20
-MAX_FRAMES = 1_000_000
+MAX_BYTES = 16 * 2**20
+MAX_FRAMES = 100_000
 LOOPS = {"wrap": True, "none": False}
 
 

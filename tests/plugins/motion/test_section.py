@@ -1,0 +1,54 @@
+"""The config section ``motion`` and what it tells a run's records."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+import torch
+from understudy.errors import FileError
+from understudy.plugins import Plugins
+from understudy.registry import Registry
+from understudy_motion.readers import deepmimic
+from understudy_motion.section import Motion, MotionOptions
+
+
+@pytest.fixture
+def registry(plugins: Plugins) -> Registry:
+    return plugins.registry
+
+
+def test_the_default_is_the_generated_walk(registry: Registry) -> None:
+    motion = Motion(MotionOptions(), registry)
+    assert motion.clip.loop
+    provenance = motion.provenance()
+    assert provenance["clip"] == "walk"
+    assert provenance["source"] == "generated"
+    assert provenance["licence"] == "Apache-2.0 (generated)"
+    assert provenance["seconds"] == pytest.approx(motion.clip.duration, abs=1e-4)
+
+
+def test_a_file_is_recorded_with_its_digest(registry: Registry, tmp_path: Path) -> None:
+    row = [0.5, 0, 1, 0]
+    for _, width in deepmimic.JOINTS:
+        row += [1, 0, 0, 0] if width == 4 else [0]
+    path = tmp_path / "still.json"
+    path.write_text('{"Loop": "none", "Frames": %s}' % [row, row])  # noqa: UP031
+    motion = Motion(MotionOptions(name="walk", file=str(path)), registry)
+    assert motion.provenance() == {
+        "clip": "still",
+        "source": str(path),
+        "licence": "unknown",
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "seconds": 0.5,
+    }
+    assert torch.isfinite(motion.clip.rotations).all()
+
+
+def test_an_unknown_name_suggests_the_generated_one(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("UNDERSTUDY_DATA", str(tmp_path))
+    with pytest.raises(FileError, match="No motion clip 'wolk'. Did you mean 'walk'"):
+        Motion(MotionOptions(name="wolk"), registry)

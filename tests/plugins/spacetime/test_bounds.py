@@ -1,0 +1,100 @@
+"""The bounds of section 3.5.1, just inside and just outside."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+from understudy import rotations
+from understudy.errors import ConfigError
+from understudy.interfaces import Context
+from understudy_spacetime.bounds import (
+    JointBound,
+    com_bound,
+    end_effector_bound,
+    root_bound,
+    size_at,
+)
+
+PHASE = torch.tensor([0.0, 0.5])
+
+
+def turned(angle: Tensor, axis: tuple[float, float, float] = (0.6, 0.0, 0.8)) -> Tensor:
+    return rotations.from_axis_angle(torch.tensor(axis), angle)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_centre_of_mass_is_bounded_by_20_cm_along_each_axis(axis: int, sign: float) -> None:
+    reference = torch.tensor([[5.0, -3.0, 0.9]]).repeat(2, 1)
+    com = reference.clone()
+    com[:, axis] += sign * torch.tensor([0.199, 0.201])
+    assert com_bound(com, reference, PHASE).tolist() == [False, True]
+
+
+def test_centre_of_mass_bound_is_a_box_and_no_ball() -> None:
+    com = torch.full((2, 3), 0.19)  # 0.33 m away
+    assert not com_bound(com, torch.zeros(2, 3), PHASE).any()
+
+
+def test_root_is_bounded_by_0_7_rad() -> None:
+    reference = turned(torch.tensor([2.0, -1.0]), (0.0, 0.0, 1.0))
+    root = rotations.multiply(reference, turned(torch.tensor([0.69, 0.71])))
+    assert root_bound(root, reference, PHASE).tolist() == [False, True]
+    assert root_bound(-root, reference, PHASE).tolist() == [False, True]
+
+
+def test_every_joint_is_bounded_by_0_7_rad(context: Context) -> None:
+    bound = JointBound(JointBound.Options(), context)
+    reference = turned(torch.linspace(-3.0, 3.0, 24)).view(2, 12, 4)
+    for joint in range(12):
+        joints = reference.clone()
+        joints[:, joint] = rotations.multiply(joints[:, joint], turned(torch.tensor([-0.69, 0.71])))
+        assert bound(joints, reference, PHASE).tolist() == [False, True]
+
+
+def test_a_subset_of_joints_leaves_the_others_free(context: Context) -> None:
+    assert context.scene is not None
+    names = context.scene.layout.joint_names  # type: ignore[attr-defined]
+    bound = JointBound(JointBound.Options(joints=("left_knee", "chest")), context)
+    reference = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(2, 12, 1)
+    for joint, name in enumerate(names):
+        joints = reference.clone()
+        joints[:, joint] = turned(torch.tensor([0.1, 2.0]))
+        assert bound(joints, reference, PHASE)[1].item() == (name in ("left_knee", "chest"))
+
+
+def test_an_unknown_joint_is_named(context: Context) -> None:
+    with pytest.raises(ConfigError, match="no joint 'left_nee'. Did you mean 'left_knee'"):
+        JointBound(JointBound.Options(joints=("left_nee",)), context)
+
+
+def test_every_end_effector_is_bounded_by_half_a_metre() -> None:
+    reference = torch.randn(2, 4, 3, generator=torch.Generator().manual_seed(0))
+    for effector in range(4):
+        moved = reference.clone()
+        direction = torch.tensor([2.0, -1.0, 2.0]) / 3.0
+        moved[:, effector] += torch.tensor([[0.499], [0.501]]) * direction
+        assert end_effector_bound(moved, reference, PHASE).tolist() == [False, True]
+
+
+def test_a_size_follows_its_knots_over_the_phase() -> None:
+    knots = [[0.75, 0.2], [0.25, 0.6]]  # in any order
+    phase = torch.tensor([0.0, 0.25, 0.5, 0.625, 0.75, 0.999])
+    sizes = size_at(knots, phase)
+    torch.testing.assert_close(sizes, torch.tensor([0.6, 0.6, 0.4, 0.3, 0.2, 0.2]))
+    com = torch.tensor([[0.0, 0.35, 0.0]]).repeat(6, 1)
+    left = com_bound(com, torch.zeros(6, 3), phase, size=knots)
+    assert left.tolist() == [False, False, False, True, True, True]
+
+
+def test_one_knot_and_a_step_are_sizes_too() -> None:
+    assert torch.equal(torch.as_tensor(size_at([[0.3, 0.4]], PHASE)), torch.full((2,), 0.4))
+    step = size_at([[0.5, 0.1], [0.5, 0.9]], torch.tensor([0.49, 0.51]))
+    torch.testing.assert_close(step, torch.tensor([0.1, 0.9]))
+
+
+@pytest.mark.parametrize("size", [[], [[]], [[0.1]], [[0.1, 0.2], [0.3]], [[0.1, 0.2, 0.3]]])
+def test_knots_that_are_not_pairs_are_refused(size: list[list[float]]) -> None:
+    with pytest.raises(ConfigError, match="phase, size"):
+        size_at(size, PHASE)
