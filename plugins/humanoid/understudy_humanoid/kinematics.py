@@ -116,15 +116,16 @@ def kinematics(
     root_position, root_rotation = qpos[:, :3], qpos[:, 3:7]
     com = subtree_com[:, root].squeeze(1)
     yaw = rotations.heading(root_rotation)
-    inverse = rotations.from_heading(-yaw).unsqueeze(1)
     # cvel is [angular, linear], both along world axes, linear at the character's centre of mass.
     angular, linear = cvel[:, links].split(3, dim=-1)
     linear = linear + torch.linalg.cross(angular, position - com.unsqueeze(1))
-    local = rotations.rotate(
-        inverse.unsqueeze(1),
-        torch.stack([position - root_position.unsqueeze(1), linear, angular], dim=1),
-    )
-    link_positions = local[:, 0]
+    axes = rotations.tangent_normal(rotation).view(*rotation.shape[:2], 2, 3)
+    vectors = torch.stack([position - root_position.unsqueeze(1), linear, angular], dim=2)
+    # One product turns all of a world's vectors into its heading frame, (N, L, 5, 3).
+    world = torch.cat([vectors, axes], dim=2)
+    turn = rotations.to_matrix(rotations.from_heading(yaw))
+    local = torch.bmm(world.view(len(world), -1, 3), turn).view_as(world)
+    link_positions = local[:, :, 0]
     return {
         "com_position": com,
         "root_position": root_position,
@@ -132,9 +133,9 @@ def kinematics(
         "root_heading": yaw,
         "joint_rotations": joint_rotations(layout, qpos),
         "link_positions": link_positions,
-        "link_rotations": rotations.tangent_normal(rotations.multiply(inverse, rotation)),
-        "link_linear_velocities": local[:, 1],
-        "link_angular_velocities": local[:, 2],
+        "link_rotations": local[:, :, 3:].flatten(2),
+        "link_linear_velocities": local[:, :, 1],
+        "link_angular_velocities": local[:, :, 2],
         "end_effector_positions": link_positions[:, layout.effector_links],
     }
 

@@ -63,8 +63,8 @@ def finite_difference_qvel(model: mujoco.MjModel, before: Tensor, after: Tensor,
 class ReferenceMotion:
     """The character's reference at any time, from one table, on one device.
 
-    The root is lowered or raised by a constant so that the feet's lowest point over the clip is on
-    the floor (`ground`). Time runs on forever in a looping clip, whose root displacement and turn
+    The root is lowered or raised by a constant so that the character's lowest point over the clip
+    is on the floor (`ground`). Time runs on forever in a looping clip, whose root displacement and turn
     accumulate cycle by cycle; another clip holds its last pose.
     """
 
@@ -88,6 +88,7 @@ class ReferenceMotion:
         self._shapes = {name: tuple(value.shape[1:]) for name, value in fields.items()}
         self._table = torch.cat([v.flatten(1) for v in fields.values()], dim=1).float().to(device)
         self._rows, self._rate = rows, (rows - 1) / clip.duration
+        self._balls = layout.ball_joints.to(device), layout.ball_qpos.flatten().to(device)
         still = CycleTransform(torch.zeros(2, dtype=torch.float64), 0.0)
         self._cycle = cycle_transform(clip) if clip.loop else still
 
@@ -142,8 +143,11 @@ class ReferenceMotion:
                 strict=True,
             )
         }
-        fields["reference_joint_rotations"] = rotations.normalize(fields["reference_joint_rotations"])
+        joints = rotations.normalize(fields["reference_joint_rotations"])
+        fields["reference_joint_rotations"] = joints
         qpos, qvel = fields["reference_qpos"], fields["reference_qvel"]
+        rows_of_balls, addresses = self._balls
+        qpos[:, addresses] = joints[:, rows_of_balls].flatten(1)  # normalised with the joints
         moved = self._carry(qpos, qvel, fields["reference_com_position"], cycles)
         root = moved["reference_qpos"]
         return {
@@ -203,7 +207,10 @@ def _forward(model: mujoco.MjModel, qpos: Tensor, qvel: Tensor) -> dict[str, Ten
 
 
 def _joint_targets(model: mujoco.MjModel, layout: CharacterLayout, qpos: Tensor) -> Tensor:
-    """(F, U): the actuators' lengths at `qpos`: exponential maps and angles, continuous in time."""
+    """(F, U): the actuators' lengths at `qpos`: exponential maps and angles.
+
+    They follow the pose continuously but where a ball joint passes a half turn, as MuJoCo's do.
+    """
     parts = []
     for name in layout.joint_names:
         joint = model.joint(name)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from torch import Tensor
+
 from understudy import rotations
 from understudy.errors import FileError
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from understudy.errors import FileError, suggestion
 from understudy.registry import Component
-
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
 

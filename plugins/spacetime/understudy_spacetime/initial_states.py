@@ -11,6 +11,8 @@ from torch import Tensor
 from understudy import distributed
 from understudy.interfaces import Context, InitialStates, Rollout, Shape, State
 from understudy.random import WorldStreams, generator
+from understudy.registry import check_range
+from understudy_humanoid.reference import ReferenceMotion
 from understudy_humanoid.scene import reference_motion
 
 EPISODE_FIELDS: dict[str, Shape] = {"motion_start": ()}
@@ -65,7 +67,7 @@ class Uniform(InitialStates):
         return _reference_states(self._reference, time)
 
 
-def _reference_states(reference, time: Tensor) -> dict[str, Tensor]:
+def _reference_states(reference: ReferenceMotion, time: Tensor) -> dict[str, Tensor]:
     state = reference.sample(time)
     return {
         "qpos": state["reference_qpos"],
@@ -87,8 +89,8 @@ class Importance(InitialStates):
         decay: float = 0.9  #: of the running average of returns, per rollout
 
         def __post_init__(self) -> None:
-            if self.segments < 1 or not 0 <= self.uniform <= 1 or not 0 <= self.decay < 1:
-                raise ValueError("segments must be at least 1, uniform in [0, 1], decay in [0, 1).")
+            check_range(self, "segments", least=1)
+            check_range(self, "uniform", "decay", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._reference = reference_motion(context)
@@ -157,8 +159,8 @@ class Evolution(InitialStates):
         def __post_init__(self) -> None:
             if self.prefer not in ("low", "high"):
                 raise ValueError(f"prefer={self.prefer} is not possible: low or high.")
-            if self.segments < 1 or self.size < 1:
-                raise ValueError("segments and size must be at least 1.")
+            check_range(self, "segments", "size", least=1)
+            check_range(self, "uniform", "decay", "reference_share", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._reference, self._options = reference_motion(context), options

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+
 from understudy_humanoid.character import (
     BODIES,
     REFERENCE_COLOUR,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+
 from understudy import rotations
 from understudy.errors import ConfigError
 from understudy_humanoid.character import BODIES, build_spec

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+
 from understudy import rotations
 from understudy_humanoid.character import build_spec
 from understudy_humanoid.kinematics import (

@@ -10,6 +10,7 @@ import mujoco
 import pytest
 import torch
 from torch import Tensor
+
 from understudy import rotations
 from understudy.errors import FileError
 from understudy_humanoid.character import build_spec
@@ -171,13 +172,15 @@ def test_every_recorded_clip_becomes_a_finite_reference_on_the_floor(
 ) -> None:
     for path in recorded_clips():
         reference = ReferenceMotion(deepmimic.read(path), model, layout, control_dt=DT)
-        assert abs(reference.height_offset) < 0.2, path
+        assert abs(reference.height_offset) < 0.3, path
         fields = reference.sample(torch.linspace(0.0, 2.5 * reference.duration, 301))
         for name, value in fields.items():
             assert value.isfinite().all(), (path, name)
         assert ((fields["phase"] >= 0.0) & (fields["phase"] < 1.0)).all(), path
         norm = fields["reference_joint_rotations"].norm(dim=-1)
         assert (norm - 1.0).abs().max() < 1e-5, path
+        balls = fields["reference_qpos"][:, layout.ball_qpos.flatten()].view(301, -1, 4)
+        assert (balls.norm(dim=-1) - 1.0).abs().max() < 1e-5, path
         back = reference.to_first_cycle(
             fields["reference_qpos"],
             fields["reference_qvel"],

@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
+
 from understudy import rotations
 from understudy.errors import FileError
 from understudy.registry import Component

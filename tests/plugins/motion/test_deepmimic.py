@@ -14,6 +14,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
 from understudy import rotations
 from understudy.errors import FileError
 from understudy_motion import library

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 import torch
+
 from understudy.errors import FileError
 from understudy.registry import Component
 from understudy_motion import library
 from understudy_motion.clip import Clip
+from understudy_motion.readers import deepmimic
 
 
 def still() -> Clip:
@@ -19,9 +22,11 @@ def still() -> Clip:
 
 
 GENERATED = {"still": Component("clip", "still", still, "tests")}
-LYING = """{"Loop": "none", "Frames": [%s, %s]}""" % (
-    2 * (str([0.5, 0, 0.1, 0, *[1, 0, 0, 0] * 4, 0, *[1, 0, 0, 0] * 2, 0, *[1, 0, 0, 0], 0, *[1, 0, 0, 0] * 2, 0]),)
-)
+ONE = [1, 0, 0, 0]
+LYING_POSE = [0.5, 0, 0.1, 0]
+for _, width in deepmimic.JOINTS:
+    LYING_POSE += ONE if width == 4 else [0]
+LYING = json.dumps({"Loop": "none", "Frames": [LYING_POSE, LYING_POSE]})
 
 
 @pytest.fixture
@@ -68,7 +73,7 @@ def test_names_that_are_paths_are_refused(data: Path, name: str) -> None:
 
 
 def test_an_unknown_name_suggests_a_near_one(data: Path) -> None:
-    with pytest.raises(FileError, match="No motion clip 'stil'. Did you mean 'still'"):
+    with pytest.raises(FileError, match=r"No motion clip 'stil'\. Did you mean 'still'"):
         library.load("stil", None, GENERATED)
     with pytest.raises(FileError, match="Did you mean 'lying'"):
         library.load("lyin", None, GENERATED)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+
 from understudy.errors import FileError
 from understudy.plugins import Plugins
 from understudy.registry import Registry
@@ -34,7 +35,7 @@ def test_a_file_is_recorded_with_its_digest(registry: Registry, tmp_path: Path) 
     for _, width in deepmimic.JOINTS:
         row += [1, 0, 0, 0] if width == 4 else [0]
     path = tmp_path / "still.json"
-    path.write_text('{"Loop": "none", "Frames": %s}' % [row, row])  # noqa: UP031
+    path.write_text('{"Loop": "none", "Frames": %s}' % [row, row])
     motion = Motion(MotionOptions(name="walk", file=str(path)), registry)
     assert motion.provenance() == {
         "clip": "still",
@@ -50,5 +51,5 @@ def test_an_unknown_name_suggests_the_generated_one(
     registry: Registry, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("UNDERSTUDY_DATA", str(tmp_path))
-    with pytest.raises(FileError, match="No motion clip 'wolk'. Did you mean 'walk'"):
+    with pytest.raises(FileError, match=r"No motion clip 'wolk'\. Did you mean 'walk'"):
         Motion(MotionOptions(name="wolk"), registry)

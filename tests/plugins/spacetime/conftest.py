@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
+
 from understudy.interfaces import Context, Rollout
 from understudy.plugins import Plugins
 from understudy_humanoid.scene import HumanoidScene

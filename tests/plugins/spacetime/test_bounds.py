@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch import Tensor
+
 from understudy import rotations
 from understudy.errors import ConfigError
 from understudy.interfaces import Context
@@ -65,7 +66,7 @@ def test_a_subset_of_joints_leaves_the_others_free(context: Context) -> None:
 
 
 def test_an_unknown_joint_is_named(context: Context) -> None:
-    with pytest.raises(ConfigError, match="no joint 'left_nee'. Did you mean 'left_knee'"):
+    with pytest.raises(ConfigError, match=r"no joint 'left_nee'\. Did you mean 'left_knee'"):
         JointBound(JointBound.Options(joints=("left_nee",)), context)
 
 

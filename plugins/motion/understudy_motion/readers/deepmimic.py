@@ -20,9 +20,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 import torch
+
 from understudy import rotations
 from understudy.errors import FileError, suggestion
-
 from understudy_motion.clip import Clip
 
 JOINTS: tuple[tuple[str, int], ...] = (

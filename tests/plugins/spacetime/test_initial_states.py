@@ -1,0 +1,230 @@
+"""Where episodes begin: equations 3.9 and 3.10 of the thesis, and that states stay states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from understudy.interfaces import Context, Rollout
+from understudy.random import WorldStreams
+from understudy_humanoid.scene import reference_motion
+from understudy_spacetime.initial_states import (
+    Evolution,
+    Importance,
+    Uniform,
+    segment_probabilities,
+)
+
+MakeRollout = Callable[[dict[str, Tensor], Tensor], Rollout]
+WORLDS = 40_000
+SEGMENTS = 4
+RETURNS = torch.tensor([1.0, 4.0, 7.0, 10.0])  # by segment
+
+
+def streams(worlds: int = WORLDS, seed: int = 0) -> WorldStreams:
+    return WorldStreams(seed, "test", worlds, "cpu")
+
+
+def segment_of(start: Tensor, duration: float, segments: int = SEGMENTS) -> Tensor:
+    return (start / duration * segments).long().clamp(0, segments - 1)
+
+
+def frequencies(start: Tensor, duration: float) -> Tensor:
+    return segment_of(start, duration).bincount(minlength=SEGMENTS) / len(start)
+
+
+def walked(context: Context, make_rollout: MakeRollout, steps: int = 50, worlds: int = 40) -> Rollout:
+    """A rollout along the reference, of the returns `RETURNS` by segment, in any cycle."""
+    reference = reference_motion(context)
+    time = 5.0 * reference.duration * torch.rand(
+        steps * worlds, generator=torch.Generator().manual_seed(1)
+    )
+    state = reference.sample(time)
+    records = {
+        "phase": state["phase"],
+        "motion_time": time,
+        "qpos": state["reference_qpos"],
+        "qvel": state["reference_qvel"],
+    }
+    segment = (state["phase"] * SEGMENTS).long()
+    return make_rollout(
+        {name: value.unflatten(0, (steps, worlds)) for name, value in records.items()},
+        RETURNS[segment].view(steps, worlds),
+    )
+
+
+@given(
+    st.lists(st.floats(-1e3, 1e3, width=32), min_size=1, max_size=30),
+    st.floats(0.0, 1.0, width=32),
+)
+@settings(max_examples=60, deadline=None)
+def test_probabilities_are_probabilities_with_a_uniform_share(
+    returns: list[float], uniform: float
+) -> None:
+    p = segment_probabilities(torch.tensor(returns), uniform=uniform)
+    assert p.sum().item() == pytest.approx(1.0, abs=1e-5)
+    assert (p >= uniform / len(returns) - 1e-6).all()
+    order = torch.tensor(returns).argsort()
+    assert (p[order].diff() <= 1e-6).all()  # the lower the return, the likelier
+
+
+def test_equation_3_9() -> None:
+    scale = (10.0 - 1.0) / 3.0
+    weights = torch.exp(-RETURNS / scale)
+    expected = 0.8 * weights / weights.sum() + 0.2 / 4
+    torch.testing.assert_close(segment_probabilities(RETURNS, uniform=0.2), expected)
+    shifted = segment_probabilities(5.0 * RETURNS - 300.0, uniform=0.2)
+    torch.testing.assert_close(shifted, expected)  # neither scale nor origin of returns matters
+
+
+def test_equal_returns_are_drawn_equally() -> None:
+    p = segment_probabilities(torch.full((8,), 3.0), uniform=0.2)
+    torch.testing.assert_close(p, torch.full((8,), 1 / 8))
+
+
+def test_uniform_begins_anywhere_in_the_reference(context: Context) -> None:
+    reference = reference_motion(context)
+    found = Uniform(None, context).sample(streams())
+    share = frequencies(found["motion_start"], reference.duration)
+    torch.testing.assert_close(share, torch.full((4,), 0.25), atol=0.01, rtol=0.0)
+    expected = reference.sample(found["motion_start"])
+    assert torch.equal(found["qpos"], expected["reference_qpos"])
+    assert torch.equal(found["qvel"], expected["reference_qvel"])
+
+
+def test_importance_draws_as_equation_3_9_says(context: Context, make_rollout: MakeRollout) -> None:
+    states = Importance(Importance.Options(segments=SEGMENTS), context)
+    duration = reference_motion(context).duration
+    before = frequencies(states.sample(streams())["motion_start"], duration)
+    torch.testing.assert_close(before, torch.full((4,), 0.25), atol=0.01, rtol=0.0)
+    measures = states.update(walked(context, make_rollout))
+    assert measures["hardest_segment"] == 0.0
+    after = states.sample(streams())
+    expected = segment_probabilities(RETURNS, uniform=0.2)
+    found = frequencies(after["motion_start"], duration)
+    torch.testing.assert_close(found, expected, atol=0.01, rtol=0.0)
+    within = after["motion_start"] / duration * SEGMENTS % 1.0
+    assert within.mean().item() == pytest.approx(0.5, abs=0.01)
+
+
+def test_averages_run_and_unseen_segments_count_as_average(
+    context: Context, make_rollout: MakeRollout
+) -> None:
+    states = Importance(Importance.Options(segments=SEGMENTS, decay=0.75), context)
+    phase = torch.tensor([[0.1, 0.3, 0.3]])
+    states.update(make_rollout({"phase": phase}, torch.tensor([[2.0, 5.0, 7.0]])))
+    assert states.state_dict()["average"].tolist() == [2.0, 6.0, 0.0, 0.0]
+    p = segment_probabilities(torch.tensor([2.0, 6.0, 4.0, 4.0]), uniform=0.2)
+    torch.testing.assert_close(states.state_dict()["cumulative"], p.cumsum(0))
+    states.update(make_rollout({"phase": phase[:, :1]}, torch.tensor([[10.0]])))
+    torch.testing.assert_close(
+        states.state_dict()["average"], torch.tensor([4.0, 6.0, 0.0, 0.0])
+    )
+
+
+def test_evolution_begins_with_the_reference(context: Context) -> None:
+    reference = reference_motion(context)
+    found = Evolution(Evolution.Options(segments=SEGMENTS, size=8), context).sample(streams())
+    expected = reference.sample(found["motion_start"])
+    torch.testing.assert_close(found["qpos"], expected["reference_qpos"])
+    share = frequencies(found["motion_start"], reference.duration)
+    torch.testing.assert_close(share, torch.full((4,), 0.25), atol=0.01, rtol=0.0)
+
+
+def test_evolution_takes_over_states_of_any_cycle_moved_into_the_first(
+    context: Context, make_rollout: MakeRollout
+) -> None:
+    reference = reference_motion(context)
+    states = Evolution(Evolution.Options(segments=SEGMENTS, reference_share=0.0), context)
+    states.update(walked(context, make_rollout))
+    found = states.sample(streams(2000))
+    assert ((found["motion_start"] >= 0) & (found["motion_start"] <= reference.duration)).all()
+    for value in found.values():
+        assert value.isfinite().all()
+    expected = reference.sample(found["motion_start"])
+    assert (found["qpos"][:, :3] - expected["reference_qpos"][:, :3]).abs().max() < 1e-3
+    share = segment_probabilities(RETURNS, uniform=0.2)
+    more = frequencies(states.sample(streams())["motion_start"], reference.duration)
+    torch.testing.assert_close(more, share, atol=0.01, rtol=0.0)
+
+
+@pytest.mark.parametrize("prefer", ["low", "high"])
+def test_equation_3_10(context: Context, make_rollout: MakeRollout, prefer: str) -> None:
+    """In one segment, two kinds of states of returns 0 and 2, so v = 2 and odds exp(1)."""
+    size = 4000
+    options = Evolution.Options(segments=1, size=size, reference_share=0.0, prefer=prefer)
+    states = Evolution(options, context)
+    rollout = walked(context, make_rollout, steps=100, worlds=50)
+    good = torch.arange(50) % 2 == 1
+    rollout.returns = torch.where(good, 2.0, 0.0).expand(100, 50)
+    rollout.records["qvel"] = torch.where(good[:, None], 1.0, -1.0).expand(100, 50, 34)
+    states.update(rollout)
+    assert rollout.returns is not None
+    share = (states.state_dict()["buffer"]["qvel"][0, :, 6] > 0).float().mean()
+    odds = torch.tensor(1.0 if prefer == "high" else -1.0).exp()
+    assert share.item() == pytest.approx((odds / (1 + odds)).item(), abs=0.03)
+
+
+def test_a_segment_with_too_few_states_keeps_its_buffer(
+    context: Context, make_rollout: MakeRollout
+) -> None:
+    states = Evolution(Evolution.Options(segments=SEGMENTS, size=1000), context)
+    before = states.state_dict()["buffer"]
+    states.update(walked(context, make_rollout, steps=10, worlds=10))
+    after = states.state_dict()["buffer"]
+    assert all(torch.equal(after[name], before[name]) for name in before)
+
+
+def test_some_episodes_still_begin_in_the_reference(
+    context: Context, make_rollout: MakeRollout
+) -> None:
+    options = Evolution.Options(segments=SEGMENTS, size=8, reference_share=0.3)
+    states = Evolution(options, context)
+    rollout = walked(context, make_rollout)
+    rollout.records["qvel"] = torch.full((50, 40, 34), 99.0)
+    states.update(rollout)
+    evolved = (states.sample(streams())["qvel"][:, 10] == 99.0).float().mean()
+    assert evolved.item() == pytest.approx(0.7, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", [Importance, Evolution])
+def test_state_goes_round(
+    kind: type[Importance] | type[Evolution],
+    make_context: Callable[[], Context],
+    make_rollout: MakeRollout,
+) -> None:
+    """A restored distribution draws and evolves exactly as the saved one."""
+    first, second = (kind(kind.Options(segments=SEGMENTS), make_context()) for _ in range(2))
+    rollout = walked(make_context(), make_rollout)
+    first.update(rollout)
+    saved = first.state_dict()
+    first.update(rollout)
+    second.load_state_dict(saved)
+    second.update(rollout)
+    a, b = first.sample(streams(500)), second.sample(streams(500))
+    assert a.keys() == b.keys()
+    assert all(torch.equal(a[name], b[name]) for name in a)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        (Importance, {"segments": 0}),
+        (Importance, {"uniform": 1.1}),
+        (Importance, {"decay": 1.1}),
+        (Evolution, {"segments": 0}),
+        (Evolution, {"size": 0}),
+        (Evolution, {"uniform": -0.1}),
+        (Evolution, {"decay": 1.1}),
+        (Evolution, {"reference_share": 1.5}),
+        (Evolution, {"prefer": "best"}),
+    ],
+)
+def test_impossible_options_are_refused(kind: type, options: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(options))):
+        kind.Options(**options)
