@@ -27,8 +27,8 @@ test-gpu: install
 	$(BIN)/python -m pytest -m gpu --timeout=1800
 
 check: install
-	$(BIN)/ruff format --check kernel plugins tests
-	$(BIN)/ruff check kernel plugins tests
+	$(BIN)/ruff format --check kernel plugins tests benchmarks
+	$(BIN)/ruff check kernel plugins tests benchmarks
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 bench: install

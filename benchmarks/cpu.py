@@ -57,7 +57,9 @@ def environment_against_batch(rounds: int, steps: int, overrides: list[str]) -> 
             environment.step(environment.observations["feedforward"])
         env_time = time.perf_counter() - began
         if int(environment.quarantined):
-            raise SystemExit("The benchmark's worlds left the finite; its figures would mean nothing.")
+            raise SystemExit(
+                "The benchmark's worlds left the finite; its figures would mean nothing."
+            )
 
         began = time.perf_counter()
         collector.collect(steps)
@@ -124,7 +126,9 @@ def end_to_end_against_sb3(rounds: int, seconds: float, overrides: list[str]) ->
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=32)
     parser.add_argument("--seconds", type=float, default=12.0)
@@ -139,7 +143,9 @@ def main() -> None:
         "environment": environment_against_batch(options.rounds, options.steps, options.overrides),
     }
     if not options.skip_peer:
-        result["end_to_end"] = end_to_end_against_sb3(options.rounds, options.seconds, options.overrides)
+        result["end_to_end"] = end_to_end_against_sb3(
+            options.rounds, options.seconds, options.overrides
+        )
     for part in ("environment", "end_to_end"):
         for key, value in result.get(part, {}).items():
             shown = f"{value:,.2f}" if isinstance(value, float) else str(value)

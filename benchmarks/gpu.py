@@ -48,7 +48,9 @@ def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[s
     # Both sides step the states of the walk: bare stepping from resets, the environment with them.
     bare = rate(lambda: simulator.step(targets), steps) * worlds  # pyright: ignore[reportOptionalMemberAccess]
     environment.reset(seed=0)
-    stepping = rate(lambda: environment.step(environment.observations["feedforward"]), steps) * worlds
+    stepping = (
+        rate(lambda: environment.step(environment.observations["feedforward"]), steps) * worlds
+    )
     environment.reset(seed=0)
     length = training.learner.rollout_steps
     collecting = rate(lambda: training.collector.collect(length), 3) * worlds * length
@@ -75,7 +77,9 @@ def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[s
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 4096, 16384])
     parser.add_argument("--scenes", nargs="+", choices=sorted(SCENES), default=sorted(SCENES))
     parser.add_argument("--steps", type=int, default=24)
@@ -88,7 +92,10 @@ def main() -> None:
             row = measure(scene, worlds, options.steps, options.overrides)
             rows.append(row)
             torch.cuda.empty_cache()
-            print(json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
+            print(
+                json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}),
+                flush=True,
+            )
     record = {
         "when": time.strftime("%Y-%m-%d"),
         "gpu": torch.cuda.get_device_name(),

@@ -114,16 +114,15 @@ def _collect(
             terminated[t], truncated[t] = torch.as_tensor(ended), torch.as_tensor(cut & ~ended)
             if truncated[t].any():
                 last = np.stack(
-                    [
-                        x if x is not None else np.zeros(size, np.float32)
-                        for x in info["final_obs"]
-                    ]
+                    [x if x is not None else np.zeros(size, np.float32) for x in info["final_obs"]]
                 )
                 values = policy.value({"state": torch.as_tensor(last, dtype=torch.float32)})
                 final[t] = torch.where(truncated[t], values, 0.0)
     after = {"state": torch.as_tensor(observation, dtype=torch.float32)}
     return (
-        Rollout({"state": seen}, after, actions, log_probs, rewards, terminated, truncated, final, {}),
+        Rollout(
+            {"state": seen}, after, actions, log_probs, rewards, terminated, truncated, final, {}
+        ),
         observation,
     )
 
@@ -177,7 +176,9 @@ def evaluate(task: str, act: Any, seed: int, episodes: int = 20) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--task", default="Hopper-v5")
     parser.add_argument("--samples", type=int, default=200_000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3])
@@ -191,10 +192,15 @@ def main() -> None:
         for seed in options.seeds:
             began = time.perf_counter()
             found.setdefault(name, []).append(train(options.task, options.samples, seed))
-            print(f"{name} seed {seed}: {found[name][-1]:.1f} ({time.perf_counter() - began:.0f} s)", flush=True)
+            print(
+                f"{name} seed {seed}: {found[name][-1]:.1f} ({time.perf_counter() - began:.0f} s)",
+                flush=True,
+            )
     for name, values in found.items():
         error = statistics.stdev(values) / len(values) ** 0.5 if len(values) > 1 else float("nan")
-        print(f"{name}: {statistics.fmean(values):.1f} ± {error:.1f} (standard error, {len(values)} seeds)")
+        print(
+            f"{name}: {statistics.fmean(values):.1f} ± {error:.1f} (standard error, {len(values)} seeds)"
+        )
     record = {
         "when": time.strftime("%Y-%m-%d"),
         "task": options.task,

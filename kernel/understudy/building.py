@@ -78,7 +78,9 @@ def build_environment(
         initial_states=experiment.initial_states.build(context),
         rewards=[build_term(t, context) for t in experiment.rewards],
         terminations=[
-            build_term(t if ending is None or t.name in ending else replace(t, outcome="report"), context)
+            build_term(
+                t if ending is None or t.name in ending else replace(t, outcome="report"), context
+            )
             for t in experiment.terminations
         ],
         combine=root.reward.combine,
@@ -116,7 +118,11 @@ def providers_of(field: str, registry: Registry) -> list[str]:
     found = []
     for (kind, name), component in registry.components.items():
         if kind in ("fields", "initial_states", "simulator"):
-            attribute = {"fields": "provides", "initial_states": "episode_fields", "simulator": "fields"}
+            attribute = {
+                "fields": "provides",
+                "initial_states": "episode_fields",
+                "simulator": "fields",
+            }
             if field in (getattr(component.factory, attribute[kind], None) or {}):
                 found.append(f"{kind} '{name}'")
     return found

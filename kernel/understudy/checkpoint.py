@@ -51,7 +51,9 @@ def write_atomically(path: Path, data: bytes) -> None:
             os.close(folder)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        raise RunError(f"{path} could not be written: {error.strerror}. What was there is untouched.") from error
+        raise RunError(
+            f"{path} could not be written: {error.strerror}. What was there is untouched."
+        ) from error
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
@@ -90,7 +92,9 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     try:
         data = path.with_suffix(".safetensors").read_bytes()
     except OSError as error:
-        raise RunError(f"{path.with_suffix('.safetensors')} cannot be read: {error.strerror}.") from error
+        raise RunError(
+            f"{path.with_suffix('.safetensors')} cannot be read: {error.strerror}."
+        ) from error
     if hashlib.sha256(data).hexdigest() != document.get("sha256"):
         raise RunError(f"{path.with_suffix('.safetensors')} is damaged: its digest does not match.")
     try:
@@ -100,7 +104,9 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     try:
         state, meta = _put_tensors(document["state"], tensors), dict(document["meta"])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise RunError(f"{path.with_suffix('.json')} is damaged: its state is not readable.") from error
+        raise RunError(
+            f"{path.with_suffix('.json')} is damaged: its state is not readable."
+        ) from error
     for old in range(version, FORMAT):
         if old not in MIGRATIONS:
             raise RunError(f"{path} has checkpoint format {version}, which cannot be migrated.")
@@ -110,7 +116,9 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _sealed(content: Mapping[str, Any]) -> bytes:
     body = json.dumps(content, sort_keys=True, allow_nan=False)
-    return json.dumps({"digest": hashlib.sha256(body.encode()).hexdigest(), "content": body}).encode()
+    return json.dumps(
+        {"digest": hashlib.sha256(body.encode()).hexdigest(), "content": body}
+    ).encode()
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
@@ -132,7 +140,12 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor]) -> Any:
         tensors[where] = value
         return {"tensor": where}
     if isinstance(value, Mapping):
-        return {"map": {str(k): _take_tensors(v, f"{where}/{k}" if where else str(k), tensors) for k, v in value.items()}}
+        return {
+            "map": {
+                str(k): _take_tensors(v, f"{where}/{k}" if where else str(k), tensors)
+                for k, v in value.items()
+            }
+        }
     if isinstance(value, (list, tuple)):
         return {"list": [_take_tensors(v, f"{where}/{i}", tensors) for i, v in enumerate(value)]}
     if isinstance(value, float) and not math.isfinite(value):
@@ -159,7 +172,9 @@ def newest(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: p.name, reverse=True)
 
 
-def load_newest(folder: Path, warn: Any = lambda text: None) -> tuple[dict[str, Any], dict[str, Any], Path]:
+def load_newest(
+    folder: Path, warn: Any = lambda text: None
+) -> tuple[dict[str, Any], dict[str, Any], Path]:
     """The newest checkpoint of `folder` that is intact; `warn` is told of each damaged one."""
     reasons = []
     for path in newest(folder):
@@ -185,5 +200,3 @@ def prune(folder: Path, keep: int) -> None:
             path.unlink(missing_ok=True)
     for path in folder.glob(".*.partial"):
         path.unlink(missing_ok=True)
-
-

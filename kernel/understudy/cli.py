@@ -43,24 +43,32 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"understudy {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    def command(name: str, function: Any, text: str, overrides: bool = False) -> argparse.ArgumentParser:
+    def command(
+        name: str, function: Any, text: str, overrides: bool = False
+    ) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text)
         sub.set_defaults(function=function, overrides_allowed=overrides)
         return sub
 
-    command("train", _train, "train an experiment: understudy train experiment=spacetime/walk", True)
+    command(
+        "train", _train, "train an experiment: understudy train experiment=spacetime/walk", True
+    )
     sub = command("resume", _resume, "continue a training from its last checkpoint", True)
     sub.add_argument("run", help="run folder")
     sub = command("evaluate", _evaluate, "evaluate a trained run", True)
     sub.add_argument("run", help="run folder")
-    sub = command("render", _render, "draw a run's motion beside its reference: video and report", True)
+    sub = command(
+        "render", _render, "draw a run's motion beside its reference: video and report", True
+    )
     sub.add_argument("run", help="run folder")
     command("sweep", _sweep, "run an outer loop over trainings: understudy sweep ablation=…", True)
     sub = command("plugins", _plugins, "list the plugins and what they provide")
     sub.add_argument("--json", action="store_true")
     sub = command("tasks", _tasks, "list the tasks")
     sub.add_argument("--json", action="store_true")
-    sub = command("config", _config, "print the composed configuration and where each value is from", True)
+    sub = command(
+        "config", _config, "print the composed configuration and where each value is from", True
+    )
     sub.add_argument("--json", action="store_true", help="plain JSON, without origins")
     return parser
 
@@ -153,9 +161,10 @@ def _config(options: argparse.Namespace, overrides: list[str]) -> int:
 
 def _flat(value: Any, prefix: str) -> list[tuple[str, str]]:
     if isinstance(value, dict) and value:
-        return [row for k, v in value.items() for row in _flat(v, f"{prefix}.{k}" if prefix else str(k))]
+        return [
+            row for k, v in value.items() for row in _flat(v, f"{prefix}.{k}" if prefix else str(k))
+        ]
     return [(prefix, json.dumps(value))]
-
 
 
 if __name__ == "__main__":

@@ -253,9 +253,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         component_name, options = _named(value, where)
         extra: dict[str, Option] = {
             "reward": {"weight": Option("weight", float, 1.0)},
-            "termination": {
-                "outcome": Option("outcome", Outcome, "failure")
-            },
+            "termination": {"outcome": Option("outcome", Outcome, "failure")},
         }[kind]
         component = registry.find(kind, component_name, where)
         checked = checked_options({**component.options, **extra}, options, where)
@@ -284,8 +282,14 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         raw=raw,
         **single,
         **optional,
-        fields={k: choice("fields", v, f"fields.{k}") for k, v in root.fields.items() if v is not None},
-        encoders={k: choice("encoder", v, f"encoder.{k}") for k, v in root.encoder.items() if v is not None},
+        fields={
+            k: choice("fields", v, f"fields.{k}") for k, v in root.fields.items() if v is not None
+        },
+        encoders={
+            k: choice("encoder", v, f"encoder.{k}")
+            for k, v in root.encoder.items()
+            if v is not None
+        },
         rewards=tuple(term("reward", k, v) for k, v in root.reward.terms.items() if v is not None),
         terminations=terminations,
         sections={
@@ -410,7 +414,9 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
     origin: dict[str, str] = {}
     with _hydra(plugins, overrides):
         loader = GlobalHydra.instance().config_loader()
-        defaults = loader.compute_defaults_list("config", [_settable(o) for o in overrides], RunMode.RUN)
+        defaults = loader.compute_defaults_list(
+            "config", [_settable(o) for o in overrides], RunMode.RUN
+        )
         sources = [kernel_conf(), *(d for _, d in plugins.config_directories())]
         for item in defaults.defaults:
             path = item.config_path
@@ -421,7 +427,9 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
                 if file.is_file():
                     package = item.package or ""
                     prefix = "" if package in ("_global_", "") else package
-                    for key in _paths(yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix):
+                    for key in _paths(
+                        yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix
+                    ):
                         origin[key] = _shorten(file)
         for override in OverridesParser.create().parse_overrides(list(overrides)):
             for key in _paths(override.value(), override.key_or_group):

@@ -89,7 +89,12 @@ class Step:
 class FieldTable:
     """Values of state fields at the present state, each computed when first asked for."""
 
-    def __init__(self, simulator: Simulator, providers: Sequence[tuple[str, Fields]], own: Mapping[str, Shape]) -> None:
+    def __init__(
+        self,
+        simulator: Simulator,
+        providers: Sequence[tuple[str, Fields]],
+        own: Mapping[str, Shape],
+    ) -> None:
         self._simulator = simulator
         self._provider: dict[str, Fields] = {}
         self._values: dict[str, Tensor] = {}
@@ -200,7 +205,9 @@ class Environment:
         }
         self._nowhere = torch.zeros(num_worlds, dtype=torch.bool, device=device)
         self.observations: dict[str, Tensor] = {}
-        self.statistics = EpisodeStatistics([t.name for t in parts.terminations], num_worlds, device)
+        self.statistics = EpisodeStatistics(
+            [t.name for t in parts.terminations], num_worlds, device
+        )
         #: Worlds quarantined since the start because their numbers went wrong.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
         #: Called once, with (snapshot before the step, controls, world mask), at the first failure.
@@ -233,11 +240,11 @@ class Environment:
                         f"{who} needs the state field '{name}', which nothing in this task "
                         f"provides.{hint}"
                     )
-        missing = [
-            name for name in parts.initial_states.episode_fields if name in OWN_FIELDS
-        ]
+        missing = [name for name in parts.initial_states.episode_fields if name in OWN_FIELDS]
         if missing:
-            raise ConfigError(f"initial_states provides '{missing[0]}', which the environment owns.")
+            raise ConfigError(
+                f"initial_states provides '{missing[0]}', which the environment owns."
+            )
 
     # ------------------------------------------------------------------ running
 
@@ -356,7 +363,9 @@ class Environment:
             }
         )
 
-    def _quarantine(self, unsound: Tensor, snapshot: dict[str, Tensor] | None, control: Tensor) -> None:
+    def _quarantine(
+        self, unsound: Tensor, snapshot: dict[str, Tensor] | None, control: Tensor
+    ) -> None:
         self.quarantined += unsound.sum()
         if self.on_quarantine is not None and bool(unsound.any()):
             assert snapshot is not None
@@ -369,22 +378,33 @@ class Environment:
 
         def check(who: str, value: Tensor, shape: Shape) -> None:
             if tuple(value.shape) != (n, *shape):
-                raise ConfigError(f"{who} has shape {tuple(value.shape)}; it must be {(n, *shape)}, one row per world.")
+                raise ConfigError(
+                    f"{who} has shape {tuple(value.shape)}; it must be {(n, *shape)}, one row per world."
+                )
 
         for name, provider in self.parts.fields:
             given = provider.compute(**self.table.pick(provider.reads))
             for item, shape in provider.provides.items():
                 if item not in given:
-                    raise ConfigError(f"fields.{name} promises the field '{item}' and does not return it.")
+                    raise ConfigError(
+                        f"fields.{name} promises the field '{item}' and does not return it."
+                    )
                 check(f"the field '{item}' of fields.{name}", given[item], shape)
         for name, encoder in self.parts.encoders.items():
-            check(f"encoder.{name}", encoder.encode(**self.table.pick(encoder.reads)), encoder.shape)
-        for kind, terms in (("reward", self.parts.rewards), ("termination", self.parts.terminations)):
+            check(
+                f"encoder.{name}", encoder.encode(**self.table.pick(encoder.reads)), encoder.shape
+            )
+        for kind, terms in (
+            ("reward", self.parts.rewards),
+            ("termination", self.parts.terminations),
+        ):
             for term in terms:
                 value = self._evaluate(term)
                 check(f"{kind}.terms.{term.name}", value, ())
                 if kind == "termination" and value.dtype != torch.bool:
-                    raise ConfigError(f"termination.terms.{term.name} returns {value.dtype}; it must return bool.")
+                    raise ConfigError(
+                        f"termination.terms.{term.name} returns {value.dtype}; it must return bool."
+                    )
         self._reward()
 
     # ------------------------------------------------------------------ state
@@ -425,7 +445,9 @@ def _rows(mask: Tensor, like: Tensor) -> Tensor:
 
 def sound(value: Tensor) -> Tensor:
     """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
-    return (value.abs() < LARGEST).flatten(1).all(dim=1) if value.dim() > 1 else value.abs() < LARGEST
+    return (
+        (value.abs() < LARGEST).flatten(1).all(dim=1) if value.dim() > 1 else value.abs() < LARGEST
+    )
 
 
 class EpisodeStatistics:
@@ -434,7 +456,14 @@ class EpisodeStatistics:
     def __init__(self, terms: Sequence[str], num_worlds: int, device: torch.device) -> None:
         self.terms = list(terms)
         self._return = torch.zeros(num_worlds, device=device)
-        names = ["episodes", "steps", "return", "truncated", "unsound", *(f"ended_by/{t}" for t in terms)]
+        names = [
+            "episodes",
+            "steps",
+            "return",
+            "truncated",
+            "unsound",
+            *(f"ended_by/{t}" for t in terms),
+        ]
         self._names = names
         self._sums = torch.zeros(len(names), dtype=torch.float64, device=device)
 

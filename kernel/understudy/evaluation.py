@@ -102,10 +102,10 @@ class Evaluator:
                 violated[name] |= fired & running
             failed |= result.failed & running
             running &= ~(result.terminated | result.truncated)
-            if step % 30 == 29 and give_up_below is not None:
-                if 1 - float(failed.float().mean()) < give_up_below:
-                    complete = False
-                    break
+            looking = give_up_below is not None and step % 30 == 29
+            if looking and 1 - float(failed.float().mean()) < give_up_below:
+                complete = False
+                break
         unbroken = ~failed
         for fired in violated.values():
             unbroken &= ~fired

@@ -103,7 +103,9 @@ class Scene(ABC):
         """
         raise UnderstudyError(f"scene {type(self).__name__} cannot be drawn.")
 
-    def outlines(self, tracks: Mapping[str, np.ndarray]) -> tuple[np.ndarray | None, np.ndarray | None]:
+    def outlines(
+        self, tracks: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Stick figures of the recorded motion and of its reference, each (T, S, 2, 3) line
         segments in metres (world frame, z up), or None."""
         return None, None

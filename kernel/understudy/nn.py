@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,10 +16,12 @@ from understudy.random import WorldStreams
 from understudy.registry import check_range
 
 
-def mlp(sizes: Sequence[int], *, activation: type[nn.Module] = nn.ReLU, final_scale: float = 1.0) -> nn.Sequential:
+def mlp(
+    sizes: Sequence[int], *, activation: type[nn.Module] = nn.ReLU, final_scale: float = 1.0
+) -> nn.Sequential:
     """Linear layers of `sizes` with `activation` between them; the last one's weights are scaled."""
     layers: list[nn.Module] = []
-    for i, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+    for i, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
         linear = nn.Linear(inputs, outputs)
         last = i == len(sizes) - 2
         nn.init.orthogonal_(linear.weight, final_scale if last else math.sqrt(2.0))

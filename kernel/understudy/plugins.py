@@ -72,9 +72,7 @@ class Plugins:
         return [o for group in self.manager.hook.understudy_run_observers() for o in group]
 
 
-def load(
-    *, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] = ()
-) -> Plugins:
+def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] = ()) -> Plugins:
     """Load all installed plugins, or just those named in `only`, plus `extra` (name, module) pairs.
 
     ``UNDERSTUDY_PLUGINS=a,b`` allows only the named plugins and ``UNDERSTUDY_DISABLE_PLUGINS=c``
@@ -92,7 +90,10 @@ def load(
     manager = pluggy.PluginManager(GROUP)
     manager.add_hookspecs(Hooks)
     result = Plugins(manager, Registry())
-    found = sorted(metadata.entry_points(group=GROUP), key=lambda e: (e.dist is None or e.dist.name != "understudy", e.name))
+    found = sorted(
+        metadata.entry_points(group=GROUP),
+        key=lambda e: (e.dist is None or e.dist.name != "understudy", e.name),
+    )
     seen: dict[str, str] = {}
     for entry in found:
         if (allowed is not None and entry.name not in allowed) or entry.name in disabled:
@@ -141,7 +142,11 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
     plugin = LoadedPlugin(name, distribution, version, "ok")
     try:
         for item in dir(module):
-            if item.startswith("understudy_") and not hasattr(Hooks, item) and callable(getattr(module, item)):
+            if (
+                item.startswith("understudy_")
+                and not hasattr(Hooks, item)
+                and callable(getattr(module, item))
+            ):
                 hooks = ", ".join(h for h in vars(Hooks) if h.startswith("understudy_"))
                 raise PluginError(f"it defines '{item}', which is no hook. The hooks are: {hooks}.")
         manager.register(module, name)

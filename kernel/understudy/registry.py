@@ -94,7 +94,9 @@ def options_of(factory: Any) -> dict[str, Option]:
     keyword-only parameters.
     """
     function: Any = factory
-    schema: Any = factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
+    schema: Any = (
+        factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
+    )
     if schema is not None:
         hints = typing.get_type_hints(schema)
         result = {}
@@ -139,7 +141,9 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
     if origin is typing.Literal:
         if value in arguments:
             return value
-        raise ConfigError(f"{where}={value!r} is not possible.{suggestion(str(value), map(str, arguments))}")
+        raise ConfigError(
+            f"{where}={value!r} is not possible.{suggestion(str(value), map(str, arguments))}"
+        )
     if annotation is bool and isinstance(value, bool):
         return value
     if annotation is int and isinstance(value, int) and not isinstance(value, bool):
@@ -160,7 +164,8 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         else:
             kinds = [arguments[0] if arguments else Any] * len(value)
         return origin(
-            coerce(v, kind, f"{where}[{i}]") for i, (v, kind) in enumerate(zip(value, kinds, strict=True))
+            coerce(v, kind, f"{where}[{i}]")
+            for i, (v, kind) in enumerate(zip(value, kinds, strict=True))
         )
     if origin in (dict, Mapping) and isinstance(value, Mapping):
         kind = arguments[1] if arguments else Any
@@ -187,7 +192,11 @@ def make_options(schema: type, values: Any, where: str) -> Any:
 
 
 def check_range(
-    options: Any, *names: str, above: float | None = None, least: float | None = None, most: float | None = None
+    options: Any,
+    *names: str,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
 ) -> None:
     """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
     above `above`, at `least` or more, and at `most` or less; a ValueError names the one that does not."""
@@ -208,7 +217,9 @@ def _below(where: str) -> str:
     return f"{where}." if where else ""
 
 
-def checked_options(options: Mapping[str, Option], values: Mapping[str, Any], where: str) -> dict[str, Any]:
+def checked_options(
+    options: Mapping[str, Option], values: Mapping[str, Any], where: str
+) -> dict[str, Any]:
     """`values` coerced to the types of `options`; unknown and missing ones are errors."""
     for key in values:
         if key not in options:
@@ -351,7 +362,9 @@ class Registrar:
             name, summary, self.plugin, self.distribution, self.version
         )
 
-    def section(self, name: str, options: type | str, build: Callable[[Any, Registry], Any] | str) -> None:
+    def section(
+        self, name: str, options: type | str, build: Callable[[Any, Registry], Any] | str
+    ) -> None:
         """Register a top-level config section and what is built from it."""
         other = self.registry.sections.get(name)
         if other is not None:
@@ -363,7 +376,9 @@ class Registrar:
     def kind(self, name: str, summary: str) -> None:
         """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
         if name in self.registry.kinds:
-            raise PluginError(f"Plugin '{self.plugin}' adds the kind '{name}', which exists already.")
+            raise PluginError(
+                f"Plugin '{self.plugin}' adds the kind '{name}', which exists already."
+            )
         self.registry.kinds[name] = summary
 
     def citation(self, key: str, text: str) -> None:

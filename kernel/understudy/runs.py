@@ -96,7 +96,9 @@ class Run:
         """The rows of the metrics file; a row cut short by a crash is left out."""
         rows = []
         if self.metrics_file.exists():
-            for line in self.metrics_file.read_text(encoding="utf-8", errors="replace").splitlines():
+            for line in self.metrics_file.read_text(
+                encoding="utf-8", errors="replace"
+            ).splitlines():
                 try:
                     row = json.loads(line)
                 except ValueError:
@@ -147,7 +149,10 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "versions": versions(),
         "machine": {"system": platform.platform(), "cores": len(os.sched_getaffinity(0))},
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
-        "components": [dict(zip(("kind", "name", "plugin", "distribution", "version"), c, strict=True)) for c in components],
+        "components": [
+            dict(zip(("kind", "name", "plugin", "distribution", "version"), c, strict=True))
+            for c in components
+        ],
         "sources": dict(sources),
         "citations": [
             text
@@ -159,7 +164,9 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         for folder in ("checkpoints", "faults"):
             (path / folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunError(f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one.") from error
+        raise RunError(
+            f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one."
+        ) from error
     run = Run(path, info)
     run.lock()
     run.write_json("run.json", info)

@@ -212,7 +212,11 @@ class Training:
     def save(self) -> Path:
         assert self.run is not None
         path = self.run.checkpoints / f"{self.progress.iteration:08d}"
-        meta = {"config": self.run.config, "versions": versions(), "sources": self.run.info["sources"]}
+        meta = {
+            "config": self.run.config,
+            "versions": versions(),
+            "sources": self.run.info["sources"],
+        }
         checkpoint.save(path, self.state_dict(), meta)
         checkpoint.prune(self.run.checkpoints, self.experiment.root.checkpoint.keep)
         return path
@@ -317,7 +321,11 @@ class Training:
                     if stopping:
                         outcome = "preempted"
                         where = f" Continue with `understudy resume {run.path}`." if run else ""
-                        name = signal.Signals(stop.received).name if stop.received else "another process"
+                        name = (
+                            signal.Signals(stop.received).name
+                            if stop.received
+                            else "another process"
+                        )
                         raise PreemptedError(
                             f"Stopped by {name} after {progress.samples} "
                             f"samples; everything is saved.{where}"
@@ -343,11 +351,15 @@ class Training:
     def _spent(self) -> bool:
         budget = self.experiment.root.budget
         samples = budget.samples is not None and self.progress.samples >= budget.samples
-        return samples or (budget.minutes is not None and self.progress.seconds >= 60 * budget.minutes)
+        return samples or (
+            budget.minutes is not None and self.progress.seconds >= 60 * budget.minutes
+        )
 
     def _met(self, evaluation: Evaluation) -> bool:
         criterion = self.experiment.root.evaluation.criterion
-        return criterion is not None and evaluation.complete and evaluation.success_rate >= criterion
+        return (
+            criterion is not None and evaluation.complete and evaluation.success_rate >= criterion
+        )
 
     def _evaluate_if_due(self) -> Evaluation | None:
         """Evaluate when training episodes last long enough for success to be plausible."""
@@ -372,7 +384,9 @@ class Training:
             f"{evaluation.episodes} episodes of {evaluation.seconds:g} s succeeded{verb}, "
             f"{evaluation.mean_episode_seconds:.1f} s on average."
         )
-        self.progress.best = max(self.progress.best, evaluation.success_rate if evaluation.complete else -1)
+        self.progress.best = max(
+            self.progress.best, evaluation.success_rate if evaluation.complete else -1
+        )
         return evaluation
 
     # ------------------------------------------------------------------ faults
@@ -382,7 +396,11 @@ class Training:
         rows = worlds.nonzero().squeeze(1)
         self._dump(
             "step",
-            {"snapshot": {k: v[rows] for k, v in snapshot.items()}, "control": control[rows], "worlds": rows},
+            {
+                "snapshot": {k: v[rows] for k, v in snapshot.items()},
+                "control": control[rows],
+                "worlds": rows,
+            },
         )
 
     def _dump_minibatch(self, tensors: Mapping[str, Tensor]) -> None:
@@ -394,7 +412,9 @@ class Training:
         meta = {"config": self.run.config, "versions": versions(), "samples": self.progress.samples}
         try:
             checkpoint.save(folder / name, state, meta)
-            self.reporter.message(f"Numbers left the finite; what led to it is in {folder / name}.json.")
+            self.reporter.message(
+                f"Numbers left the finite; what led to it is in {folder / name}.json."
+            )
         except RunError as error:  # the training can go on without it
             self.reporter.message(f"Numbers left the finite, and {error}")
 

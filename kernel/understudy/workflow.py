@@ -130,7 +130,9 @@ def resume(path: str, overrides: Sequence[str]) -> int:
 
 def _carry_out(training: Training, run: Run) -> int:
     display = Display(training.experiment)
-    training.reporter = Reporter(display.iteration, display.message, [TensorBoard(), *installed().observers()])
+    training.reporter = Reporter(
+        display.iteration, display.message, [TensorBoard(), *installed().observers()]
+    )
     try:
         outcome = training.train()
     finally:
@@ -173,7 +175,9 @@ def render(path: str, overrides: Sequence[str]) -> int:
     """Evaluate once more while recording, and draw video and report."""
     run, evaluator, policy, samples = _load(path, overrides)
     try:
-        _evaluate_and_draw(evaluator, policy, run, samples, lambda text: print(text, file=sys.stderr))
+        _evaluate_and_draw(
+            evaluator, policy, run, samples, lambda text: print(text, file=sys.stderr)
+        )
     finally:
         evaluator.close()
     print(f"run: {run.path}")
@@ -191,7 +195,9 @@ def _load(path: str, overrides: Sequence[str]) -> tuple[Run, Evaluator, Policy, 
     try:
         policy.load_state_dict(state["policy"])
     except RuntimeError as error:
-        raise RunError(f"The checkpoint of {path} does not fit this policy: {str(error).splitlines()[1].strip()}") from error
+        raise RunError(
+            f"The checkpoint of {path} does not fit this policy: {str(error).splitlines()[1].strip()}"
+        ) from error
     policy.schedule(state["progress"]["samples"])
     return run, evaluator, policy, state["progress"]["samples"]
 
@@ -233,4 +239,3 @@ def _evaluate_and_draw(
 
 #: The world that is recorded and drawn.
 _SHOWN = 0
-

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import imageio_ffmpeg
 import numpy as np
 import pytest
+
 from understudy.errors import RunError
 from understudy.pictures import stick_figure_animation, stick_figure_svg, write_video
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from understudy.errors import RunError
 from understudy.evaluation import Evaluation
 from understudy.report import write_report

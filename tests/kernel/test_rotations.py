@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from torch import Tensor
+
 from understudy import rotations as rot
 
 SHAPES = st.sampled_from([(), (1,), (5,), (2, 3)])

@@ -78,7 +78,9 @@ def check_plugin(name: str, plugins: Plugins | None = None, num_worlds: int = 4)
             check_component(component)
     for task in plugins.registry.tasks.values():
         if task.plugin == name:
-            experiment = load_experiment([f"task={task.option}", f"num_worlds={num_worlds}"], plugins)
+            experiment = load_experiment(
+                [f"task={task.option}", f"num_worlds={num_worlds}"], plugins
+            )
             validate(experiment.raw, plugins.registry)
             built = build_environment(experiment)
             try:

@@ -26,7 +26,9 @@ class Grid(OuterLoop):
     def __init__(self, options: Options, context: None = None) -> None:
         self._pending = [
             Trial(f"{name}/seed{seed}", (*overrides, f"seed={seed}"))
-            for (name, overrides), seed in itertools.product(options.variants.items(), options.seeds)
+            for (name, overrides), seed in itertools.product(
+                options.variants.items(), options.seeds
+            )
         ]
         self._variants = list(options.variants)
         self._results: dict[str, Result] = {}

@@ -50,14 +50,50 @@ _ELBOW = Joint("hinge", 60, 300, 30, axis=(0, -1, 0), range=(0.0, 3.0))
 def _leg(side: str, y: float) -> Iterator[Body]:
     hip, ankle = Joint("ball", 200, 500, 50), Joint("ball", 90, 400, 40)
     yield Body(f"{side}_hip", "root", (0, y, 0), "capsule", (0.055, 0.15), (0, 0, -0.21), 4.5, hip)
-    yield Body(f"{side}_knee", f"{side}_hip", (0, 0, -0.422), "capsule", (0.05, 0.155), (0, 0, -0.2), 3.0, _KNEE)
-    yield Body(f"{side}_ankle", f"{side}_knee", (0, 0, -0.41), "box", (0.0885, 0.045, 0.0275), (0.045, 0, -0.0225), 1.0, ankle)
+    yield Body(
+        f"{side}_knee",
+        f"{side}_hip",
+        (0, 0, -0.422),
+        "capsule",
+        (0.05, 0.155),
+        (0, 0, -0.2),
+        3.0,
+        _KNEE,
+    )
+    yield Body(
+        f"{side}_ankle",
+        f"{side}_knee",
+        (0, 0, -0.41),
+        "box",
+        (0.0885, 0.045, 0.0275),
+        (0.045, 0, -0.0225),
+        1.0,
+        ankle,
+    )
 
 
 def _arm(side: str, y: float) -> Iterator[Body]:
     shoulder = Joint("ball", 100, 400, 40)
-    yield Body(f"{side}_shoulder", "chest", (-0.024, y, 0.2435), "capsule", (0.045, 0.09), (0, 0, -0.14), 1.5, shoulder)
-    yield Body(f"{side}_elbow", f"{side}_shoulder", (0, 0, -0.275), "capsule", (0.04, 0.0675), (0, 0, -0.12), 1.0, _ELBOW)
+    yield Body(
+        f"{side}_shoulder",
+        "chest",
+        (-0.024, y, 0.2435),
+        "capsule",
+        (0.045, 0.09),
+        (0, 0, -0.14),
+        1.5,
+        shoulder,
+    )
+    yield Body(
+        f"{side}_elbow",
+        f"{side}_shoulder",
+        (0, 0, -0.275),
+        "capsule",
+        (0.04, 0.0675),
+        (0, 0, -0.12),
+        1.0,
+        _ELBOW,
+    )
     yield Body(f"{side}_wrist", f"{side}_elbow", (0, 0, -0.259), "sphere", (0.04,), (0, 0, 0), 0.5)
 
 
@@ -65,8 +101,26 @@ def _arm(side: str, y: float) -> Iterator[Body]:
 #: DeepMimic clips were made for, so that those clips fit without retargeting.
 BODIES: tuple[Body, ...] = (
     Body("root", None, (0, 0, 0), "sphere", (0.09,), (0, 0, 0.07), 6.0),
-    Body("chest", "root", (0, 0, 0.236), "sphere", (0.11,), (0, 0, 0.12), 14.0, Joint("ball", 200, 1000, 100)),
-    Body("neck", "chest", (0, 0, 0.224), "sphere", (0.1025,), (0, 0, 0.175), 2.0, Joint("ball", 50, 100, 10)),
+    Body(
+        "chest",
+        "root",
+        (0, 0, 0.236),
+        "sphere",
+        (0.11,),
+        (0, 0, 0.12),
+        14.0,
+        Joint("ball", 200, 1000, 100),
+    ),
+    Body(
+        "neck",
+        "chest",
+        (0, 0, 0.224),
+        "sphere",
+        (0.1025,),
+        (0, 0, 0.175),
+        2.0,
+        Joint("ball", 50, 100, 10),
+    ),
     *_leg("right", -0.085),
     *_arm("right", -0.183),
     *_leg("left", 0.085),
@@ -200,7 +254,9 @@ def _add_joint(
             forcelimited=True,
             forcerange=[-row.torque, row.torque],
         )
-        actuator.gear = [float(i == k) for k in range(3)] + [0, 0, 0] if ball else [1, 0, 0, 0, 0, 0]
+        actuator.gear = (
+            [float(i == k) for k in range(3)] + [0, 0, 0] if ball else [1, 0, 0, 0, 0, 0]
+        )
         actuator.gainprm[0] = row.kp
         actuator.biasprm[1], actuator.biasprm[2] = -row.kp, -damping
 

@@ -90,7 +90,9 @@ class Fall:
         layout = context.need_scene(HumanoidScene, "humanoid.fall").layout.to(context.device)
         for name in options.bodies:
             if name not in layout.link_names:
-                raise ConfigError(f"humanoid.fall: no body '{name}'.{suggestion(name, layout.link_names)}")
+                raise ConfigError(
+                    f"humanoid.fall: no body '{name}'.{suggestion(name, layout.link_names)}"
+                )
         self._layout, self._clearance = layout, options.clearance
         self._rows = torch.tensor(
             [layout.link_names.index(name) for name in options.bodies], device=context.device

@@ -24,7 +24,9 @@ TARGET_LEAD = 0.1
 _EPSILON = 1.0 / 120.0
 
 
-def clip_to_qpos(clip: Clip, model: mujoco.MjModel, layout: CharacterLayout, times: Tensor) -> Tensor:
+def clip_to_qpos(
+    clip: Clip, model: mujoco.MjModel, layout: CharacterLayout, times: Tensor
+) -> Tensor:
     """The character's ``qpos`` (F, nq) float64 at `times` (F,) s of the clip, mapped by joint name.
 
     Raises
@@ -52,7 +54,9 @@ def clip_to_qpos(clip: Clip, model: mujoco.MjModel, layout: CharacterLayout, tim
     return qpos
 
 
-def finite_difference_qvel(model: mujoco.MjModel, before: Tensor, after: Tensor, dt: float) -> Tensor:
+def finite_difference_qvel(
+    model: mujoco.MjModel, before: Tensor, after: Tensor, dt: float
+) -> Tensor:
     """The constant ``qvel`` (F, nv) that takes ``qpos`` `before` to `after` (F, nq) in `dt` s."""
     result = np.zeros((len(before), model.nv))
     for row, first, second in zip(result, before.numpy(), after.numpy(), strict=True):
@@ -93,7 +97,12 @@ class ReferenceMotion:
         self._cycle = cycle_transform(clip) if clip.loop else still
 
     def _tabulate(
-        self, model: mujoco.MjModel, layout: CharacterLayout, times: Tensor, ground: bool, lead: float
+        self,
+        model: mujoco.MjModel,
+        layout: CharacterLayout,
+        times: Tensor,
+        ground: bool,
+        lead: float,
     ) -> dict[str, Tensor]:
         def qpos_at(at: Tensor) -> Tensor:
             return clip_to_qpos(self.clip, model, layout, at)

@@ -15,7 +15,10 @@ if sys.platform == "linux":
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.component(
-        "simulator", "mujoco", "understudy_mujoco.simulator:MujocoSimulator", "MuJoCo on CPU threads"
+        "simulator",
+        "mujoco",
+        "understudy_mujoco.simulator:MujocoSimulator",
+        "MuJoCo on CPU threads",
     )
     register.component(
         "scene", "mjcf", "understudy_mujoco.scene:MjcfFile", "a scene read from an MJCF file"

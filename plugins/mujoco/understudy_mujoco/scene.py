@@ -32,7 +32,9 @@ class MujocoScene(Scene):
 
 
 #: Elements and attributes by which MJCF reaches files other than its own.
-_REACHES_OUT = re.compile(rb"<\s*(include|plugin|extension)\b|\b(file|meshdir|texturedir|assetdir)\s*=", re.I)
+_REACHES_OUT = re.compile(
+    rb"<\s*(include|plugin|extension)\b|\b(file|meshdir|texturedir|assetdir)\s*=", re.I
+)
 _MAX_BYTES = 16 << 20
 
 
@@ -51,7 +53,9 @@ class MjcfFile(MujocoScene):
         self._path = Path(options.file)
         try:
             if self._path.stat().st_size > _MAX_BYTES:
-                raise FileError(f"{self._path} is larger than {_MAX_BYTES >> 20} MiB; no MJCF model is.")
+                raise FileError(
+                    f"{self._path} is larger than {_MAX_BYTES >> 20} MiB; no MJCF model is."
+                )
             text = self._path.read_bytes()
         except OSError as error:
             raise FileError(f"The model {self._path} cannot be read: {error.strerror}.") from error

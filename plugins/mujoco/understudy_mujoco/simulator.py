@@ -62,7 +62,9 @@ class MujocoSimulator(Simulator):
         try:
             self.model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
-            raise FileError(f"The scene's model does not compile: {str(error).splitlines()[0]}") from error
+            raise FileError(
+                f"The scene's model does not compile: {str(error).splitlines()[0]}"
+            ) from error
         threads = options.threads or len(os.sched_getaffinity(0))
         self.batch = Batch(self.model, context.num_worlds, threads)
         self._substeps = context.substeps

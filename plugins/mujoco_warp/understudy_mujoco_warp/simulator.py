@@ -80,7 +80,9 @@ class MujocoWarpSimulator(Simulator):
         try:
             self.model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
-            raise FileError(f"The scene's model does not compile: {str(error).splitlines()[0]}") from error
+            raise FileError(
+                f"The scene's model does not compile: {str(error).splitlines()[0]}"
+            ) from error
         self._device = context.device
         self._substeps = context.substeps
         contacts = options.contacts or contact_capacity(self.model)
@@ -111,7 +113,11 @@ class MujocoWarpSimulator(Simulator):
         }
         dropped = mjw.OverflowType
         self._dropping = int(
-            dropped.NEFC | dropped.NJMAX_NNZ | dropped.BROADPHASE | dropped.NARROWPHASE | dropped.CCD
+            dropped.NEFC
+            | dropped.NJMAX_NNZ
+            | dropped.BROADPHASE
+            | dropped.NARROWPHASE
+            | dropped.CCD
         )
         self._overflows = torch.zeros((), dtype=torch.int64, device=self._device)
         self._step_graph = self._capture(self._advance)

@@ -54,7 +54,9 @@ class PPO(Learner):
     def __init__(self, options: Options, context: Context, policy: Policy) -> None:
         samples = options.rollout_steps * context.num_worlds
         if samples < 2:
-            raise ConfigError("One sample an iteration is too few: raise num_worlds or learner.rollout_steps.")
+            raise ConfigError(
+                "One sample an iteration is too few: raise num_worlds or learner.rollout_steps."
+            )
         if options.minibatches > samples:
             raise ConfigError(
                 f"learner.minibatches={options.minibatches} are more than the samples of an iteration: "
@@ -66,8 +68,12 @@ class PPO(Learner):
         self.rollout_steps = options.rollout_steps
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
-        self._actor_optimiser = torch.optim.Adam(self._actor, options.actor_learning_rate, fused=True)
-        self._critic_optimiser = torch.optim.Adam(self._critic, options.critic_learning_rate, fused=True)
+        self._actor_optimiser = torch.optim.Adam(
+            self._actor, options.actor_learning_rate, fused=True
+        )
+        self._critic_optimiser = torch.optim.Adam(
+            self._critic, options.critic_learning_rate, fused=True
+        )
         self._generator = generator(context.seed, "ppo")
         #: () optimiser steps in a row that were not finite.
         self._bad_steps = torch.zeros((), dtype=torch.int64, device=context.device)
@@ -77,7 +83,10 @@ class PPO(Learner):
         assert rollout.returns is not None
         returns = rollout.returns.flatten()
         _, mean, variance = distributed.moments(advantages.view(-1, 1))
-        flat = {f"observations/{name}": value.flatten(0, 1) for name, value in rollout.observations.items()}
+        flat = {
+            f"observations/{name}": value.flatten(0, 1)
+            for name, value in rollout.observations.items()
+        }
         flat |= {
             "actions": rollout.actions.flatten(0, 1),
             "log_probs": rollout.log_probs.flatten(),
@@ -102,7 +111,11 @@ class PPO(Learner):
         actor_loss, value_loss, entropy, kl, outside = (x / max(1.0, taken) for x in totals)
         self._refuse_hopeless()
         variance = returns.var() + 1e-8
-        explained = 1 - (returns - rollout.values.flatten()).var() / variance if rollout.values is not None else 0.0
+        explained = (
+            1 - (returns - rollout.values.flatten()).var() / variance
+            if rollout.values is not None
+            else 0.0
+        )
         return {
             "actor_loss": actor_loss,
             "value_loss": value_loss,
@@ -217,7 +230,4 @@ def _optimiser_state(optimiser: torch.optim.Optimizer) -> State:
 def _load_optimiser(optimiser: torch.optim.Optimizer, state: State) -> None:
     for i, p in enumerate(_parameters(optimiser)):
         if str(i) in state:
-            optimiser.state[p] = {
-                k: v.clone().to(p.device)
-                for k, v in state[str(i)].items()
-            }
+            optimiser.state[p] = {k: v.clone().to(p.device) for k, v in state[str(i)].items()}

@@ -49,7 +49,9 @@ class MLPPolicy(Policy):
                 raise ValueError(f"hidden={self.hidden} is not possible: every layer needs a unit.")
             for end in ("start", "end"):  # checked here: other schedules may reach zero
                 if not getattr(self.noise, end) > 0:
-                    raise ValueError(f"noise.{end}={getattr(self.noise, end)} is not possible: it must be greater than 0.")
+                    raise ValueError(
+                        f"noise.{end}={getattr(self.noise, end)} is not possible: it must be greater than 0."
+                    )
             check_range(self, "final_scale", least=0)
 
     deviation: Tensor
@@ -61,7 +63,9 @@ class MLPPolicy(Policy):
         activation = ACTIVATIONS[options.activation]
         self.normaliser = RunningNormaliser(size)
         layers = [size, *options.hidden]
-        self.actor = mlp([*layers, context.action_size], activation=activation, final_scale=options.final_scale)
+        self.actor = mlp(
+            [*layers, context.action_size], activation=activation, final_scale=options.final_scale
+        )
         self.critic = mlp([*layers, 1], activation=activation)
         log_deviation = torch.full((context.action_size,), options.noise.start).log()
         self.log_deviation = nn.Parameter(log_deviation, requires_grad=options.learn_noise)

@@ -11,20 +11,39 @@ _HERE = "understudy_spacetime"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     add = register.component
-    add("termination", "spacetime.com_bound", f"{_HERE}.bounds:com_bound", "centre of mass, per axis")
+    add(
+        "termination",
+        "spacetime.com_bound",
+        f"{_HERE}.bounds:com_bound",
+        "centre of mass, per axis",
+    )
     add("termination", "spacetime.root_bound", f"{_HERE}.bounds:root_bound", "root orientation")
     add("termination", "spacetime.joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
-    add("termination", "spacetime.end_effector_bound", f"{_HERE}.bounds:end_effector_bound", "hands and feet")
+    add(
+        "termination",
+        "spacetime.end_effector_bound",
+        f"{_HERE}.bounds:end_effector_bound",
+        "hands and feet",
+    )
     add("reward", "spacetime.survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
-    add("encoder", "spacetime.state", f"{_HERE}.encoders:StateEncoder", "character, phase, root error")
-    add("encoder", "spacetime.feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose")
+    add(
+        "encoder",
+        "spacetime.state",
+        f"{_HERE}.encoders:StateEncoder",
+        "character, phase, root error",
+    )
+    add(
+        "encoder", "spacetime.feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose"
+    )
     add(
         "policy",
         "spacetime.feedforward_feedback",
         f"{_HERE}.policy:FeedforwardFeedback",
         "reference pose plus learned offset",
     )
-    add("initial_states", "spacetime.uniform", f"{_HERE}.initial_states:Uniform", "reference states")
+    add(
+        "initial_states", "spacetime.uniform", f"{_HERE}.initial_states:Uniform", "reference states"
+    )
     add(
         "initial_states",
         "spacetime.importance",

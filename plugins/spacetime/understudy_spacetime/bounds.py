@@ -62,10 +62,14 @@ class JointBound:
         names = context.need_scene(HumanoidScene, "spacetime.joint_bound").layout.joint_names
         for name in options.joints:
             if name not in names:
-                raise ConfigError(f"spacetime.joint_bound: no joint '{name}'.{suggestion(name, names)}")
+                raise ConfigError(
+                    f"spacetime.joint_bound: no joint '{name}'.{suggestion(name, names)}"
+                )
         chosen = [names.index(name) for name in options.joints or names]
         self._size = options.size
-        self._chosen = None if len(chosen) == len(names) else torch.tensor(chosen, device=context.device)
+        self._chosen = (
+            None if len(chosen) == len(names) else torch.tensor(chosen, device=context.device)
+        )
 
     def __call__(
         self, joint_rotations: Tensor, reference_joint_rotations: Tensor, phase: Tensor

@@ -49,7 +49,8 @@ class StateEncoder(Encoder):
         angle = phase * (2 * math.pi)
         scalars = [phase, angle.sin(), angle.cos(), root_position[:, 2], turn.sin(), turn.cos()]
         return torch.cat(
-            [torch.stack(scalars, dim=1), error, *(value.flatten(1) for value in links.values())], dim=1
+            [torch.stack(scalars, dim=1), error, *(value.flatten(1) for value in links.values())],
+            dim=1,
         )
 
 

@@ -96,7 +96,9 @@ class Importance(InitialStates):
         self._reference = reference_motion(context)
         self._options = options
         self._returns = _SegmentReturns(options.segments, options.decay, context.device)
-        self._cumulative = _cumulative(torch.full((options.segments,), 1.0 / options.segments, device=context.device))
+        self._cumulative = _cumulative(
+            torch.full((options.segments,), 1.0 / options.segments, device=context.device)
+        )
 
     def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
         segment, within = _draw_segment(self._cumulative, streams)
@@ -165,7 +167,9 @@ class Evolution(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         self._reference, self._options = reference_motion(context), options
         self._returns = _SegmentReturns(options.segments, options.decay, context.device)
-        self._cumulative = _cumulative(torch.full((options.segments,), 1.0 / options.segments, device=context.device))
+        self._cumulative = _cumulative(
+            torch.full((options.segments,), 1.0 / options.segments, device=context.device)
+        )
         self._generator = generator(context.seed, "evolution")
         n, m = options.segments, options.size
         phase = (torch.arange(n * m, device=context.device) + 0.5) / (n * m)
@@ -191,7 +195,9 @@ class Evolution(InitialStates):
         self._returns.update(phase, returns)
         self._cumulative = _cumulative(self._returns.probabilities(options.uniform))
         qpos, qvel, start = self._reference.to_first_cycle(
-            records["qpos"].flatten(0, 1), records["qvel"].flatten(0, 1), records["motion_time"].flatten()
+            records["qpos"].flatten(0, 1),
+            records["qvel"].flatten(0, 1),
+            records["motion_time"].flatten(),
         )
         index = (phase * options.segments).long().clamp(0, options.segments - 1)
         sign = -1.0 if options.prefer == "low" else 1.0
@@ -202,7 +208,9 @@ class Evolution(InitialStates):
             w = returns[rows]
             spread = (w.max() - w.min()).clamp(min=1e-6)
             weights = torch.softmax(sign * w / spread, dim=0).cpu()
-            drawn = torch.multinomial(weights, options.size, replacement=True, generator=self._generator)
+            drawn = torch.multinomial(
+                weights, options.size, replacement=True, generator=self._generator
+            )
             chosen = rows[drawn.to(rows.device)]
             self._buffer["qpos"][k] = qpos[chosen]
             self._buffer["qvel"][k] = qvel[chosen]

@@ -12,7 +12,9 @@ import sys
 import pytest
 import torch
 
-pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
+pytest.importorskip(
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+)
 
 from understudy.building import Built, build_environment
 from understudy.config import load_experiment

@@ -38,11 +38,15 @@ def frequencies(start: Tensor, duration: float) -> Tensor:
     return segment_of(start, duration).bincount(minlength=SEGMENTS) / len(start)
 
 
-def walked(context: Context, make_rollout: MakeRollout, steps: int = 50, worlds: int = 40) -> Rollout:
+def walked(
+    context: Context, make_rollout: MakeRollout, steps: int = 50, worlds: int = 40
+) -> Rollout:
     """A rollout along the reference, of the returns `RETURNS` by segment, in any cycle."""
     reference = reference_motion(context)
-    time = 5.0 * reference.duration * torch.rand(
-        steps * worlds, generator=torch.Generator().manual_seed(1)
+    time = (
+        5.0
+        * reference.duration
+        * torch.rand(steps * worlds, generator=torch.Generator().manual_seed(1))
     )
     state = reference.sample(time)
     records = {
@@ -122,9 +126,7 @@ def test_averages_run_and_unseen_segments_count_as_average(
     p = segment_probabilities(torch.tensor([2.0, 6.0, 4.0, 4.0]), uniform=0.2)
     torch.testing.assert_close(states.state_dict()["cumulative"], p.cumsum(0))
     states.update(make_rollout({"phase": phase[:, :1]}, torch.tensor([[10.0]])))
-    torch.testing.assert_close(
-        states.state_dict()["average"], torch.tensor([4.0, 6.0, 0.0, 0.0])
-    )
+    torch.testing.assert_close(states.state_dict()["average"], torch.tensor([4.0, 6.0, 0.0, 0.0]))
 
 
 def test_evolution_begins_with_the_reference(context: Context) -> None:

@@ -43,7 +43,9 @@ def test_the_reference_pose_is_neither_normalised_nor_learned(context: Context) 
     difference = policy.distribution(shifted).mean - policy.distribution(seen).mean
     torch.testing.assert_close(difference, torch.ones_like(difference))
     learned = {id(p) for p in (*policy.actor_parameters(), *policy.critic_parameters())}
-    network = {id(p) for p in (*policy.feedback.actor.parameters(), *policy.feedback.critic.parameters())}
+    network = {
+        id(p) for p in (*policy.feedback.actor.parameters(), *policy.feedback.critic.parameters())
+    }
     assert learned == network
 
 
