@@ -102,8 +102,9 @@ class Evaluator:
                 violated[name] |= fired & running
             failed |= result.failed & running
             running &= ~(result.terminated | result.truncated)
-            looking = give_up_below is not None and step % 30 == 29
-            if looking and 1 - float(failed.float().mean()) < give_up_below:
+            if step % 30 != 29 or give_up_below is None:
+                continue
+            if 1 - float(failed.float().mean()) < give_up_below:
                 complete = False
                 break
         unbroken = ~failed
