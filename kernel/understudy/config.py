@@ -386,6 +386,16 @@ def _settable(override: str) -> str:
     return f"++{override}" if equals and "." in key and key[0] not in "+~" else override
 
 
+def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
+    """`overrides`, then `by`, without those of the former that the latter set anew."""
+
+    def key(override: str) -> str:
+        return override.lstrip("+~").partition("=")[0]
+
+    new = {key(o) for o in by}
+    return [*(o for o in overrides if key(o) not in new), *by]
+
+
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 

@@ -58,17 +58,18 @@ class Component:
             return self.target
         module, _, attribute = self.target.partition(":")
         try:
-            return getattr(importlib.import_module(module), attribute)
-        except ImportError as error:
+            loaded = importlib.import_module(module)
+        except Exception as error:  # whatever a library raises where it cannot run
             raise PluginError(
                 f"{self.kind} '{self.name}' of plugin '{self.plugin}' cannot be used: {error}. "
                 "Install what it is missing, or choose another one."
             ) from error
-        except AttributeError as error:
+        if not hasattr(loaded, attribute):
             raise PluginError(
                 f"{self.kind} '{self.name}' of plugin '{self.plugin}' is registered as "
                 f"'{self.target}', which does not exist."
-            ) from error
+            )
+        return getattr(loaded, attribute)
 
     @functools.cached_property
     def options(self) -> Mapping[str, Option]:

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from understudy import checkpoint, distributed, runs
 from understudy.building import build_policy
-from understudy.config import Experiment, compose_raw, validate
+from understudy.config import Experiment, compose_raw, replaced, validate
 from understudy.errors import RunError, UnderstudyError
 from understudy.evaluation import Evaluation, Evaluator
 from understudy.interfaces import Policy
@@ -113,7 +113,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     run = runs.open_run(path)
     registry = installed().registry
     if overrides:
-        composed = compose_raw([*run.info["overrides"], *overrides])
+        composed = compose_raw(replaced(run.info["overrides"], overrides))
         composed["run"] = run.config["run"]
         run.info["config"] = composed
     experiment = validate(run.config, registry)
@@ -187,7 +187,7 @@ def render(path: str, overrides: Sequence[str]) -> int:
 def _load(path: str, overrides: Sequence[str]) -> tuple[Run, Evaluator, Policy, int]:
     run = runs.open_run(path)
     if overrides:
-        run.info["config"] = compose_raw([*run.info["overrides"], *overrides])
+        run.info["config"] = compose_raw(replaced(run.info["overrides"], overrides))
     experiment = validate(run.config, installed().registry)
     state, _, _ = checkpoint.load_newest(run.checkpoints, lambda text: print(text, file=sys.stderr))
     evaluator = Evaluator(experiment)

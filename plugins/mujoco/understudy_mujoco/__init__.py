@@ -1,5 +1,6 @@
 """MuJoCo on the CPU: all worlds stepped in C threads by ``mujoco.batch.Batch``."""
 
+import ctypes
 import os
 import sys
 from pathlib import Path
@@ -7,9 +8,21 @@ from pathlib import Path
 from understudy import hookimpl
 from understudy.registry import Registrar
 
-if sys.platform == "linux":
-    # MuJoCo chooses its renderer when it is imported; EGL needs no display.
-    os.environ.setdefault("MUJOCO_GL", "egl")
+
+def _choose_renderer() -> None:
+    """MuJoCo chooses its renderer when it is imported, and fails to import without that library.
+
+    EGL needs no display; where there is none, training goes on without pictures.
+    """
+    if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
+        try:
+            ctypes.CDLL("libEGL.so.1")
+            os.environ["MUJOCO_GL"] = "egl"
+        except OSError:
+            os.environ["MUJOCO_GL"] = "disable"
+
+
+_choose_renderer()
 
 
 @hookimpl
