@@ -5,6 +5,9 @@ from pathlib import Path
 from understudy import hookimpl
 from understudy.registry import Registrar
 
+#: Plugins that this one builds on.
+REQUIRES = ("mujoco", "motion")
+
 _HERE = "understudy_humanoid"
 
 

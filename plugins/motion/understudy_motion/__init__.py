@@ -3,6 +3,9 @@
 from understudy import hookimpl
 from understudy.registry import Registrar
 
+#: Plugins that this one builds on.
+REQUIRES: tuple[str, ...] = ()
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:

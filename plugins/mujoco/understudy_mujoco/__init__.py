@@ -8,6 +8,9 @@ from pathlib import Path
 from understudy import hookimpl
 from understudy.registry import Registrar
 
+#: Plugins that this one builds on.
+REQUIRES: tuple[str, ...] = ()
+
 
 def _choose_renderer() -> None:
     """MuJoCo chooses its renderer when it is imported, and fails to import without that library.

@@ -1,0 +1,78 @@
+"""A stranger's distribution: built, installed with plain pip, listed, trained, swapped in, checked."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("hatchling", reason="building the distribution needs hatchling (dev extra)")
+
+SOURCE = Path(__file__).parent / "understudy-balance"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder into which pip built and installed the distribution."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [
+        sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps",
+        "--no-build-isolation", "--target", str(folder), str(SOURCE),
+    ]  # fmt: skip
+    subprocess.run(command, check=True, timeout=120)
+    return folder
+
+
+def understudy(site: Path, *arguments: str, cwd: Path | None = None) -> str:
+    environment = os.environ | {"PYTHONPATH": str(site), "MUJOCO_GL": "disable"}
+    done = subprocess.run(
+        [sys.executable, "-m", "understudy.cli", *arguments],
+        env=environment, cwd=cwd, capture_output=True, text=True, timeout=200, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_is_listed_with_its_distribution(site: Path) -> None:
+    rows = {row["name"]: row for row in json.loads(understudy(site, "plugins", "--json"))}
+    balance = rows["balance"]
+    assert balance["distribution"] == "understudy-balance"
+    assert (balance["version"], balance["status"]) == ("0.3.0", "ok")
+    assert "reward/balance.upright" in balance["components"]
+    assert "balance.stand" in understudy(site, "tasks")
+
+
+def test_trains_for_a_few_iterations(site: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    out = understudy(
+        site, "train", "task=balance/stand", "policy=mlp", "learner=ppo", "num_worlds=8",
+        "learner.rollout_steps=8", "learner.minibatches=2", "policy.hidden=[32]",
+        "budget.samples=192", "evaluation.episodes=4", "evaluation.seconds=0.5", f"run.dir={run}",
+    )  # fmt: skip
+    assert out.splitlines()[-1] == f"run: {run}"
+    info = json.loads((run / "run.json").read_text())
+    assert {"name": "balance.upright", "plugin": "balance"}.items() <= {
+        k: v for c in info["components"] if c["kind"] == "reward" for k, v in c.items()
+    }.items()
+    assert len((run / "metrics.jsonl").read_text().splitlines()) == 3
+
+
+def test_its_option_and_term_swap_into_another_task(site: Path) -> None:
+    config = json.loads(
+        understudy(site, "config", "--json", "experiment=spacetime/walk", "reward=upright_gentle")
+    )
+    assert config["reward"]["terms"] == {"upright": {"name": "balance.upright", "scale": 1.0}}
+    shown = understudy(
+        site, "config", "experiment=spacetime/walk", "+reward.terms.upright={name: balance.upright}"
+    )
+    assert "balance.upright" in shown
+
+
+def test_passes_the_conformance_checks(site: Path) -> None:
+    code = "from understudy.testing import check_plugin; check_plugin('balance')"
+    environment = os.environ | {"PYTHONPATH": str(site)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=120)

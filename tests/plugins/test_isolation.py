@@ -1,0 +1,77 @@
+"""Independence: a plugin works with only itself and what it declares; the kernel needs none."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = sorted(
+    p.name for p in (ROOT / "plugins").iterdir() if (p / f"understudy_{p.name}").is_dir()
+)
+
+
+def requires(name: str) -> set[str]:
+    return set(importlib.import_module(f"understudy_{name}").REQUIRES)
+
+
+def imported(folder: Path) -> set[str]:
+    """The bundled plugins that any module under `folder` imports."""
+    found = set()
+    for file in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                modules = [node.module]
+            elif isinstance(node, ast.Import):
+                modules = [alias.name for alias in node.names]
+            for module in modules:
+                head = module.partition(".")[0]
+                if head.startswith("understudy_"):
+                    found.add(head.removeprefix("understudy_"))
+    return found
+
+
+def test_the_kernel_imports_no_plugin() -> None:
+    assert imported(ROOT / "kernel") == set()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_imports_only_what_it_declares(name: str) -> None:
+    assert imported(ROOT / "plugins" / name) - {name} <= requires(name)
+
+
+def test_declarations_have_no_cycle() -> None:
+    def above(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " → ".join((*path, name))
+        for other in requires(name):
+            above(other, (*path, name))
+
+    for name in NAMES:
+        above(name, ())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_works_with_only_what_it_declares(name: str) -> None:
+    if name == "mujoco_warp":
+        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
+    environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join({name, *requires(name)})}
+    code = f"from understudy.testing import check_plugin; check_plugin('{name}')"
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_its_own_tests_pass_alone(name: str) -> None:
+    tests = ROOT / "tests" / "plugins" / name
+    if not tests.is_dir():
+        pytest.skip("it has no tests of its own")
+    environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join({name, *requires(name)})}
+    command = [sys.executable, "-m", "pytest", "-q", str(tests)]
+    subprocess.run(command, env=environment, cwd=ROOT, check=True, timeout=600)
