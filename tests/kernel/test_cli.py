@@ -1,0 +1,152 @@
+"""The command line: what it prints, and that bad input is one clear line and exit status 2."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from understudy.cli import main
+
+QUICK = (
+    "experiment=spacetime/walk",
+    "num_worlds=8",
+    "learner.rollout_steps=4",
+    "learner.minibatches=2",
+    "policy.feedback.hidden=[16]",
+    "budget.samples=64",
+    "evaluation.episodes=2",
+    "evaluation.seconds=0.5",
+    "run.video_seconds=0.2",
+)
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line that a refused command prints."""
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    lines = [line for line in captured.err.splitlines() if line.startswith("understudy: ")]
+    assert len(lines) == 1, captured.err
+    assert "Traceback" not in captured.err
+    assert captured.out == ""
+    return lines[0]
+
+
+def test_unknown_names_are_answered_with_suggestions(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    run = f"run.dir={tmp_path / 'run'}"
+    line = complaint(capsys, "train", *QUICK, run, "reward.terms.survival.name=spacetime.survial")
+    assert "There is no reward 'spacetime.survial'" in line
+    assert "Did you mean 'spacetime.survival'?" in line
+    line = complaint(capsys, "train", *QUICK, run, "learner.epoch=3")
+    assert "learner has no option 'epoch'. Did you mean 'epochs'?" in line
+    line = complaint(capsys, "train", *QUICK, run, "termination.terms.com.sice=0.3")
+    assert "termination.terms.com has no option 'sice'. Did you mean 'size'?" in line
+    line = complaint(capsys, "train", "experiment=spacetime/wlk")
+    assert "experiment/spacetime/wlk" in line
+    assert not (tmp_path / "run").exists()
+
+
+def test_combinations_that_make_no_sense_say_what_is_missing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    run = f"run.dir={tmp_path / 'run'}"
+    line = complaint(capsys, "train", *QUICK, run, "~encoder.feedforward")
+    assert "needs the observation 'feedforward', which no encoder of this task provides" in line
+    line = complaint(capsys, "train", *QUICK, run, "~fields.reference")
+    assert "needs the state field" in line
+    assert "It would come from fields 'humanoid.reference'" in line
+    line = complaint(capsys, "train", *QUICK, run, "~reward.terms.survival")
+    assert "reward.terms is empty" in line
+    assert not (tmp_path / "run").exists()
+
+
+def clip(rows: list[list[float]]) -> str:
+    return json.dumps({"Loop": "wrap", "Frames": rows})
+
+
+GOOD = [0.1, 0.0, 0.9, 0.0, *([1.0, 0.0, 0.0, 0.0] * 4), 0.0, *([1.0, 0.0, 0.0, 0.0] * 2), 0.0]
+GOOD += [*[1.0, 0.0, 0.0, 0.0], 0.0, *([1.0, 0.0, 0.0, 0.0] * 2), 0.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (clip([GOOD, [*GOOD[:3], float("nan"), *GOOD[4:]]]), "NaN is not a number"),
+        (clip([GOOD, GOOD[:-1]]), "frame 1"),
+        ("not json", "clip.txt"),
+    ],
+)
+def test_a_bad_clip_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, reason: str
+) -> None:
+    assert len(GOOD) == 44
+    file = tmp_path / "clip.txt"
+    file.write_text(text)
+    line = complaint(capsys, "train", *QUICK, f"motion.file={file}", f"run.dir={tmp_path / 'run'}")
+    assert str(file) in line
+    assert reason in line
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("<mujoco><worldbody><body></mujoco>", "does not load"),
+        ("<mujoco><include file='/etc/passwd'/></mujoco>", "refers to other files"),
+        (None, "cannot be read"),
+    ],
+)
+def test_a_model_that_does_not_load(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str | None, reason: str
+) -> None:
+    file = tmp_path / "model.xml"
+    if text is not None:
+        file.write_text(text)
+    line = complaint(capsys, "train", *QUICK, "scene=mjcf", f"scene.file={file}")
+    assert reason in line
+    assert str(file) in line
+
+
+def test_a_run_of_a_newer_version_and_no_run(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert "is no run folder" in complaint(capsys, "resume", str(tmp_path))
+    newer = {"layout": 99, "config": {}, "overrides": [], "sources": {}}
+    (tmp_path / "run.json").write_text(json.dumps(newer))
+    assert "newer understudy (layout 99" in complaint(capsys, "evaluate", str(tmp_path))
+
+
+def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert main(["train", *QUICK, f"run.dir={run}"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"run: {run}"
+    for name in ("run.json", "metrics.jsonl", "evaluation.json", "report.html"):
+        assert (run / name).stat().st_size > 0, name
+    assert json.loads((run / "run.json").read_text())["sources"]["motion"]["licence"]
+    evaluation = json.loads((run / "evaluation.json").read_text())
+    assert {"episodes", "success_rate", "mean_episode_seconds", "samples"} <= evaluation.keys()
+    assert evaluation["samples"] == 64
+    line = complaint(capsys, "train", *QUICK, f"run.dir={run}")
+    assert "already holds a run" in line
+    assert main(["resume", str(run), "budget.samples=128"]) == 0
+    assert main(["evaluate", str(run)]) == 0
+    assert json.loads((run / "evaluation.json").read_text())["samples"] == 128
+    rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    assert [row["iteration"] for row in rows] == [1, 2, 3, 4]
+
+
+def test_lists(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plugins", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {"name", "distribution", "version", "status", "components"} <= rows[0].keys()
+    assert all(row["status"] == "ok" for row in rows)
+    assert main(["tasks"]) == 0
+    assert "spacetime.walk" in capsys.readouterr().out
+    assert main(["config", "experiment=spacetime/walk", "seed=7"]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    line = next(x for x in shown if x.startswith("termination.terms.com.size: 0.2"))
+    assert line.endswith("understudy_spacetime/conf/termination/spacetime.yaml")
+    assert next(x for x in shown if x.startswith("seed: 7")).endswith("command line: seed=7")
