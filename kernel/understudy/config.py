@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.types import RunMode
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from understudy.environment import Outcome
 from understudy.errors import ConfigError, suggestion
@@ -364,20 +365,35 @@ def _hydra(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
             yield
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise ConfigError(_plain(error) + plugins.registry.absent()) from error
+        raise ConfigError(_plain(error, plugins) + plugins.registry.absent()) from error
     finally:
         _active.plugins = None
         GlobalHydra.instance().clear()
 
 
-def _plain(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    text = lines[0] if lines else type(error).__name__
-    if "Could not override" in text or "Key '" in text:
+def _plain(error: Exception, plugins: Plugins) -> str:
+    """Hydra's error in one line, with a suggestion where an option was not found."""
+    text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    missing = re.search(r"Could not find '([^/']+)/([^']+)'", text)
+    if missing:
+        group, name = missing.groups()
+        folders = [folder / group for folder in _sources(plugins)]
+        options = {
+            file.relative_to(folder).with_suffix("").as_posix()
+            for folder in folders
+            for file in folder.rglob("*.yaml")
+        }
+        return f"There is no {group}={name}.{suggestion(name, options)}"
+    if isinstance(error, MissingMandatoryValue):
+        return f"{getattr(error, 'full_key', None) or text} is not set. Give it a value."
+    if "Could not override" in text:
         text += " Use +key=value to add a key that is not there."
-    options = [line for line in lines[1:] if "Available options" in line or line.startswith("'")]
-    known = ", ".join(line.strip("'") for line in lines[1:] if line.startswith("'"))
-    return f"{text} Available: {known}." if options and known else text
+    return text or type(error).__name__
+
+
+def _sources(plugins: Plugins) -> list[Path]:
+    """The directories of config options: the kernel's, then each plugin's."""
+    return [kernel_conf(), *(directory for _, directory in plugins.config_directories())]
 
 
 def _settable(override: str) -> str:
@@ -427,7 +443,7 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
         defaults = loader.compute_defaults_list(
             "config", [_settable(o) for o in overrides], RunMode.RUN
         )
-        sources = [kernel_conf(), *(d for _, d in plugins.config_directories())]
+        sources = _sources(plugins)
         for item in defaults.defaults:
             path = item.config_path
             if path is None or path.startswith("hydra/"):

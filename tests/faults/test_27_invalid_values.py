@@ -115,8 +115,8 @@ def test_simulator_threads(plugins: Plugins, value: str) -> None:
         ("=3", r"."),
         ("seed=${nowhere}", r"nowhere"),
         ("seed=???", r"seed"),
-        ("learner=pop", r"learner/pop"),
-        ("experiment=walk", r"experiment/walk"),
+        ("learner=pop", r"learner=pop"),
+        ("experiment=walk", r"experiment=walk"),
     ],
 )
 def test_keys_and_slots(plugins: Plugins, override: str, message: str) -> None:

@@ -45,7 +45,7 @@ def test_unknown_names_are_answered_with_suggestions(
     line = complaint(capsys, "train", *QUICK, run, "termination.terms.com.sice=0.3")
     assert "termination.terms.com has no option 'sice'. Did you mean 'size'?" in line
     line = complaint(capsys, "train", "experiment=spacetime/wlk")
-    assert "experiment/spacetime/wlk" in line
+    assert "There is no experiment=spacetime/wlk. Did you mean 'spacetime/walk'?" in line
     assert not (tmp_path / "run").exists()
 
 
