@@ -1,4 +1,7 @@
-"""Any task as a Gymnasium vector environment: ``gymnasium.make_vec("understudy/spacetime.walk")``.
+"""Any task as a Gymnasium vector environment::
+
+    import understudy.gym  # registers the tasks
+    envs = gymnasium.make_vec("understudy/spacetime.walk", num_envs=64)
 
 For users of other learners. Observations are a dict of float32 arrays; ended worlds reset in the
 same step (Gymnasium's ``AutoresetMode.SAME_STEP``), with the last observation of a truncated
@@ -11,14 +14,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from understudy.building import build_environment
+from understudy.config import load_experiment
+from understudy.plugins import installed
+
 
 def register_envs() -> None:
-    """Register every task; called by Gymnasium through its entry point."""
-    from understudy.plugins import installed
-
+    """Register every task as ``understudy/<task>``; importing this module does it."""
     for name in installed().registry.tasks:
         gymnasium.register(
             id=f"understudy/{name}",
@@ -33,10 +39,6 @@ class UnderstudyVectorEnv(VectorEnv):
     def __init__(
         self, task: str, num_envs: int = 1, overrides: tuple[str, ...] = (), **_: Any
     ) -> None:
-        from understudy.building import build_environment
-        from understudy.config import load_experiment
-        from understudy.plugins import installed
-
         option = installed().registry.tasks[task].option
         experiment = load_experiment([f"task={option}", *overrides, f"num_worlds={num_envs}"])
         self._environment = build_environment(experiment).environment
@@ -60,8 +62,6 @@ class UnderstudyVectorEnv(VectorEnv):
         return _arrays(self._environment.reset(seed)), {}
 
     def step(self, actions: np.ndarray):  # pyright: ignore[reportIncompatibleMethodOverride]
-        import torch
-
         step = self._environment.step(torch.as_tensor(np.asarray(actions, dtype=np.float32)))
         info: dict[str, Any] = {}
         if step.final_observations is not None:
@@ -81,3 +81,6 @@ class UnderstudyVectorEnv(VectorEnv):
 
 def _arrays(observations: dict[str, Any]) -> dict[str, np.ndarray]:
     return {name: value.cpu().numpy() for name, value in observations.items()}
+
+
+register_envs()

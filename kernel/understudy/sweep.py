@@ -75,7 +75,7 @@ def read_journal(path: Path) -> list[Result]:
 def run_trial(trial: Trial, base: Sequence[str], folder: Path) -> Result:
     """Train one trial in its own run folder, or go on with it; a failure becomes a result."""
     path = folder / re.sub(r"[^A-Za-z0-9_-]+", "-", trial.key)
-    overrides = [*base, *trial.overrides, f"run.dir={path}", "outer_loop=null", "executor=null"]
+    overrides = [*base, *trial.overrides, f"run.dir={path}"]
     print(f"{trial.key}: {path}", file=sys.stderr)
     try:
         training, evaluation = _train(path, overrides)
