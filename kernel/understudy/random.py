@@ -41,9 +41,9 @@ def derive_seed(seed: int, name: str) -> int:
     return int.from_bytes(digest[:8], "little") >> 1
 
 
-def generator(seed: int, name: str) -> torch.Generator:
-    """A CPU generator of the consumer's own, for what is drawn on the host (shuffles, weights)."""
-    return torch.Generator().manual_seed(derive_seed(seed, name))
+def generator(seed: int, name: str, device: torch.device | str = "cpu") -> torch.Generator:
+    """A generator of the consumer's own, for draws that belong to no world (shuffles, weights)."""
+    return torch.Generator(device).manual_seed(derive_seed(seed, name))
 
 
 @contextlib.contextmanager

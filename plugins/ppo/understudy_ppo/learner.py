@@ -74,7 +74,7 @@ class PPO(Learner):
         self._critic_optimiser = torch.optim.Adam(
             self._critic, options.critic_learning_rate, fused=True
         )
-        self._generator = generator(context.seed, "ppo")
+        self._generator = generator(context.seed, "ppo", context.device)
         #: () optimiser steps in a row that were not finite.
         self._bad_steps = torch.zeros((), dtype=torch.int64, device=context.device)
 
@@ -97,7 +97,7 @@ class PPO(Learner):
         sums = torch.zeros(6, device=device)
         used = returns.shape[0] // options.minibatches * options.minibatches
         for _ in range(options.epochs):
-            order = torch.randperm(returns.shape[0], generator=self._generator).to(device)
+            order = torch.randperm(returns.shape[0], generator=self._generator, device=device)
             for rows in order[:used].view(options.minibatches, -1):
                 minibatch = {name: value[rows] for name, value in flat.items()}
                 actor_loss, value_loss, entropy, ratio = self.losses(minibatch)

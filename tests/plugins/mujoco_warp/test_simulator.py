@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import warnings
 
 import pytest
 import torch
@@ -129,3 +130,35 @@ def test_without_a_gpu_one_line_says_what_is_missing() -> None:
     assert done.stderr.strip().splitlines()[-1] == (
         "understudy: device=cuda, but torch sees no CUDA GPU here. Use device=cpu."
     )
+
+
+@pytest.mark.gpu
+def test_nothing_goes_to_the_host_inside_a_rollout() -> None:
+    """torch raises at any operation that waits for the device."""
+    training = Training(load_experiment([*TASK, "simulator=mujoco_warp", "num_worlds=64"]))
+    training.environment.reset()
+    training.collector.collect(2)
+    torch.cuda.synchronize()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        training.collector.collect(4)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.gpu
+def test_an_update_waits_for_the_device_once() -> None:
+    training = Training(load_experiment([*TASK, "simulator=mujoco_warp", "num_worlds=64"]))
+    training.environment.reset()
+    rollout = training.collector.collect(training.learner.rollout_steps)
+    training.learner.update(rollout)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        torch.cuda.set_sync_debug_mode("warn")
+        try:
+            training.learner.update(rollout)
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+    waits = [str(w.message) for w in caught if "synchronizing" in str(w.message)]
+    # the sums of the metrics, the count of bad steps, and the explained variance, at the end
+    assert len(waits) <= 3, waits
