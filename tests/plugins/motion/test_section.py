@@ -9,15 +9,26 @@ import pytest
 import torch
 
 from understudy.errors import FileError
-from understudy.plugins import Plugins
-from understudy.registry import Registry
+from understudy.registry import Component, Registry
+from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
 from understudy_motion.section import Motion, MotionOptions
 
 
+def step() -> Clip:
+    """A generated clip: the root moves a metre in a second."""
+    rotations = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1, 1)
+    position = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    times = torch.tensor([0.0, 1.0])
+    return Clip("walk", times, position, rotations, ("root",), loop=True, licence="ours")
+
+
 @pytest.fixture
-def registry(plugins: Plugins) -> Registry:
-    return plugins.registry
+def registry() -> Registry:
+    registry = Registry()
+    registry.kinds["clip"] = "a generated motion clip"
+    registry.add(Component("clip", "walk", step, "test"))
+    return registry
 
 
 def test_the_default_is_the_generated_walk(registry: Registry) -> None:
@@ -26,7 +37,7 @@ def test_the_default_is_the_generated_walk(registry: Registry) -> None:
     provenance = motion.provenance()
     assert provenance["clip"] == "walk"
     assert provenance["source"] == "generated"
-    assert provenance["licence"] == "Apache-2.0 (generated)"
+    assert provenance["licence"] == "ours"
     assert provenance["seconds"] == pytest.approx(motion.clip.duration, abs=1e-4)
 
 
