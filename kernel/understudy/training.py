@@ -277,6 +277,7 @@ class Training:
             "collect_share": (collected - began) / (ended - began),
             "reward": float(rollout.rewards.mean()),
             **{f"episode/{k}": v for k, v in episodes.items()},
+            **{f"simulator/{k}": v for k, v in self.environment.parts.simulator.report().items()},
             **metrics,
         }
 

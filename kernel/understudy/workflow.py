@@ -151,6 +151,8 @@ def _finish(training: Training, run: Run, outcome: Outcome, display: Display) ->
     display.message(
         f"Done by its {outcome.reason}: {progress.samples:,} samples in {minutes:.1f} min of training."
     )
+    for name, count in training.environment.parts.simulator.report().items():
+        display.message(f"The simulator counted {count} × {name.replace('_', ' ')}.")
     evaluator = Evaluator(training.experiment, training.built.context)
     try:
         _evaluate_and_draw(evaluator, training.policy, run, progress.samples, display.message)

@@ -21,6 +21,23 @@ class MujocoScene(Scene):
     def spec(self) -> mujoco.MjSpec:
         """A fresh model specification, to be compiled or added to."""
 
+    def compiled(self, context: Context, disable: int = 0) -> mujoco.MjModel:
+        """The model at the task's physics rate, with the engine's flags `disable` switched off.
+
+        Raises
+        ------
+        FileError
+            if it does not compile.
+        """
+        spec = self.spec()
+        spec.option.timestep = context.control_dt / context.substeps
+        spec.option.disableflags |= disable
+        try:
+            return spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            reason = str(error).splitlines()[0]
+            raise FileError(f"The scene's model does not compile: {reason}") from error
+
     def describe(self) -> dict[str, Any]:
         model = self.spec().compile()
         return {

@@ -12,7 +12,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from understudy.errors import ConfigError, FileError
+from understudy.errors import ConfigError
 from understudy.interfaces import Context, Shape, Simulator
 from understudy.registry import check_range
 from understudy_mujoco.scene import MujocoScene
@@ -56,15 +56,7 @@ class MujocoSimulator(Simulator):
                 "or choose simulator=mujoco_warp."
             )
         scene = context.need_scene(MujocoScene, "simulator 'mujoco'")
-        spec = scene.spec()
-        spec.option.timestep = context.control_dt / context.substeps
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        try:
-            self.model = spec.compile()
-        except (ValueError, mujoco.FatalError) as error:
-            raise FileError(
-                f"The scene's model does not compile: {str(error).splitlines()[0]}"
-            ) from error
+        self.model = scene.compiled(context, int(mujoco.mjtDisableBit.mjDSBL_AUTORESET))
         threads = options.threads or len(os.sched_getaffinity(0))
         self.batch = Batch(self.model, context.num_worlds, threads)
         self._substeps = context.substeps

@@ -10,7 +10,7 @@ import mujoco
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, FileError
+from understudy.errors import ConfigError
 from understudy.interfaces import Context, Shape, Simulator
 from understudy_mujoco.scene import MujocoScene
 
@@ -75,14 +75,7 @@ class MujocoWarpSimulator(Simulator):
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")
-        spec = scene.spec()
-        spec.option.timestep = context.control_dt / context.substeps
-        try:
-            self.model = spec.compile()
-        except (ValueError, mujoco.FatalError) as error:
-            raise FileError(
-                f"The scene's model does not compile: {str(error).splitlines()[0]}"
-            ) from error
+        self.model = scene.compiled(context)
         self._device = context.device
         self._substeps = context.substeps
         contacts = options.contacts or contact_capacity(self.model)

@@ -5,18 +5,15 @@ from pathlib import Path
 from understudy import hookimpl
 from understudy.registry import Registrar
 
+_HERE = "understudy_balance"
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     add = register.component
-    add("reward", "balance.upright", "understudy_balance.rewards:upright", "the trunk is upright")
-    add(
-        "initial_states",
-        "balance.standing",
-        "understudy_balance.standing:Standing",
-        "standing still",
-    )
-    add("encoder", "balance.posture", "understudy_balance.posture:Posture", "joints and trunk")
+    add("reward", "balance.upright", f"{_HERE}.rewards:upright", "the trunk is upright")
+    add("encoder", "balance.posture", f"{_HERE}.posture:Posture", "joints and trunk")
+    add("initial_states", "balance.standing", f"{_HERE}.standing:Standing", "standing still")
     register.task("balance.stand", "stand upright and do not fall")
 
 

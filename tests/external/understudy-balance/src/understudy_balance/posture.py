@@ -8,15 +8,13 @@ from understudy_humanoid.scene import HumanoidScene
 
 
 class Posture(Encoder):
-    """Joint rotations, trunk rotation and all velocities, (N, 4 J + 4 + 34)."""
+    """Joint rotations, trunk rotation and all velocities, (N, 4 J + 4 + nv)."""
 
     reads = ("joint_rotations", "root_rotation", "qvel")
 
     def __init__(self, options: None, context: Context) -> None:
-        joints = len(
-            context.need_scene(HumanoidScene, "encoder 'balance.posture'").layout.joint_names
-        )
-        self.shape = (4 * joints + 4 + 34,)
+        scene = context.need_scene(HumanoidScene, "encoder 'balance.posture'")
+        self.shape = (4 * len(scene.layout.joint_names) + 4 + scene.model.nv,)
 
     def encode(self, joint_rotations: Tensor, root_rotation: Tensor, qvel: Tensor) -> Tensor:
         return torch.cat([joint_rotations.flatten(1), root_rotation, qvel], dim=1)

@@ -7,25 +7,25 @@ from torch import Tensor
 
 from understudy.interfaces import Context, InitialStates
 from understudy.random import WorldStreams
-from understudy_mujoco.scene import MujocoScene
+from understudy.registry import check_range
+from understudy_humanoid.scene import HumanoidScene
 
 
 class Standing(InitialStates):
-    """The scene's default pose, with velocities up to `noise` m/s and rad/s."""
+    """The humanoid's zero pose, on its feet, with random velocities."""
 
     @dataclass(frozen=True)
     class Options:
-        noise: float = 0.1
+        noise: float = 0.1  #: largest velocity of each degree of freedom, m/s or rad/s
+
+        def __post_init__(self) -> None:
+            check_range(self, "noise", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        model = (
-            context.need_scene(MujocoScene, "initial_states 'balance.standing'").spec().compile()
-        )
-        self._qpos = torch.tensor(model.qpos0, dtype=torch.float32, device=context.device)
-        self._num_velocities = int(model.nv)
-        self._noise = options.noise
-        self._num_worlds = context.num_worlds
+        model = context.need_scene(HumanoidScene, "initial_states 'balance.standing'").model
+        pose = torch.tensor(model.qpos0, dtype=torch.float32, device=context.device)
+        self._qpos = pose.repeat(context.num_worlds, 1)
+        self._nv, self._noise = model.nv, options.noise
 
     def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
-        velocity = self._noise * (2 * streams.uniform(self._num_velocities) - 1)
-        return {"qpos": self._qpos.repeat(self._num_worlds, 1), "qvel": velocity}
+        return {"qpos": self._qpos, "qvel": self._noise * (2 * streams.uniform(self._nv) - 1)}
