@@ -61,7 +61,8 @@ def total(value: Tensor) -> Tensor:
 
 def moments(value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Count (), mean (D,) and population variance (D,) of the rows `value` (B, D) of all processes."""
-    count = total(torch.tensor(float(value.shape[0]), dtype=value.dtype, device=value.device))
+    rows = torch.full((), float(value.shape[0]), dtype=value.dtype, device=value.device)
+    count = total(rows)
     if size() == 1:
         variance, mean = torch.var_mean(value, dim=0, correction=0)
         return count, mean, variance

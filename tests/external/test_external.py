@@ -72,6 +72,20 @@ def test_its_option_and_term_swap_into_another_task(site: Path) -> None:
     assert "balance.upright" in shown
 
 
+def test_its_term_counts_in_another_plugins_task(site: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    understudy(
+        site, "train", "experiment=spacetime/walk", "reward.terms.upright={name: balance.upright}",
+        "num_worlds=8", "learner.rollout_steps=4", "learner.minibatches=2",
+        "policy.feedback.hidden=[16]", "budget.samples=32", "evaluation.episodes=2",
+        "evaluation.seconds=0.2", "run.video_seconds=0.2", f"run.dir={run}",
+    )  # fmt: skip
+    (row,) = (json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines())
+    share = 32 * row["reward"]  # of 32 samples; survival alone is 0 or 1 in each
+    assert 0.0 < share < 32.0
+    assert abs(share - round(share)) > 1e-4
+
+
 def test_passes_the_conformance_checks(site: Path) -> None:
     code = "from understudy.testing import check_plugin; check_plugin('balance')"
     environment = os.environ | {"PYTHONPATH": str(site)}

@@ -28,6 +28,12 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.bounds:end_effector_bound",
         "hands and feet",
     )
+    add(
+        "fields",
+        "spacetime.alignment",
+        f"{_HERE}.alignment:Alignment",
+        "the frame in which character and reference are compared",
+    )
     add("reward", "spacetime.survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
     add(
         "encoder",

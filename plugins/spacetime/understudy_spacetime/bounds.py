@@ -82,12 +82,13 @@ class JointBound:
 
 
 def end_effector_bound(
-    end_effector_positions: Tensor,
+    aligned_end_effector_positions: Tensor,
     reference_end_effector_positions: Tensor,
     phase: Tensor,
     *,
     size: Size = 0.5,
 ) -> Tensor:
-    """Any end-effector further than `size` m from the reference, each in its own heading frame."""
-    offset = end_effector_positions - reference_end_effector_positions
+    """Any end-effector further than `size` m from the reference, relative to the roots, in the
+    direction-invariant frame of :mod:`understudy_spacetime.alignment`."""
+    offset = aligned_end_effector_positions - reference_end_effector_positions
     return offset.norm(dim=2).amax(dim=1) > size_at(size, phase)

@@ -8,12 +8,16 @@ import torch
 from torch import Tensor
 
 from understudy.interfaces import Context, Encoder, Shape
-from understudy.rotations import from_axis_angle, inverse_rotate
+from understudy.rotations import from_heading, inverse_rotate
 from understudy_humanoid.scene import HumanoidScene
+from understudy_spacetime.alignment import turned
 
 
 class StateEncoder(Encoder):
-    """Link poses and velocities in the heading frame, end-effectors, phase, and the root's state.
+    """Link poses and velocities, end-effectors, phase, and the root's state.
+
+    Links and end-effectors are relative to the root, in the direction-invariant frame of
+    :mod:`understudy_spacetime.alignment`.
 
     The paper gives the root in the world frame. A character that walks away would leave every
     observed range, so its position and heading stand here relative to the reference's, in the
@@ -22,9 +26,9 @@ class StateEncoder(Encoder):
     """
 
     reads = (
-        "phase", "root_position", "root_heading", "reference_root_position", "reference_root_heading",
+        "phase", "root_position", "reference_root_position", "reference_root_heading",
+        "heading_deviation", "frame_turn", "aligned_end_effector_positions",
         "link_positions", "link_rotations", "link_linear_velocities", "link_angular_velocities",
-        "end_effector_positions",
     )  # fmt: skip
     shape: Shape
 
@@ -37,19 +41,26 @@ class StateEncoder(Encoder):
         self,
         phase: Tensor,
         root_position: Tensor,
-        root_heading: Tensor,
         reference_root_position: Tensor,
         reference_root_heading: Tensor,
+        heading_deviation: Tensor,
+        frame_turn: Tensor,
+        aligned_end_effector_positions: Tensor,
         **links: Tensor,
     ) -> Tensor:
-        up = torch.tensor([0.0, 0.0, 1.0], dtype=phase.dtype, device=phase.device)
-        frame = from_axis_angle(up, reference_root_heading)
+        frame = from_heading(reference_root_heading)
         error = inverse_rotate(frame, root_position - reference_root_position)
-        turn = root_heading - reference_root_heading
+        vectors = torch.cat([v.reshape(len(v), -1, 3) for v in links.values()], dim=1)
+        turn = heading_deviation
         angle = phase * (2 * math.pi)
         scalars = [phase, angle.sin(), angle.cos(), root_position[:, 2], turn.sin(), turn.cos()]
         return torch.cat(
-            [torch.stack(scalars, dim=1), error, *(value.flatten(1) for value in links.values())],
+            [
+                torch.stack(scalars, dim=1),
+                error,
+                turned(frame_turn, vectors).flatten(1),
+                aligned_end_effector_positions.flatten(1),
+            ],
             dim=1,
         )
 
