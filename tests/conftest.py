@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 import torch
 from worlds import all_plugins
 
 from understudy.plugins import Plugins
+
+#: Real clips, for the tests that want some; skipped with a reason where there are none.
+_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+if _DATA.is_dir():
+    os.environ.setdefault("UNDERSTUDY_DATA", str(_DATA))
 
 torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
 

@@ -108,7 +108,6 @@ class CheckpointOptions:
 class RunOptions:
     dir: str | None = None  #: run folder; null makes ``runs/<task>-<n>``
     video_seconds: float = 8.0
-    observers: bool = True
 
     def __post_init__(self) -> None:
         check_range(self, "video_seconds", least=0)
@@ -398,8 +397,9 @@ def _sources(plugins: Plugins) -> list[Path]:
 
 def _settable(override: str) -> str:
     """Let ``a.b=value`` set an option that no file mentions; validation knows which ones exist."""
-    key, equals, _ = override.partition("=")
-    return f"++{override}" if equals and "." in key and key[0] not in "+~" else override
+    key, equals, value = override.partition("=")
+    plain = bool(equals and key) and key[0] not in "+~"
+    return f"++{override}" if plain and ("." in key or value.startswith("{")) else override
 
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:

@@ -104,7 +104,7 @@ class Evaluator:
             running &= ~(result.terminated | result.truncated)
             if step % 30 != 29 or give_up_below is None:
                 continue
-            if 1 - float(failed.float().mean()) < give_up_below:
+            if (n - int(failed.sum())) / n < give_up_below:
                 complete = False
                 break
         unbroken = ~failed
@@ -112,7 +112,7 @@ class Evaluator:
             unbroken &= ~fired
         return Evaluation(
             episodes=n,
-            success_rate=1 - float(failed.float().mean()),
+            success_rate=(n - int(failed.sum())) / n,
             mean_episode_seconds=float(lasted.mean()) * environment.control_dt,
             violated={k: float(v.float().mean()) for k, v in violated.items()},
             within_all_bounds=float(unbroken.float().mean()),

@@ -62,16 +62,18 @@ class UnderstudyVectorEnv(VectorEnv):
         return _arrays(self._environment.reset(seed)), {}
 
     def step(self, actions: np.ndarray):  # pyright: ignore[reportIncompatibleMethodOverride]
-        step = self._environment.step(torch.as_tensor(np.asarray(actions, dtype=np.float32)))
+        step = self._environment.step(
+            torch.as_tensor(np.asarray(actions, dtype=np.float32)).to(self._environment.device)
+        )
         info: dict[str, Any] = {}
         if step.final_observations is not None:
-            ended = (step.terminated | step.truncated).numpy()
+            ended = (step.terminated | step.truncated).cpu().numpy()
             info = {"final_obs": _arrays(step.final_observations), "_final_obs": ended}
         return (
             _arrays(step.observations),
-            step.rewards.numpy(),
-            step.terminated.numpy(),
-            step.truncated.numpy(),
+            step.rewards.cpu().numpy(),
+            step.terminated.cpu().numpy(),
+            step.truncated.cpu().numpy(),
             info,
         )
 

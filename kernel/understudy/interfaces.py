@@ -309,10 +309,6 @@ class Trial:
 
     key: str
     overrides: tuple[str, ...]
-    #: Share of the full budget, for multi-fidelity searches.
-    fidelity: float = 1.0
-    #: A checkpoint to begin from, or "" for a fresh start.
-    warm_start: str = ""
 
 
 @dataclass(frozen=True)

@@ -283,7 +283,8 @@ class Registry:
     components: dict[tuple[str, str], Component] = field(default_factory=dict)
     tasks: dict[str, TaskEntry] = field(default_factory=dict)
     sections: dict[str, Section] = field(default_factory=dict)
-    citations: dict[str, str] = field(default_factory=dict)
+    #: By (plugin, key): how to cite what the plugin implements.
+    citations: dict[tuple[str, str], str] = field(default_factory=dict)
     #: What could not be loaded, by plugin name: the reason, raised when it is asked for.
     broken: dict[str, str] = field(default_factory=dict)
 
@@ -383,5 +384,5 @@ class Registrar:
         self.registry.kinds[name] = summary
 
     def citation(self, key: str, text: str) -> None:
-        """Record how to cite what the plugin implements; printed with every run that used it."""
-        self.registry.citations[key] = text
+        """Record how to cite what the plugin implements; kept with every run that uses the plugin."""
+        self.registry.citations[self.plugin, key] = text

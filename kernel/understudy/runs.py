@@ -35,6 +35,13 @@ LAYOUT = 1
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 
+def cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # Linux
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def versions() -> dict[str, str]:
     """Versions of Python and of the libraries that decide results."""
     found = {"python": platform.python_version()}
@@ -147,7 +154,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "overrides": list(overrides),
         "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": versions(),
-        "machine": {"system": platform.platform(), "cores": len(os.sched_getaffinity(0))},
+        "machine": {"system": platform.platform(), "cores": cores()},
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "components": [
             dict(zip(("kind", "name", "plugin", "distribution", "version"), c, strict=True))
@@ -156,8 +163,8 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "sources": dict(sources),
         "citations": [
             text
-            for key, text in experiment.registry.citations.items()
-            if any(c.plugin == key for c in experiment.components())
+            for (plugin, _), text in experiment.registry.citations.items()
+            if any(c.plugin == plugin for c in experiment.components())
         ],
     }
     try:

@@ -15,10 +15,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-from understudy import runs
+from understudy import distributed, runs
+from understudy.checkpoint import write_atomically
 from understudy.config import compose_raw, load_experiment, validate
-from understudy.errors import ConfigError, PreemptedError, UnderstudyError
+from understudy.errors import ConfigError, RunError, TrainingError
 from understudy.interfaces import Executor, OuterLoop, Result, Trial
 from understudy.plugins import installed
 from understudy.training import Reporter, Training
@@ -35,9 +37,17 @@ def sweep(overrides: Sequence[str]) -> int:
     loop: OuterLoop = experiment.outer_loop.build(None)
     executor: Executor = experiment.executor.build(None)
     folder = Path(experiment.root.run.dir or Path("runs") / f"sweep-{_fingerprint(raw)}")
+    if distributed.requested() > 1:
+        raise ConfigError("A sweep runs its trials in one process: start it without torchrun.")
     folder.mkdir(parents=True, exist_ok=True)
+    book = runs.Run(folder, {})
+    book.lock()
+    _refuse_another(folder / "sweep.json", raw)
     journal = folder / "journal.jsonl"
-    for result in read_journal(journal):
+    known = read_journal(journal)
+    rows = [json.dumps(dataclasses.asdict(result)) + "\n" for result in known]
+    write_atomically(journal, "".join(rows).encode())  # without a row that a crash cut short
+    for result in known:
         loop.tell(result)
     base = [o for o in overrides if not re.match(r"[+~]*(run\.dir|outer_loop|executor|seed)\b", o)]
 
@@ -49,11 +59,22 @@ def sweep(overrides: Sequence[str]) -> int:
             with open(journal, "a", encoding="utf-8") as file:
                 file.write(json.dumps(dataclasses.asdict(result)) + "\n")
             loop.tell(result)
-    rows = loop.summary()
-    runs.Run(folder, {}).write_json("summary.json", rows)
-    _print_table(rows)
+    table = loop.summary()
+    book.write_json("summary.json", table)
+    book.unlock()
+    _print_table(table)
     print(f"sweep: {folder}")
     return 0
+
+
+def _refuse_another(path: Path, raw: Mapping[str, Any]) -> None:
+    """A folder belongs to one sweep: its trials are known by their names alone."""
+    mark = json.dumps({"sweep": _fingerprint(raw)}).encode()
+    if path.exists() and path.read_bytes() != mark:
+        raise RunError(
+            f"{path.parent} holds another sweep. Give run.dir another folder, or repeat that one."
+        )
+    write_atomically(path, mark)
 
 
 def _fingerprint(raw: Mapping[str, Any]) -> str:
@@ -74,14 +95,12 @@ def read_journal(path: Path) -> list[Result]:
 
 def run_trial(trial: Trial, base: Sequence[str], folder: Path) -> Result:
     """Train one trial in its own run folder, or go on with it; a failure becomes a result."""
-    path = folder / re.sub(r"[^A-Za-z0-9_-]+", "-", trial.key)
+    path = folder / quote(trial.key, safe="")
     overrides = [*base, *trial.overrides, f"run.dir={path}"]
     print(f"{trial.key}: {path}", file=sys.stderr)
     try:
         training, evaluation = _train(path, overrides)
-    except PreemptedError:
-        raise
-    except UnderstudyError as error:
+    except (ConfigError, TrainingError) as error:  # anything else is no finding: it stops the sweep
         return Result(trial.key, f"failed: {error}", run=str(path))
     return Result(
         trial.key,

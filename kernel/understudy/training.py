@@ -113,6 +113,7 @@ class Progress:
     seconds: float = 0.0  #: of training, over all resumes; evaluations not counted
     evaluated_at: int = 0  #: samples at the last evaluation
     best: float = -1.0  #: success rate of the best evaluation
+    met: bool = False  #: whether an evaluation met the criterion
     failing: float = 1.0  #: share of the last rollout's steps that ended an episode early
 
     def state_dict(self) -> State:
@@ -147,6 +148,7 @@ class Training:
         root = experiment.root
         self.built = build_environment(experiment)
         self.environment = self.built.environment
+        self.environment.reset()  # which also checks every term, before anything is written
         self.policy = build_policy(experiment, self.built.context)
         self.learner = build_learner(experiment, self.built.context, self.policy)
         self.collector = Collector(self.environment, self.policy, root.seed)
@@ -159,6 +161,11 @@ class Training:
         if self.environment.device.type == "cpu":
             self.environment.on_quarantine = self._dump_worlds
         self.learner.on_fault = self._dump_minibatch
+        return self
+
+    def detach(self) -> Training:
+        """Write nothing: for the processes beside process 0."""
+        self.run, self.environment.on_quarantine, self.learner.on_fault = None, None, None
         return self
 
     def sources(self) -> dict[str, Any]:
@@ -202,6 +209,13 @@ class Training:
             raise RunError(
                 f"The checkpoint has {worlds} worlds and this configuration {self.environment.num_worlds}. "
                 f"Set num_worlds={worlds}."
+            )
+        own_states = self.environment.parts.initial_states.state_dict()
+        misfit = misshapen(own_states, state["environment"]["initial_states"], "initial_states")
+        if misfit:
+            raise RunError(
+                f"The checkpoint does not fit this configuration: {misfit}. Resume with the "
+                "configuration it was made with."
             )
         self.policy.load_state_dict(state["policy"])
         self.learner.load_state_dict(state["learner"])
@@ -249,8 +263,6 @@ class Training:
     def iterate(self) -> dict[str, Any]:
         """One iteration: collect, learn, adapt the initial states. Returns its metrics."""
         began = time.perf_counter()
-        if not self.environment.observations:
-            self.environment.reset()
         self.policy.schedule(self.progress.samples)
         rollout = self.collector.collect(self.learner.rollout_steps)
         collected = time.perf_counter()
@@ -300,12 +312,13 @@ class Training:
                 if run is not None:
                     self._notify("started", run)
                     if progress.iteration == 0:
-                        self.environment.reset()
                         self.save()
                 while True:
-                    evaluation = self._evaluate_if_due() if distributed.rank() == 0 else None
-                    met = evaluation is not None and self._met(evaluation)
-                    choice = distributed.decided(1 if met else 2 if self._spent() else 0, device)
+                    due = distributed.rank() == 0 and not progress.met
+                    evaluation = self._evaluate_if_due() if due else None
+                    progress.met |= evaluation is not None and self._met(evaluation)
+                    ending = 1 if progress.met else 2 if self._spent() else 0
+                    choice = distributed.decided(ending, device)
                     if choice:
                         outcome = "criterion" if choice == 1 else "budget"
                         break
@@ -423,3 +436,17 @@ class Training:
         self.environment.close()
         if self._evaluator is not None:
             self._evaluator.close()
+
+
+def misshapen(own: Any, other: Any, where: str) -> str:
+    """The first place at which tensors of two nested states differ in shape, or ""."""
+    if isinstance(own, Tensor):
+        if not isinstance(other, Tensor) or own.shape != other.shape:
+            have = tuple(other.shape) if isinstance(other, Tensor) else "nothing"
+            return f"'{where}' is {tuple(own.shape)} here and {have} there"
+    elif isinstance(own, Mapping):
+        for name, value in own.items():
+            given = other.get(name) if isinstance(other, Mapping) else None
+            if found := misshapen(value, given, f"{where}/{name}"):
+                return found
+    return ""

@@ -116,15 +116,20 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         composed = compose_raw(replaced(run.info["overrides"], overrides))
         composed["run"] = run.config["run"]
         run.info["config"] = composed
+        run.info["overrides"] = replaced(run.info["overrides"], overrides)
     experiment = validate(run.config, registry)
     distributed.start(experiment.root.device)
     if distributed.rank() == 0:
         run.lock()
-    training = Training(experiment).attach(run)
+    leading = distributed.rank() == 0
+    tell = Console(stderr=True, highlight=False)
+    reporter = Reporter(message=lambda text: tell.print(text, markup=False) if leading else None)
+    training = Training(experiment, reporter).attach(run)
     training.resume()
-    if distributed.rank() > 0:
-        training.run = None
-        return _follow(training)
+    if not leading:
+        return _follow(training.detach())
+    if overrides:  # what trains the weights from here on is what the folder says
+        run.write_json("run.json", run.info)
     return _carry_out(training, run)
 
 

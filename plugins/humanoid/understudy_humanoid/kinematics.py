@@ -92,7 +92,6 @@ def kinematics(
     layout: CharacterLayout,
     *,
     qpos: Tensor,
-    qvel: Tensor,
     xpos: Tensor,
     xquat: Tensor,
     cvel: Tensor,

@@ -19,7 +19,7 @@ LINKS, JOINTS, END_EFFECTORS, ACTUATORS = 15, 12, 4, 28
 class Kinematics(Fields):
     """Where the links are and how they move; frames and units in :func:`kinematics`."""
 
-    reads = ("qpos", "qvel", "xpos", "xquat", "cvel", "subtree_com")
+    reads = ("qpos", "xpos", "xquat", "cvel", "subtree_com")
     provides: Mapping[str, Shape] = {
         "com_position": (3,),
         "root_position": (3,),

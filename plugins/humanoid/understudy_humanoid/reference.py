@@ -212,7 +212,7 @@ def _forward(model: mujoco.MjModel, qpos: Tensor, qvel: Tensor) -> dict[str, Ten
         for name, values in found.items():
             values.append(getattr(data, name).copy())
     arrays = {name: torch.from_numpy(np.stack(values)) for name, values in found.items()}
-    return {"qpos": qpos, "qvel": qvel, **arrays}
+    return {"qpos": qpos, **arrays}
 
 
 def _joint_targets(model: mujoco.MjModel, layout: CharacterLayout, qpos: Tensor) -> Tensor:

@@ -38,9 +38,10 @@ class HumanoidScene(MujocoScene):
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self._options = options
+        self._timestep = context.control_dt / context.substeps if context else 1 / 600
 
     def spec(self) -> mujoco.MjSpec:
-        return build_spec(self_collision=self._options.self_collision)
+        return build_spec(timestep=self._timestep, self_collision=self._options.self_collision)
 
     @cached_property
     def model(self) -> mujoco.MjModel:

@@ -16,10 +16,9 @@ SUFFIXES = (".txt", ".json")
 
 
 def data_folder() -> Path | None:
-    """``$UNDERSTUDY_DATA``, else ``../shared/data`` from the working directory, if there."""
+    """The folder that ``$UNDERSTUDY_DATA`` names, if it is there."""
     named = os.environ.get(DATA_VARIABLE)
-    folder = Path(named) if named else Path("..", "shared", "data")
-    return folder if folder.is_dir() else None
+    return Path(named) if named and Path(named).is_dir() else None
 
 
 def load(

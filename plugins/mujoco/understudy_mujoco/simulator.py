@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +14,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.interfaces import Context, Shape, Simulator
 from understudy.registry import check_range
+from understudy.runs import cores
 from understudy_mujoco.scene import MujocoScene
 
 #: MjData fields that tasks may read, beside the state. Names and frames are MuJoCo's.
@@ -57,7 +57,7 @@ class MujocoSimulator(Simulator):
             )
         scene = context.need_scene(MujocoScene, "simulator 'mujoco'")
         self.model = scene.compiled(context, int(mujoco.mjtDisableBit.mjDSBL_AUTORESET))
-        threads = options.threads or len(os.sched_getaffinity(0))
+        threads = options.threads or cores()
         self.batch = Batch(self.model, context.num_worlds, threads)
         self._substeps = context.substeps
         self.control_size = self.model.nu
@@ -67,6 +67,8 @@ class MujocoSimulator(Simulator):
             name: tuple(getattr(data, name).shape) for name in (*self._views, *READABLE)
         }
         self._seen = self._warnings().copy()
+        #: (kinds,) since the start; the engine's own counters begin anew with their world.
+        self._counts = np.zeros(self._seen.shape[1], dtype=np.int64)
         self._rows = self.batch.state
 
     def _warnings(self) -> np.ndarray:
@@ -96,6 +98,7 @@ class MujocoSimulator(Simulator):
     def failed(self) -> Tensor:
         warnings = self._warnings()
         warned = (warnings != self._seen)[:, _BAD].any(axis=1)
+        self._counts += np.maximum(warnings - self._seen, 0).sum(axis=0)
         self._seen[:] = warnings
         sound = np.isfinite(self._views["qpos"]).all(1) & np.isfinite(self._views["qvel"]).all(1)
         return torch.from_numpy(warned | ~sound | (self.batch.status != 0))
@@ -110,7 +113,5 @@ class MujocoSimulator(Simulator):
 
     def report(self) -> dict[str, int]:
         return {
-            name: int(count)
-            for name, count in zip(_WARNINGS, self._warnings().sum(0), strict=True)
-            if count
+            name: int(count) for name, count in zip(_WARNINGS, self._counts, strict=True) if count
         }

@@ -25,7 +25,7 @@ except ImportError as error:
 #: Data fields that tasks may read, beside the state. Names and frames are MuJoCo's.
 READABLE = ("xpos", "xquat", "xipos", "cvel", "subtree_com", "geom_xpos", "actuator_force")
 #: What decides the future of a world.
-STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "time")
+STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl", "time")
 #: Beyond this a position, or a velocity, is one of a simulation that diverged.
 _LIMIT = 1e6
 
@@ -182,7 +182,8 @@ class MujocoWarpSimulator(Simulator):
         for name in self.state_fields:
             view = self._views[name]
             torch.where(rows, state[name], view, out=view)
-        self._views["qacc_warmstart"].masked_fill_(rows, 0.0)
+        for name in ("act", "qacc_warmstart", "ctrl"):
+            self._views[name].masked_fill_(rows, 0.0)
         self._views["time"].masked_fill_(worlds, 0.0)
         self._run(self._ready_graph, self._refresh)
 

@@ -40,7 +40,7 @@ class PPO(Learner):
         entropy_weight: float = 0.0
         max_gradient_norm: float = 1.0
         #: Number format of the networks' matrix products during updates.
-        precision: Literal["float32", "tf32", "bfloat16"] = "float32"
+        precision: Literal["float32", "tf32"] = "float32"
         #: Non-finite optimiser steps in a row after which the training stops.
         patience: int = 20
 
@@ -62,8 +62,8 @@ class PPO(Learner):
                 f"learner.minibatches={options.minibatches} are more than the samples of an iteration: "
                 f"num_worlds × learner.rollout_steps = {samples}."
             )
-        if options.precision == "tf32":  # the process's setting, which also serves acting
-            torch.backends.cuda.matmul.allow_tf32 = True
+        # The process's setting, so that acting and learning compute alike.
+        torch.backends.cuda.matmul.allow_tf32 = options.precision == "tf32"
         self.options, self.policy = options, policy
         self.rollout_steps = options.rollout_steps
         self._actor = list(policy.actor_parameters())
@@ -132,11 +132,7 @@ class PPO(Learner):
         ``advantages``."""
         prefix, options, advantages = "observations/", self.options, minibatch["advantages"]
         seen = {k.removeprefix(prefix): v for k, v in minibatch.items() if k.startswith(prefix)}
-        with torch.autocast(
-            advantages.device.type, torch.bfloat16, enabled=options.precision == "bfloat16"
-        ):
-            distribution = self.policy.distribution(seen)
-            values = self.policy.value(seen).float()
+        distribution, values = self.policy.distribution(seen), self.policy.value(seen)
         ratio = torch.exp(distribution.log_prob(minibatch["actions"]) - minibatch["log_probs"])
         clipped = ratio.clamp(1 - options.clip, 1 + options.clip)
         gain = torch.minimum(ratio * advantages, clipped * advantages).mean()

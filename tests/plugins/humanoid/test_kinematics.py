@@ -18,7 +18,7 @@ from understudy_humanoid.kinematics import (
 )
 
 WORLDS = 6
-NAMES = ("qpos", "qvel", "xpos", "xquat", "cvel", "subtree_com")
+NAMES = ("qpos", "xpos", "xquat", "cvel", "subtree_com")
 
 
 @pytest.fixture(scope="module")

@@ -99,17 +99,6 @@ def test_without_a_data_folder_only_generated_clips_are_known(
         library.load("lying", None, GENERATED)
 
 
-def test_the_folder_beside_the_working_directory_is_the_default(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv(library.DATA_VARIABLE)
-    (tmp_path / "work").mkdir()
-    (tmp_path / "shared").mkdir()
-    (tmp_path / "shared" / "data").symlink_to(data, target_is_directory=True)
-    monkeypatch.chdir(tmp_path / "work")
-    assert library.load("lying", None).name == "lying"
-
-
 def test_a_missing_file_is_named() -> None:
     with pytest.raises(FileError, match=r"absent\.txt: there is no such file"):
         library.load("walk", "absent.txt", GENERATED)
