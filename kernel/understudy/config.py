@@ -385,8 +385,10 @@ def _plain(error: Exception, plugins: Plugins) -> str:
         return f"There is no {group}={name}.{suggestion(name, options)}"
     if isinstance(error, MissingMandatoryValue):
         return f"{getattr(error, 'full_key', None) or text} is not set. Give it a value."
-    if "Could not override" in text:
-        text += " Use +key=value to add a key that is not there."
+    stray = re.search(r"Could not override '(\w+)'", text)
+    if stray:
+        known = {f.name for f in dataclasses.fields(Root)} | set(plugins.registry.sections)
+        return f"There is no configuration key '{stray[1]}'.{suggestion(stray[1], known)}"
     return text or type(error).__name__
 
 

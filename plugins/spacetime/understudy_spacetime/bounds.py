@@ -6,6 +6,7 @@ size is a number, or a function of phase given as knots ``[[phase, size], …]``
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 
 import torch
@@ -22,10 +23,12 @@ Size = float | list[list[float]]
 def size_at(size: Size, phase: Tensor) -> Tensor | float:
     """The bound's size sigma at `phase` (N,): the number itself, or its knots interpolated, (N,)."""
     if isinstance(size, (int, float)):
+        if size < 0:
+            raise ConfigError(f"A bound's size is {size}; it cannot be negative.")
         return size
     if not size or any(len(knot) != 2 for knot in size):
         raise ConfigError(f"A bound's size is a number or knots [[phase, size], …], not {size}.")
-    knots = torch.tensor(sorted(size), dtype=phase.dtype, device=phase.device)
+    knots = _knots(tuple(sorted((at, value) for at, value in size)), phase.dtype, phase.device)
     at, value = knots[:, 0].contiguous(), knots[:, 1]
     if len(at) == 1:
         return value.expand_as(phase)
@@ -33,6 +36,14 @@ def size_at(size: Size, phase: Tensor) -> Tensor | float:
     left = right - 1
     share = ((phase - at[left]) / (at[right] - at[left]).clamp(min=1e-9)).clamp(0.0, 1.0)
     return value[left] + share * (value[right] - value[left])
+
+
+@functools.cache
+def _knots(
+    knots: tuple[tuple[float, float], ...], dtype: torch.dtype, device: torch.device
+) -> Tensor:
+    """(K, 2), made once: a copy to the device in every step would wait for it."""
+    return torch.tensor(knots, dtype=dtype, device=device)
 
 
 def com_bound(

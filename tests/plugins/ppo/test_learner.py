@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import pytest
-import torch
 from worlds import assert_same_state, make_training
 
 from understudy.plugins import Plugins
