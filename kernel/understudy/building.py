@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +11,7 @@ import torch
 
 from understudy.config import Experiment, TermChoice
 from understudy.environment import Environment, Parts, Term
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, PluginError
 from understudy.interfaces import Context, Learner, Policy, Scene, Simulator
 from understudy.random import private_rng
 from understudy.registry import Registry
@@ -123,8 +124,9 @@ def providers_of(field: str, registry: Registry) -> list[str]:
                 "initial_states": "episode_fields",
                 "simulator": "fields",
             }
-            if field in (getattr(component.factory, attribute[kind], None) or {}):
-                found.append(f"{kind} '{name}'")
+            with contextlib.suppress(PluginError):  # one that cannot be used here is no advice
+                if field in (getattr(component.factory, attribute[kind], None) or {}):
+                    found.append(f"{kind} '{name}'")
     return found
 
 

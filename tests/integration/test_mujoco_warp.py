@@ -13,9 +13,7 @@ import warnings
 import pytest
 import torch
 
-pytest.importorskip(
-    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
-)
+pytest.importorskip("warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
 
 from understudy.building import Built, build_environment
 from understudy.config import load_experiment
