@@ -6,9 +6,11 @@ slow. The tests marked gpu run the same checks where they matter.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 import torch
@@ -160,3 +162,26 @@ def test_an_update_waits_for_the_device_once() -> None:
     waits = [str(w.message) for w in caught if "synchronizing" in str(w.message)]
     # the sums of the metrics, the count of bad steps, and the explained variance, at the end
     assert len(waits) <= 3, waits
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("cache", ["empty", "not writable"])
+def test_cold_start(device: str, cache: str, tmp_path: Path) -> None:
+    """Fault 30: with an empty kernel cache, and with one that cannot be written, the first step
+    comes within a bound; the second says that the next start will be as slow."""
+    folder = tmp_path / "kernels" if cache == "empty" else Path("/proc/no-such-cache")
+    overrides = [*TASK, "simulator=mujoco_warp", f"device={device}", "num_worlds=8"]
+    code = f"""
+from understudy.building import build_environment
+from understudy.config import load_experiment
+environment = build_environment(load_experiment({overrides!r})).environment
+environment.reset(seed=0)
+environment.step(environment.observations["feedforward"])
+print("stepped")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+        timeout=240, env={**os.environ, "WARP_CACHE_PATH": str(folder)},
+    )  # fmt: skip
+    assert done.stdout.splitlines()[-1:] == ["stepped"], done.stderr
+    assert ("No kernel cache to write" in done.stderr) == (cache != "empty")

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +32,33 @@ READABLE = ("xpos", "xquat", "xipos", "cvel", "subtree_com", "geom_xpos", "actua
 STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl", "time")
 #: Beyond this a position, or a velocity, is one of a simulation that diverged.
 _LIMIT = 1e6
+
+
+def start_warp() -> None:
+    """Initialise Warp, with a kernel cache that can be written.
+
+    Where the usual folder (``$WARP_CACHE_PATH``, or the user's cache) cannot be written, what it
+    holds is copied to a temporary one, so that a read-only but warm cache keeps its use.
+    """
+    wp.config.quiet = True
+    try:
+        wp.init()
+        folder = wp.config.kernel_cache_dir
+        if folder is not None and os.access(folder, os.W_OK):
+            return
+        reason = f"{folder} cannot be written"
+    except OSError as error:
+        folder, reason = None, str(error)
+    temporary = tempfile.mkdtemp(prefix="understudy-kernels-")
+    if folder is not None and os.path.isdir(folder):
+        shutil.copytree(folder, temporary, dirs_exist_ok=True)
+    wp.config.kernel_cache_dir = temporary
+    wp.init()
+    warnings.warn(
+        f"No kernel cache to write ({reason}); using {temporary}, so the next start compiles again. "
+        "Set WARP_CACHE_PATH to a folder that can be written.",
+        stacklevel=2,
+    )
 
 
 def contact_capacity(model: mujoco.MjModel) -> int:
@@ -82,8 +113,7 @@ class MujocoWarpSimulator(Simulator):
         limits = int(self.model.jnt_limited.sum())
         constraints = options.constraints or 4 * contacts + limits  # pyramids have 4 edges
         self._refuse_too_large(context.num_worlds, constraints)
-        wp.config.quiet = True
-        wp.init()
+        start_warp()
         with self._on_device():
             try:
                 self._m = mjw.put_model(self.model)
