@@ -14,17 +14,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from understudy import __version__
-from understudy.errors import UnderstudyError
+from understudy.errors import PluginError, UnderstudyError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
-    parser = _parser()
-    options, overrides = parser.parse_known_args(arguments)
-    bad = [item for item in overrides if item.startswith("-")]
-    if bad or (overrides and not options.overrides_allowed):
-        parser.error(f"unknown argument '{(bad or overrides)[0]}'")
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
     try:
+        parser = _parser(arguments)
+        options, overrides = parser.parse_known_args(arguments)
+        bad = [item for item in overrides if item.startswith("-")]
+        if bad or (overrides and not options.overrides_allowed):
+            parser.error(f"unknown argument '{(bad or overrides)[0]}'")
         return options.function(options, overrides)
     except UnderstudyError as error:
         print(f"understudy: {error}", file=sys.stderr)
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy",
         description="Simulated characters learn physical skills.",
@@ -70,7 +71,40 @@ def _parser() -> argparse.ArgumentParser:
         "config", _config, "print the composed configuration and where each value is from", True
     )
     sub.add_argument("--json", action="store_true", help="plain JSON, without origins")
+    _add_plugin_commands(commands, arguments)
     return parser
+
+
+def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
+    """The commands that plugins register; of these only the one that is asked for is imported."""
+    from understudy.plugins import installed
+
+    registry = installed().registry
+    groups: dict[str, Any] = {}
+    for name in registry.names("command"):
+        component = registry.find("command", name)
+        *group, word = name.split()
+        where = commands
+        for first in group[:1]:
+            if first not in groups:
+                text = f"commands about {first}"
+                parser = commands.add_parser(first, help=text, description=text)
+                groups[first] = parser.add_subparsers(metavar="COMMAND", required=True)
+            where = groups[first]
+        if word in where.choices:
+            raise PluginError(
+                f"Plugin '{component.plugin}' registers the command '{name}', which exists already."
+            )
+        parser = where.add_parser(word, help=component.summary, description=component.summary)
+        if list(arguments[: len(group) + 1]) != [*group, word]:
+            continue
+        command = component.factory()
+        command.arguments(parser)
+
+        def run(options: argparse.Namespace, _: list[str], command: Any = command) -> int:
+            return command.run(options)
+
+        parser.set_defaults(function=run, overrides_allowed=False)
 
 
 def _train(options: argparse.Namespace, overrides: list[str]) -> int:

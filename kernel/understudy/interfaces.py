@@ -11,6 +11,7 @@ positional parameters name the state fields they read, their keyword-only parame
 
 from __future__ import annotations
 
+import argparse
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -81,6 +82,20 @@ class Context:
                 f"Add it (for example {name}.name=…) or choose another part."
             )
         return value
+
+
+class Command(ABC):
+    """A command of the command line, registered as a ``command`` named by its words: the component
+    ``motion check`` is run as ``understudy motion check``. Its summary is its help."""
+
+    @abstractmethod
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the command's arguments."""
+
+    @abstractmethod
+    def run(self, options: argparse.Namespace) -> int:
+        """Carry it out; returns the exit status. What the user can cause is raised as an
+        :class:`UnderstudyError`."""
 
 
 class Scene(ABC):

@@ -33,6 +33,7 @@ KERNEL_KINDS: dict[str, str] = {
     "learner": "improves a policy from rollouts",
     "outer_loop": "proposes trials and digests results",
     "executor": "runs trials",
+    "command": "a command of the command line",
 }
 
 

@@ -24,7 +24,7 @@ def frame(duration: float = 0.1, x: float = 0.0) -> list[Any]:
 def read(folder: Path, frames: list[list[Any]], text: str | None = None) -> Any:
     file = folder / "clip.txt"
     file.write_bytes((text or json.dumps({"Loop": "none", "Frames": frames})).encode())
-    return deepmimic.read(file)
+    return deepmimic.DeepMimicReader().read(file)
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ _SOLE = _FOOT.centre[2] - _FOOT.size[2]
 _HEEL, _TOE = _FOOT.centre[0] - _FOOT.size[0], _FOOT.centre[0] + _FOOT.size[0]
 
 
-def generated_walk(speed: float = 1.2, cycle: float = 1.05, frame_rate: float = 60.0) -> Clip:
+def generated_walk(*, speed: float = 1.2, cycle: float = 1.05, frame_rate: float = 60.0) -> Clip:
     """One gait cycle, two steps, of a level walk along +x, from a right heel strike.
 
     Args:

@@ -11,7 +11,8 @@ displacement) accumulates from cycle to cycle; height does not.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -39,7 +40,9 @@ class Skeleton:
     parents: tuple[int, ...]
     """Index of each joint's parent, -1 for the root, always smaller than the joint's own."""
     offsets: np.ndarray
-    """(J, 3) m, each joint's origin in its parent's frame."""
+    """(J, 3) m, each joint's origin in its parent's frame; the root's is zero."""
+    tips: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """By joint name: (3,) m, the end of what hangs on the joint (toe, fingertip, crown), in its frame."""
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from understudy.errors import FileError, suggestion
-from understudy.registry import Component
+from understudy.errors import ConfigError, FileError, suggestion
+from understudy.registry import Registry, checked_options
 from understudy_motion.clip import Clip
-from understudy_motion.readers import deepmimic
+from understudy_motion.reading import UNSAID, ReadOptions, read_clip, readers
 
 DATA_VARIABLE = "UNDERSTUDY_DATA"
-SUFFIXES = (".txt", ".json")
 
 
 def data_folder() -> Path | None:
@@ -22,44 +22,58 @@ def data_folder() -> Path | None:
 
 
 def load(
-    name: str | None, file: str | None, generated: Mapping[str, Component] | None = None
+    name: str | None,
+    file: str | None,
+    registry: Registry,
+    parameters: Mapping[str, Any] | None = None,
+    options: ReadOptions = UNSAID,
 ) -> Clip:
     """The clip of a file, or the clip of a name.
 
     Args:
-        generated: components that make clips, by name.
         name: a generated clip, else the stem of a file in ``motions/*`` of the data folder.
         file: path of a clip file; wins over ``name``.
+        registry: where generated clips and readers are found.
+        parameters: of a generated clip (its speed, say).
+        options: how a file is read.
 
     Raises:
         FileError: nothing is asked for, the name is not known, or the file is not a clip.
+        ConfigError: a parameter that the generated clip does not have, or parameters for a file.
     """
+    if file is None and name in registry.names("clip"):
+        component = registry.find("clip", name)
+        return component.factory(
+            **checked_options(component.options, parameters or {}, "motion.parameters")
+        )
+    if parameters:
+        raise ConfigError(
+            f"motion.parameters={dict(parameters)!r} is not possible: only generated clips have them."
+            f"{suggestion('', registry.names('clip'))}"
+        )
     if file is not None:
-        return deepmimic.read(Path(file))
+        return read_clip(Path(file), registry, options)
     if not name:
         raise FileError("No motion clip: give motion.name=NAME or motion.file=PATH.")
     if "/" in name or "\\" in name or ".." in name:
         raise FileError(f"'{name}' is not a clip's name; for a file give motion.file=PATH.")
-    generated = generated or {}
-    if name in generated:
-        return generated[name].factory()
-    files = _files()
+    files = _files(tuple(s for reader in readers(registry).values() for s in reader.suffixes))
     if name in files:
-        return deepmimic.read(files[name])
+        return read_clip(files[name], registry, options)
     raise FileError(
-        f"No motion clip '{name}'.{suggestion(name, {*generated, *files})} Clip files are given as "
-        f"motion.file=PATH or looked for in ${DATA_VARIABLE}/motions."
+        f"No motion clip '{name}'.{suggestion(name, {*registry.names('clip'), *files})} Clip files "
+        f"are given as motion.file=PATH or looked for in ${DATA_VARIABLE}/motions."
     )
 
 
-def _files() -> dict[str, Path]:
+def _files(suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Stem -> path of the data folder's clips; the first folder in alphabetical order wins."""
     folder = data_folder()
     if folder is None:
         return {}
     found: dict[str, Path] = {}
     for path in sorted(folder.glob("motions/*/*")):
-        is_clip = path.suffix in SUFFIXES and not path.stem.endswith("character")
+        is_clip = path.suffix in suffixes and not path.stem.endswith("character")
         if is_clip and path.is_file():
             found.setdefault(path.stem, path)
     return found

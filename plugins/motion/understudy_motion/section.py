@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
+from understudy_motion.reading import Axis, ReadOptions, Unit
 
 
 @dataclass(frozen=True)
 class MotionOptions:
     name: str | None = "walk"  #: a generated clip, or a file's stem in the data folder
     file: str | None = None  #: path of a clip file; wins over ``name``
+    #: Of a generated clip, for example ``{speed: 1.4}``; none changes its defaults.
+    parameters: dict[str, Any] = field(default_factory=dict)
+    unit: Unit | None = None  #: of a file's lengths, where the file does not say
+    up: Axis | None = None  #: a file's vertical axis, where the file does not say
+    loop: bool | None = None  #: whether a file's motion repeats; None takes the file's word
 
 
 class Motion:
     """The chosen clip and where it came from."""
 
     def __init__(self, options: MotionOptions, registry: Registry) -> None:
-        generated = {name: registry.find("clip", name) for name in registry.names("clip")}
-        self.clip: Clip = library.load(options.name, options.file, generated)
+        reading = ReadOptions(unit=options.unit, up=options.up, loop=options.loop)
+        self.clip: Clip = library.load(
+            options.name, options.file, registry, options.parameters, reading
+        )
 
     def provenance(self) -> dict[str, Any]:
         clip = self.clip

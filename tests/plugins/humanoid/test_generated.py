@@ -22,7 +22,8 @@ FOOT = next(row for row in BODIES if row.name == "right_ankle")
 
 @pytest.fixture(params=WALKS, ids=lambda walk: f"{walk[0]} m/s")
 def walk(request: pytest.FixtureRequest) -> Clip:
-    return generated_walk(*request.param)
+    speed, cycle = request.param
+    return generated_walk(speed=speed, cycle=cycle)
 
 
 def soles(clip: Clip, side: str) -> Tensor:

@@ -171,7 +171,9 @@ def test_every_recorded_clip_becomes_a_finite_reference_on_the_floor(
     model: mujoco.MjModel, layout: CharacterLayout
 ) -> None:
     for path in recorded_clips():
-        reference = ReferenceMotion(deepmimic.read(path), model, layout, control_dt=DT)
+        reference = ReferenceMotion(
+            deepmimic.DeepMimicReader().read(path), model, layout, control_dt=DT
+        )
         assert abs(reference.height_offset) < 0.3, path
         fields = reference.sample(torch.linspace(0.0, 2.5 * reference.duration, 301))
         for name, value in fields.items():

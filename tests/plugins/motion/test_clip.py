@@ -13,8 +13,6 @@ from torch import Tensor
 
 from understudy import rotations
 from understudy.errors import FileError
-from understudy.registry import Component
-from understudy_motion import library
 from understudy_motion.clip import (
     Clip,
     CycleTransform,
@@ -137,15 +135,3 @@ def test_other_nonsense_is_refused() -> None:
         replace(clip, joint_names=("a",))
     with pytest.raises(FileError, match="at least 2 frames"):
         Clip("one", torch.zeros(1), torch.zeros(1, 3), torch.ones(1, 1, 4) / 2, ("a",), False)
-
-
-def test_library_names() -> None:
-    generated = {"arc": Component("clip", "arc", arc_clip, "tests")}
-    assert library.load("arc", None, generated).name == "arc"
-    with pytest.raises(FileError, match="Did you mean 'arc'"):
-        library.load("arcs", None, generated)
-    with pytest.raises(FileError, match=r"motion\.file=PATH"):
-        library.load(None, None, generated)
-    for name in ("../arc", "a/b", "a\\b", ".."):
-        with pytest.raises(FileError, match="not a clip's name"):
-            library.load(name, None, generated)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from understudy import rotations
 from understudy.errors import FileError
+from understudy.plugins import installed
 from understudy_motion import library
 from understudy_motion.readers import deepmimic
 
@@ -49,7 +50,7 @@ def write(folder: Path, content: object) -> Path:
 
 def test_axes_times_and_licence(tmp_path: Path) -> None:
     (tmp_path / "LICENSE").write_text("\n  MIT License \nmore")
-    clip = deepmimic.read(write(tmp_path, document()))
+    clip = deepmimic.DeepMimicReader().read(write(tmp_path, document()))
     torch.testing.assert_close(clip.times, torch.tensor([0.0, 0.1, 0.3], dtype=torch.float64))
     assert clip.root_position[1].tolist() == [0.1, -0.25, 0.9]
     assert rotations.heading(clip.rotations[0, 0]).item() == pytest.approx(math.pi / 2)
@@ -63,13 +64,15 @@ def test_axes_times_and_licence(tmp_path: Path) -> None:
 
 def test_harmless_variations(tmp_path: Path) -> None:
     text = json.dumps(document(), indent=1).replace("\n", "\r\n")
-    expected = deepmimic.read(write(tmp_path, document())).rotations
+    expected = deepmimic.DeepMimicReader().read(write(tmp_path, document())).rotations
     path = tmp_path / "crlf.txt"
     path.write_bytes(b"\xef\xbb\xbf" + text.encode())
-    assert torch.equal(deepmimic.read(path).rotations, expected)
+    assert torch.equal(deepmimic.DeepMimicReader().read(path).rotations, expected)
     flipped = document()
     flipped["Frames"][1][4:8] = [-value for value in flipped["Frames"][1][4:8]]
-    torch.testing.assert_close(deepmimic.read(write(tmp_path, flipped)).rotations, expected)
+    torch.testing.assert_close(
+        deepmimic.DeepMimicReader().read(write(tmp_path, flipped)).rotations, expected
+    )
 
 
 def broken(frame: int, column: int, value: object) -> dict[str, Any]:
@@ -112,21 +115,21 @@ def broken(frame: int, column: int, value: object) -> dict[str, Any]:
 def test_damage_is_named(tmp_path: Path, content: object, message: str) -> None:
     path = write(tmp_path, content)
     with pytest.raises(FileError, match=message) as caught:
-        deepmimic.read(path)
+        deepmimic.DeepMimicReader().read(path)
     assert str(path) in str(caught.value)
 
 
 def test_what_is_not_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for path in (tmp_path, tmp_path / "absent.txt", Path("a\0b")):
         with pytest.raises(FileError):
-            deepmimic.read(path)
+            deepmimic.DeepMimicReader().read(path)
     binary = tmp_path / "binary.txt"
     binary.write_bytes(bytes(range(256)))
     with pytest.raises(FileError, match="not valid JSON"):
-        deepmimic.read(binary)
+        deepmimic.DeepMimicReader().read(binary)
     monkeypatch.setattr(deepmimic, "MAX_BYTES", 100)
     with pytest.raises(FileError, match="larger than"):
-        deepmimic.read(write(tmp_path, document()))
+        deepmimic.DeepMimicReader().read(write(tmp_path, document()))
 
 
 @FUZZ
@@ -140,7 +143,7 @@ def test_damaged_text_never_raises_anything_else(tmp_path: Path, data: st.DataOb
     path = tmp_path / "fuzz.txt"
     path.write_bytes(bytes(content))
     try:
-        clip = deepmimic.read(path)
+        clip = deepmimic.DeepMimicReader().read(path)
     except FileError:
         return
     assert clip.rotations.isfinite().all()
@@ -162,7 +165,7 @@ def test_damaged_values_never_raise_anything_else(
     content = copy.deepcopy(document())
     content["Frames"][frame][column] = value
     try:
-        clip = deepmimic.read(write(tmp_path, content))
+        clip = deepmimic.DeepMimicReader().read(write(tmp_path, content))
     except FileError:
         return
     assert clip.rotations.isfinite().all()
@@ -179,12 +182,14 @@ def real_clips() -> list[Path]:
 )
 def test_every_recorded_clip_loads(monkeypatch: pytest.MonkeyPatch) -> None:
     for path in real_clips():
-        clip = deepmimic.read(path)
+        clip = deepmimic.DeepMimicReader().read(path)
         assert 0.3 < clip.duration < 60.0, path
         assert 10.0 < clip.frame_rate < 130.0, path
         assert 0.0 < clip.root_position[:, 2].median() < 2.0, path
     monkeypatch.setenv("UNDERSTUDY_DATA", os.fspath(real_clips()[0].parents[2]))
-    assert library.load(real_clips()[0].stem, None).source == str(real_clips()[0])
+    assert library.load(real_clips()[0].stem, None, installed().registry).source == str(
+        real_clips()[0]
+    )
 
 
 def test_a_million_frames_are_refused_at_once(tmp_path: Path) -> None:
@@ -193,10 +198,10 @@ def test_a_million_frames_are_refused_at_once(tmp_path: Path) -> None:
     path.write_text('{"Loop":"none","Frames":[' + ",".join([frame] * 10**6) + "]}")
     began = time.perf_counter()
     with pytest.raises(FileError, match=r"long\.txt: larger than"):
-        deepmimic.read(path)
+        deepmimic.DeepMimicReader().read(path)
     path.write_text('{"Loop":"none","Frames":[' + ",".join(["[]"] * 10**6) + "]}")
     with pytest.raises(FileError, match="1000000 frames; a clip has from 2 to"):
-        deepmimic.read(path)
+        deepmimic.DeepMimicReader().read(path)
     assert time.perf_counter() - began < 5.0
 
 
@@ -209,5 +214,5 @@ def test_the_largest_allowed_file_loads_in_seconds(tmp_path: Path) -> None:
     path = tmp_path / "long.txt"
     path.write_text('{"Loop":"none","Frames":[' + ",".join([frame] * frames) + "]}")
     began = time.perf_counter()
-    assert deepmimic.read(path).num_frames == frames
+    assert deepmimic.DeepMimicReader().read(path).num_frames == frames
     assert time.perf_counter() - began < 20.0

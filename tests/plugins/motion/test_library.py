@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from understudy.errors import FileError
-from understudy.registry import Component
+import understudy_motion
+from understudy.errors import ConfigError, FileError
+from understudy.registry import Component, Registrar, Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
@@ -21,7 +24,16 @@ def still() -> Clip:
     return Clip("still", torch.tensor([0.0, 1.0]), torch.zeros(2, 3), one, ("root",), False)
 
 
-GENERATED = {"still": Component("clip", "still", still, "tests")}
+def registry(**clips: Any) -> Registry:
+    """What the motion plugin registers, and these generated clips."""
+    made = Registry()
+    understudy_motion.understudy_register(Registrar(made, "motion"))
+    for name, target in clips.items():
+        made.add(Component("clip", name, target, "tests"))
+    return made
+
+
+GENERATED = registry(still=still)
 ONE = [1, 0, 0, 0]
 LYING_POSE = [0.5, 0, 0.1, 0]
 for _, width in deepmimic.JOINTS:
@@ -47,21 +59,23 @@ def test_generated_clips_are_found_by_name(data: Path) -> None:
 
 def test_files_are_found_by_stem_and_by_path(data: Path) -> None:
     path = data / "motions" / "ours" / "lying.json"
-    for clip in (library.load("lying", None), library.load("still", str(path), GENERATED)):
+    for clip in (
+        library.load("lying", None, registry()),
+        library.load("still", str(path), GENERATED),
+    ):
         assert clip.name == "lying"
         assert clip.source == str(path)
 
 
 def test_a_generated_clip_wins_over_a_file_of_its_name(data: Path) -> None:
-    component = Component("clip", "lying", still, "tests")
-    assert library.load("lying", None, {"lying": component}).source == "generated"
+    assert library.load("lying", None, registry(lying=still)).source == "generated"
 
 
 def test_the_first_folder_wins(data: Path) -> None:
     other = data / "motions" / "another"
     other.mkdir()
     (other / "lying.txt").write_text(LYING)
-    assert library.load("lying", None).source == str(other / "lying.txt")
+    assert library.load("lying", None, registry()).source == str(other / "lying.txt")
 
 
 @pytest.mark.parametrize(
@@ -102,3 +116,23 @@ def test_without_a_data_folder_only_generated_clips_are_known(
 def test_a_missing_file_is_named() -> None:
     with pytest.raises(FileError, match=r"absent\.txt: there is no such file"):
         library.load("walk", "absent.txt", GENERATED)
+
+
+def test_parameters_are_a_generated_clips_only(data: Path) -> None:
+    def lasting(*, seconds: float = 1.0) -> Clip:
+        return replace(still(), times=torch.tensor([0.0, seconds]))
+
+    known = registry(lasting=lasting)
+    assert library.load("lasting", None, known).duration == 1.0
+    assert library.load("lasting", None, known, {"seconds": 2}).duration == 2.0
+    with pytest.raises(ConfigError, match=r"motion\.parameters has no option 'second'.*'seconds'"):
+        library.load("lasting", None, known, {"second": 2})
+    with pytest.raises(ConfigError, match="only generated clips have them"):
+        library.load("lying", None, known, {"seconds": 2})
+
+
+def test_content_that_no_reader_knows_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "lying.json"
+    file.write_text("nothing of the kind")
+    with pytest.raises(FileError, match=r"not a format that is read here \(.*deepmimic"):
+        library.load(None, str(file), GENERATED)

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
+import understudy_motion
 from understudy.errors import FileError
-from understudy.registry import Component, Registry
+from understudy.registry import Component, Registrar, Registry
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
 from understudy_motion.section import Motion, MotionOptions
@@ -26,7 +27,7 @@ def step() -> Clip:
 @pytest.fixture
 def registry() -> Registry:
     registry = Registry()
-    registry.kinds["clip"] = "a generated motion clip"
+    understudy_motion.understudy_register(Registrar(registry, "motion"))
     registry.add(Component("clip", "walk", step, "test"))
     return registry
 

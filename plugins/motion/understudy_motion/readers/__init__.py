@@ -1,1 +1,1 @@
-"""Readers of clip file formats, each a module with ``read(path) -> Clip``."""
+"""Readers of clip file formats: components of kind ``clip_reader``."""

@@ -13,7 +13,6 @@ Files come from anywhere: whatever is wrong with one is a :class:`FileError`.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,6 +23,7 @@ import torch
 from understudy import rotations
 from understudy.errors import FileError, suggestion
 from understudy_motion.clip import Clip
+from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, provenance, read_bytes
 
 JOINTS: tuple[tuple[str, int], ...] = (
     ("root", 4),
@@ -48,50 +48,37 @@ MAX_FRAMES = 100_000
 LOOPS = {"wrap": True, "none": False}
 
 
-def read(path: Path) -> Clip:
-    """Read and check one clip.
+class DeepMimicReader(ClipReader):
+    """Reads DeepMimic's JSON."""
 
-    Raises:
-        FileError: the file is missing, too large, not JSON, or not a motion; the message names the
-            file and, where there is one, the frame (from 0) and the field.
-    """
-    content = _bytes(path)
-    document = _document(path, content)
-    loop = document.get("Loop")
-    if not isinstance(loop, str) or loop not in LOOPS:
-        raise FileError(f'Clip {path}: \'Loop\' must be "wrap" or "none".')
-    rows = _rows(path, document)
-    durations = rows[:-1, 0]
-    if not (durations > 0.0).all():
-        frame = int(np.argmin(durations > 0.0))
-        raise FileError(
-            f"Clip {path}: frame {frame}: duration is {durations[frame]:g} s, must be above 0."
+    suffixes = (".txt", ".json")
+
+    def recognises(self, head: bytes) -> bool:
+        return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{") and b"Skeleton" not in head
+
+    def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
+        content = read_bytes(path, MAX_BYTES)
+        document = _document(path, content)
+        loop = document.get("Loop")
+        if not isinstance(loop, str) or loop not in LOOPS:
+            raise FileError(f'Clip {path}: \'Loop\' must be "wrap" or "none".')
+        rows = _rows(path, document)
+        durations = rows[:-1, 0]
+        if not (durations > 0.0).all():
+            frame = int(np.argmin(durations > 0.0))
+            raise FileError(
+                f"Clip {path}: frame {frame}: duration is {durations[frame]:g} s, must be above 0."
+            )
+        values = torch.from_numpy(rows)
+        return Clip(
+            name=path.stem,
+            times=torch.cat((torch.zeros(1, dtype=values.dtype), values[:-1, 0].cumsum(dim=0))),
+            root_position=torch.stack((values[:, 1], -values[:, 3], values[:, 2]), dim=-1),
+            rotations=_rotations(values[:, 4:]),
+            joint_names=tuple(name for name, _ in JOINTS),
+            loop=LOOPS[loop] if options.loop is None else options.loop,
+            **provenance(path, content),
         )
-    values = torch.from_numpy(rows)
-    return Clip(
-        name=path.stem,
-        times=torch.cat((torch.zeros(1, dtype=values.dtype), values[:-1, 0].cumsum(dim=0))),
-        root_position=torch.stack((values[:, 1], -values[:, 3], values[:, 2]), dim=-1),
-        rotations=_rotations(values[:, 4:]),
-        joint_names=tuple(name for name, _ in JOINTS),
-        loop=LOOPS[loop],
-        source=str(path),
-        licence=_licence(path),
-        sha256=hashlib.sha256(content).hexdigest(),
-    )
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        if not path.is_file():
-            raise FileError(f"Clip {path}: there is no such file.")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        raise FileError(f"Clip {path}: cannot be read: {error}.") from error
-    if len(content) > MAX_BYTES:
-        raise FileError(f"Clip {path}: larger than {MAX_BYTES // 2**20} MB.")
-    return content
 
 
 def _document(path: Path, content: bytes) -> dict[str, Any]:
@@ -167,13 +154,3 @@ def _rotations(columns: torch.Tensor) -> torch.Tensor:
             w, x, y, z = values.unbind(dim=-1)
             joints.append(torch.stack((w, x, -z, y), dim=-1))
     return torch.stack(joints, dim=1)
-
-
-def _licence(path: Path) -> str:
-    """The first line of a LICENSE file beside the clip, if there is one."""
-    try:
-        with path.with_name("LICENSE").open(encoding="utf-8", errors="replace") as file:
-            first = next((line.strip() for line in file if line.strip()), "")
-    except OSError:
-        return "unknown"
-    return f"{first[:200]}; see LICENSE beside the clip" if first else "unknown"

@@ -1,0 +1,68 @@
+"""Writing a clip in any format: the destination's ending decides which writer writes it.
+
+A writer is a component of kind ``clip_writer``, so that a plugin can add a format.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from understudy.errors import FileError
+from understudy.registry import Registry
+from understudy_motion.clip import Clip
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A rigid piece of the figure, fixed to one joint, for formats that show bodies."""
+
+    joint: str
+    vertices: np.ndarray  #: (V, 3) m, in the joint's frame
+    faces: np.ndarray  #: (T, 3) rows of vertices, counter-clockwise seen from outside
+    colour: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)  #: linear RGBA
+
+
+class ClipWriter(ABC):
+    """Writes one format."""
+
+    #: The ending of its files, with the dot.
+    suffix: str
+
+    @abstractmethod
+    def write(self, clip: Clip, path: Path, shapes: Sequence[Shape] = ()) -> None:
+        """Write `clip` to the new file `path`; `shapes` are shown where the format can.
+
+        Raises:
+            FileError: the format cannot hold this clip (it needs a skeleton, for instance).
+        """
+
+
+def write_clip(clip: Clip, path: Path, registry: Registry, shapes: Sequence[Shape] = ()) -> None:
+    """Write `clip` to `path` by its ending, all or nothing; an existing file is replaced.
+
+    Raises:
+        FileError: no writer has this ending, or the folder cannot be written, or as
+            :meth:`ClipWriter.write`.
+    """
+    writers = [registry.find("clip_writer", n).factory() for n in registry.names("clip_writer")]
+    writer = next((w for w in writers if w.suffix == path.suffix.lower()), None)
+    if writer is None:
+        endings = ", ".join(sorted(w.suffix for w in writers))
+        raise FileError(
+            f"Clip {path}: no format is written to '{path.suffix}' files. Known: {endings}."
+            f"{registry.absent()}"
+        )
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
+            temporary = Path(folder) / path.name
+            writer.write(clip, temporary, shapes)
+            os.replace(temporary, path)
+    except OSError as error:
+        raise FileError(f"Clip {path}: cannot be written: {error}.") from error

@@ -1,0 +1,84 @@
+"""Commands that plugins add to the command line."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from understudy import cli, plugins
+from understudy.errors import FileError
+from understudy.interfaces import Command
+from understudy.registry import Registrar
+
+
+class Greet(Command):
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("name")
+        parser.add_argument("--loud", action="store_true")
+
+    def run(self, options: argparse.Namespace) -> int:
+        if options.name == "nobody":
+            raise FileError("There is nobody.")
+        print(options.name.upper() if options.loud else options.name)
+        return 7
+
+
+class Greeting:
+    @plugins.hookimpl
+    def understudy_register(self, register: Registrar) -> None:
+        register.component("command", "say hello", Greet, "greet somebody")
+        register.component("command", "say lazily", "no_such_module:Nothing", "never works")
+
+
+@pytest.fixture(autouse=True)
+def _greeting(monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded = plugins.load(only=[], extra=[("greeting", Greeting())])
+    monkeypatch.setattr(plugins, "installed", lambda: loaded)
+
+
+def test_a_command_gets_its_arguments_and_gives_its_status(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["say", "hello", "Ada", "--loud"]) == 7
+    assert capsys.readouterr().out == "ADA\n"
+
+
+def test_what_the_user_can_cause_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["say", "hello", "nobody"]) == 2
+    assert capsys.readouterr().err == "understudy: There is nobody.\n"
+
+
+@pytest.mark.parametrize("arguments", [["say"], ["say", "hello"], ["say", "hello", "a", "--soft"]])
+def test_wrong_arguments_are_refused(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(arguments)
+    assert stopped.value.code == 2
+
+
+def test_help_lists_commands_without_importing_them(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["say", "--help"])
+    assert stopped.value.code == 0
+    shown = capsys.readouterr().out
+    assert "greet somebody" in shown
+    assert "never works" in shown
+
+
+def test_a_command_that_cannot_be_imported_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["say", "lazily"]) == 2
+    assert "cannot be used" in capsys.readouterr().err
+
+
+def test_a_command_of_the_kernels_name_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Taker:
+        @plugins.hookimpl
+        def understudy_register(self, register: Registrar) -> None:
+            register.component("command", "train", Greet, "take over")
+
+    loaded = plugins.load(only=[], extra=[("taker", Taker())])
+    monkeypatch.setattr(plugins, "installed", lambda: loaded)
+    assert cli.main(["tasks"]) == 2
+    assert "Plugin 'taker' registers the command 'train', which exists" in capsys.readouterr().err
