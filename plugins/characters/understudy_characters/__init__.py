@@ -1,0 +1,12 @@
+"""Characters as MJCF models: joint rotations to ``qpos`` and back, shapes. Knows no particular one."""
+
+from understudy import hookimpl
+from understudy.registry import Registrar
+
+#: Plugins that this one builds on.
+REQUIRES = ('mujoco', 'motion')
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    pass

@@ -1,0 +1,12 @@
+"""The clip doctor: what is wrong with a clip, and what repairs it."""
+
+from understudy import hookimpl
+from understudy.registry import Registrar
+
+#: Plugins that this one builds on.
+REQUIRES = ('characters',)
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    pass

@@ -1,0 +1,12 @@
+"""Retargeting: the motion of any skeleton on any character."""
+
+from understudy import hookimpl
+from understudy.registry import Registrar
+
+#: Plugins that this one builds on.
+REQUIRES = ('characters',)
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    pass
