@@ -14,7 +14,11 @@ from understudy.errors import ConfigError, TrainingError
 from understudy.interfaces import Context, Learner, Policy, Rollout, State
 from understudy.random import generator
 from understudy.registry import check_range
+from understudy_ppo.graphs import Captured
 from understudy_ppo.returns import lambda_advantages
+
+#: By what an adaptive learning rate changes in an update, and its limits.
+RATE_STEP, RATE_RANGE = 1.5, (1e-6, 1e-2)
 
 
 class PPO(Learner):
@@ -39,6 +43,10 @@ class PPO(Learner):
         critic_learning_rate: float = 1e-3
         entropy_weight: float = 0.0
         max_gradient_norm: float = 1.0
+        #: Adapt the actor's learning rate so that an update's mean KL divergence from the policy that
+        #: collected stays within a factor of two of this; null keeps the rate. The rule is the one
+        #: of Schulman et al. (section 4) for the penalty, applied to the rate.
+        target_kl: float | None = None
         #: Number format of the networks' matrix products during updates.
         precision: Literal["float32", "tf32"] = "float32"
         #: Non-finite optimiser steps in a row after which the training stops.
@@ -48,7 +56,7 @@ class PPO(Learner):
             check_range(self, "rollout_steps", "epochs", "minibatches", "patience", least=1)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)
-            check_range(self, "max_gradient_norm", above=0)
+            check_range(self, "max_gradient_norm", "target_kl", above=0)
             check_range(self, "entropy_weight", least=0)
 
     def __init__(self, options: Options, context: Context, policy: Policy) -> None:
@@ -68,15 +76,26 @@ class PPO(Learner):
         self.rollout_steps = options.rollout_steps
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
+        on_gpu = context.device.type == "cuda"
+        self._actor_rate = torch.tensor(options.actor_learning_rate, device=context.device)
         self._actor_optimiser = torch.optim.Adam(
-            self._actor, options.actor_learning_rate, fused=True
+            self._actor, self._actor_rate, fused=True, capturable=on_gpu
         )
         self._critic_optimiser = torch.optim.Adam(
-            self._critic, options.critic_learning_rate, fused=True
+            self._critic, options.critic_learning_rate, fused=True, capturable=on_gpu
         )
         self._generator = generator(context.seed, "ppo", context.device)
         #: () optimiser steps in a row that were not finite.
         self._bad_steps = torch.zeros((), dtype=torch.int64, device=context.device)
+        #: (6,) a minibatch's losses, entropy, KL divergence, clipped share, and 1; sums of sound ones.
+        self._row, self._sums = torch.zeros(2, 6, device=context.device)
+        self._capture()
+
+    def _capture(self) -> None:
+        """Forget recorded steps: they hold the addresses of the optimisers' state."""
+        device = self._row.device
+        self._captured_differentiate = Captured(self._differentiate, device)
+        self._captured_apply = Captured(lambda _: self._apply(), device)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         advantages = self._digest(rollout)
@@ -94,20 +113,18 @@ class PPO(Learner):
             "advantages": (advantages.flatten() - mean) / (variance.sqrt() + 1e-5),
         }
         options, device = self.options, returns.device
-        sums = torch.zeros(6, device=device)
+        self._sums.zero_()
         used = returns.shape[0] // options.minibatches * options.minibatches
         for _ in range(options.epochs):
             order = torch.randperm(returns.shape[0], generator=self._generator, device=device)
             for rows in order[:used].view(options.minibatches, -1):
-                minibatch = {name: value[rows] for name, value in flat.items()}
-                actor_loss, value_loss, entropy, ratio = self.losses(minibatch)
-                sound = self._step(actor_loss, value_loss, minibatch)
-                with torch.no_grad():
-                    kl = (ratio - 1 - ratio.log()).mean()  # Schulman's k3 estimator
-                    outside = ((ratio - 1).abs() > options.clip).float().mean()
-                    row = [actor_loss, value_loss, entropy, kl, outside, torch.ones_like(kl)]
-                    sums += torch.where(sound, torch.stack(row), 0.0)
-        *totals, taken = sums.tolist()  # the update's one wait for the device
+                self._captured_differentiate(flat, rows)
+                if distributed.size() > 1:
+                    parameters = [*self._actor, *self._critic]
+                    self._row.copy_(distributed.average_gradients(parameters, self._row))
+                self._captured_apply({}, rows)
+                self._report_fault(flat, rows)
+        *totals, taken = self._sums.tolist()  # the update's one wait for the device
         actor_loss, value_loss, entropy, kl, outside = (x / max(1.0, taken) for x in totals)
         self._refuse_hopeless()
         variance = returns.var() + 1e-8
@@ -123,6 +140,7 @@ class PPO(Learner):
             "kl": kl,
             "clipped": outside,
             "explained_variance": float(explained),
+            "actor_learning_rate": self._adapt_rate(kl),
             "skipped_steps": options.epochs * options.minibatches - taken,
         }
 
@@ -164,29 +182,49 @@ class PPO(Learner):
         rollout.returns = values + (advantages if same else estimate(options.td_lambda))
         return advantages
 
-    def _step(
-        self, actor_loss: Tensor, value_loss: Tensor, minibatch: Mapping[str, Tensor]
-    ) -> Tensor:
-        """One optimiser step; returns () bool, false (and nothing changed) if it was not finite.
+    def _differentiate(self, minibatch: Mapping[str, Tensor]) -> None:
+        """Set the gradients and the statistics of `minibatch`."""
+        for optimiser in (self._actor_optimiser, self._critic_optimiser):
+            optimiser.zero_grad(set_to_none=True)
+        actor_loss, value_loss, entropy, ratio = self.losses(minibatch)
+        (actor_loss + value_loss).backward()
+        with torch.no_grad():
+            kl = (ratio - 1 - ratio.log()).mean()  # Schulman's k3 estimator
+            outside = ((ratio - 1).abs() > self.options.clip).float().mean()
+            row = [actor_loss, value_loss, entropy, kl, outside, torch.ones_like(kl)]
+            self._row.copy_(torch.stack(row))
+
+    @torch.no_grad()
+    def _apply(self) -> None:
+        """One optimiser step; if losses or gradients are not finite, nothing changes but the count.
 
         The optimisers skip on the device by ``found_inf``, so a GPU is not waited for.
         """
-        self._actor_optimiser.zero_grad(set_to_none=True)
-        self._critic_optimiser.zero_grad(set_to_none=True)
-        (actor_loss + value_loss).backward()
-        losses = torch.stack([actor_loss.detach(), value_loss.detach()])
-        losses = distributed.average_gradients([*self._actor, *self._critic], losses)
         norm = self.options.max_gradient_norm
         norms = [nn.utils.clip_grad_norm_(group, norm) for group in (self._actor, self._critic)]
-        sound = torch.isfinite(torch.cat([torch.stack(norms), losses])).all()
+        sound = torch.isfinite(torch.cat([torch.stack(norms), self._row[:2]])).all()
         for optimiser in (self._actor_optimiser, self._critic_optimiser):
             optimiser.found_inf = (~sound).float()  # pyright: ignore[reportAttributeAccessIssue]
             optimiser.step()
-        self._bad_steps = torch.where(sound, 0, self._bad_steps + 1)
-        if sound.device.type == "cpu" and self.on_fault is not None and not bool(sound):
-            self.on_fault(minibatch)
+        self._bad_steps.copy_(torch.where(sound, 0, self._bad_steps + 1))
+        self._sums += torch.where(sound, self._row, 0.0)
+
+    def _report_fault(self, batch: Mapping[str, Tensor], rows: Tensor) -> None:
+        """Hand out the first minibatch that went wrong; on a GPU that would cost a wait in each step."""
+        if rows.device.type == "cpu" and self.on_fault is not None and int(self._bad_steps):
+            self.on_fault({name: value[rows] for name, value in batch.items()})
             self.on_fault = None
-        return sound
+
+    def _adapt_rate(self, kl: float) -> float:
+        """Bring the actor's learning rate a step towards ``target_kl``; returns the rate."""
+        target = self.options.target_kl
+        if target is not None:
+            if not kl <= 2 * target:  # also where it is not finite
+                self._actor_rate /= RATE_STEP
+            elif kl < target / 2:
+                self._actor_rate *= RATE_STEP
+            self._actor_rate.clamp_(*RATE_RANGE)
+        return float(self._actor_rate)
 
     def _refuse_hopeless(self) -> None:
         bad = int(self._bad_steps)
@@ -201,13 +239,16 @@ class PPO(Learner):
         return {
             "actor": _optimiser_state(self._actor_optimiser),
             "critic": _optimiser_state(self._critic_optimiser),
+            "actor_rate": self._actor_rate.clone(),
             "generator": self._generator.get_state(),
         }
 
     def load_state_dict(self, state: State) -> None:
         _load_optimiser(self._actor_optimiser, state["actor"])
         _load_optimiser(self._critic_optimiser, state["critic"])
+        self._actor_rate.copy_(state["actor_rate"])
         self._generator.set_state(state["generator"].cpu())
+        self._capture()
 
 
 def _parameters(optimiser: torch.optim.Optimizer) -> Iterable[nn.Parameter]:

@@ -39,8 +39,9 @@ class _SegmentReturns:
     def update(self, phase: Tensor, returns: Tensor) -> None:
         segments = len(self.average)
         index = (phase * segments).long().clamp(0, segments - 1)
-        sums = torch.zeros_like(self.average).index_add_(0, index, returns)
-        counts = torch.zeros_like(self.average).index_add_(0, index, torch.ones_like(returns))
+        # Not index_add_, whose order of summation differs from run to run on a GPU.
+        of_segment = index == torch.arange(segments, device=index.device).unsqueeze(1)
+        sums, counts = torch.where(of_segment, returns, 0.0).sum(1), of_segment.sum(1).float()
         sums, counts = distributed.total(torch.stack([sums, counts]))
         mean = sums / counts.clamp(min=1.0)
         keep = torch.where(self.seen > 0, self._decay, 0.0)

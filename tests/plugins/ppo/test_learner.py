@@ -64,3 +64,16 @@ def test_state_round_trip(plugins: Plugins) -> None:
     one.iterate()
     two.load_state_dict(one.state_dict())
     assert_same_state(one.learner.state_dict(), two.learner.state_dict())
+
+
+def test_the_rate_follows_the_divergence(plugins: Plugins) -> None:
+    """From a rate that is far too low and one that is far too high, into the target's range."""
+    for rate in (1e-5, 3e-2):
+        training = make_training(
+            plugins,
+            [*TASK, f"learner.actor_learning_rate={rate}", "+learner.target_kl=0.01"],
+        )
+        rows = [training.iterate() for _ in range(30)]
+        late = [row["kl"] for row in rows[-8:]]
+        assert 0.003 < sum(late) / len(late) < 0.03
+        assert rows[-1]["actor_learning_rate"] != pytest.approx(rate, rel=0.1)

@@ -1,0 +1,51 @@
+"""Work on the GPU that is recorded once and replayed: a launch costs more than many a kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
+
+
+class Captured:
+    """`work` on rows of a batch, replayed as one CUDA graph from its fourth call on.
+
+    The first calls run as they are, on the stream they will be captured on: libraries allocate, and
+    autograd's bookkeeping is made, there. What `work` writes it must write in place. On the CPU it
+    is simply called.
+    """
+
+    _WARM_UP = 3
+
+    def __init__(self, work: Callable[[Mapping[str, Tensor]], None], device: torch.device) -> None:
+        self._work = work
+        self._calls = 0
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._inputs: dict[str, Tensor] = {}
+        self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
+
+    def __call__(self, batch: Mapping[str, Tensor], rows: Tensor) -> None:
+        """Run on ``batch[name][rows]``; batches must have the same names, and `rows` the same size."""
+        if self._stream is None:
+            self._work({name: value[rows] for name, value in batch.items()})
+            return
+        if not self._inputs:
+            self._inputs = {name: value[rows] for name, value in batch.items()}
+        for name, value in batch.items():
+            torch.index_select(value, 0, rows, out=self._inputs[name])
+        if self._graph is not None:
+            self._graph.replay()
+            return
+        self._stream.wait_stream(torch.cuda.current_stream())
+        if self._calls < self._WARM_UP:
+            with torch.cuda.stream(self._stream):
+                self._work(self._inputs)
+            torch.cuda.current_stream().wait_stream(self._stream)
+        else:
+            graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(graph, stream=self._stream):
+                self._work(self._inputs)
+            graph.replay()
+            self._graph = graph
+        self._calls += 1
