@@ -136,23 +136,28 @@ class FieldTable:
         return {name: self[name] for name in names}
 
 
-def _alone(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Run a method of the environment on one torch thread when it is on the CPU.
+def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Run a method of the environment with settings of its own, whatever the learner has chosen.
 
-    Its tensors are small, so more threads gain nothing, and idle ones of torch's pool would spin on
-    the cores that the simulator's threads need.
+    Matrix products are full float32: TF32 keeps three digits, too few for positions and rotations.
+    On the CPU there is one torch thread: the tensors are small, so more would gain nothing, and idle
+    ones of torch's pool would spin on the cores that the simulator's threads need.
     """
 
     @functools.wraps(method)
     def wrapped(self: Environment, *args: Any, **options: Any) -> Any:
-        threads = torch.get_num_threads()
-        if self.device.type != "cpu" or threads == 1:
-            return method(self, *args, **options)
-        torch.set_num_threads(1)
+        threads, products = torch.get_num_threads(), torch.backends.cuda.matmul
+        reduced = products.allow_tf32
+        alone = self.device.type == "cpu" and threads > 1
+        if alone:
+            torch.set_num_threads(1)
+        products.allow_tf32 = False
         try:
             return method(self, *args, **options)
         finally:
-            torch.set_num_threads(threads)
+            products.allow_tf32 = reduced
+            if alone:
+                torch.set_num_threads(threads)
 
     return wrapped
 
@@ -249,7 +254,7 @@ class Environment:
     # ------------------------------------------------------------------ running
 
     @torch.no_grad()
-    @_alone
+    @_as_physics
     def reset(self, seed: int | None = None) -> dict[str, Tensor]:
         """Begin a new episode in every world; returns the observations.
 
@@ -265,7 +270,7 @@ class Environment:
         return self.observations
 
     @torch.no_grad()
-    @_alone
+    @_as_physics
     def step(self, action: Tensor) -> Step:
         """Apply `action` (N, A), advance one control period, judge, and begin ended worlds anew."""
         parts, table = self.parts, self.table

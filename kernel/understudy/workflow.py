@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -212,22 +214,27 @@ def _load(path: str, overrides: Sequence[str]) -> tuple[Run, Evaluator, Policy, 
 def _evaluate_and_draw(
     evaluator: Evaluator, policy: Policy, run: Run, samples: int, tell: Any
 ) -> Evaluation:
-    """Evaluate while recording, then write ``evaluation.json``, ``video.mp4`` and ``report.html``."""
+    """Evaluate while recording, then write ``evaluation.json``, ``recording.npz``, ``video.mp4`` and
+    ``report.html``."""
     environment, scene = evaluator.built.environment, evaluator.built.scene
     fields = [name for name in scene.recorded if name in environment.table.shapes]
     limit = round(evaluator.experiment.root.run.video_seconds / environment.control_dt)
     recording: dict[str, list[torch.Tensor]] = {name: [] for name in fields}
+    counted: list[torch.Tensor] = []
 
     def record(running: torch.Tensor) -> None:
         if fields and len(recording[fields[0]]) < limit:
             for name in fields:
                 recording[name].append(environment.table[name][_SHOWN].clone())
+            counted.append(running[_SHOWN].clone())
 
     evaluation = evaluator.run(policy, on_step=record)
     run.write_json("evaluation.json", evaluation.as_json(samples))
     tracks = {k: torch.stack(v).cpu().numpy() for k, v in recording.items() if v}
     learned = reference = None
     if tracks:
+        first = int(torch.stack(counted).sum())
+        _save_recording(run, tracks, environment.control_dt, first_episode=first)
         learned, reference = scene.outlines(tracks)
         (run.path / "video.mp4").unlink(missing_ok=True)
         try:
@@ -246,3 +253,13 @@ def _evaluate_and_draw(
 
 #: The world that is recorded and drawn.
 _SHOWN = 0
+
+
+def _save_recording(
+    run: Run, tracks: Mapping[str, np.ndarray], control_dt: float, *, first_episode: int
+) -> None:
+    """Write ``recording.npz``: the `tracks` (T, …), ``control_dt`` in s between their frames, and
+    ``first_episode``, how many of the frames came before the world's first ending."""
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, control_dt=control_dt, first_episode=first_episode, **tracks)
+    checkpoint.write_atomically(run.path / "recording.npz", file.getvalue())

@@ -42,7 +42,7 @@ def learned(training: Training) -> dict[str, torch.Tensor]:
             "learner": training.learner.state_dict(),
         }
     )
-    return {k: v.detach().clone() for k, v in state.items() if k not in IGNORED}
+    return {k: torch.as_tensor(v).detach().clone() for k, v in state.items() if k not in IGNORED}
 
 
 def test_loss(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

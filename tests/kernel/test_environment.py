@@ -208,3 +208,27 @@ def test_refuse_hopeless() -> None:
     refuse_hopeless(25, 10, 10)
     with pytest.raises(TrainingError, match=r"^26% of all steps"):
         refuse_hopeless(26, 10, 10)
+
+
+def test_physics_is_computed_in_full_precision(
+    plugins: Plugins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A learner's choice of TF32 does not reach the environment, which gives it back."""
+    products = torch.backends.cuda.matmul
+    env = made(plugins)
+    seen = []
+    reward = env._reward
+
+    def look() -> torch.Tensor:
+        seen.append(products.allow_tf32)
+        return reward()
+
+    monkeypatch.setattr(env, "_reward", look)
+    products.allow_tf32 = True
+    try:
+        env.reset()
+        still(env)
+        assert seen and not any(seen)
+        assert products.allow_tf32
+    finally:
+        products.allow_tf32 = False

@@ -4,9 +4,9 @@ from understudy import hookimpl
 from understudy.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ('mujoco', 'motion')
+REQUIRES = ("mujoco", "motion")
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    register.kind("character", "makes the MJCF model specification of a character")

@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from understudy import rotations
-from understudy.errors import FileError, suggestion
+from understudy_characters.character import Character
 from understudy_humanoid.kinematics import CharacterLayout, ground_clearance, kinematics
 from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
-from understudy_motion.clip import sample as sample_clip
 
 #: Table rows per control step. Between rows everything is interpolated linearly.
 OVERSAMPLING = 4
@@ -22,36 +21,6 @@ OVERSAMPLING = 4
 TARGET_LEAD = 0.1
 #: Half the time difference of the finite-difference velocities, in s.
 _EPSILON = 1.0 / 120.0
-
-
-def clip_to_qpos(
-    clip: Clip, model: mujoco.MjModel, layout: CharacterLayout, times: Tensor
-) -> Tensor:
-    """The character's ``qpos`` (F, nq) float64 at `times` (F,) s of the clip, mapped by joint name.
-
-    Raises
-    ------
-    FileError
-        if the clip lacks a joint of the character.
-    """
-    position, rotation = sample_clip(clip, times)
-    qpos = torch.tensor(model.qpos0, dtype=torch.float64).repeat(len(times), 1)
-    qpos[:, :3], qpos[:, 3:7] = position, rotation[:, 0]
-    for name in layout.joint_names:
-        if name not in clip.joint_names:
-            raise FileError(
-                f"Clip {clip.source} has no joint '{name}', which the humanoid needs."
-                f"{suggestion(name, clip.joint_names)}"
-            )
-        local = rotation[:, clip.joint_names.index(name)]
-        joint = model.joint(name)
-        address = int(joint.qposadr[0])
-        if joint.type[0] == mujoco.mjtJoint.mjJNT_BALL:
-            qpos[:, address : address + 4] = local
-        else:
-            axis = torch.tensor(joint.axis, dtype=torch.float64)
-            qpos[:, address] = rotations.twist_angle(local, axis)
-    return qpos
 
 
 def finite_difference_qvel(
@@ -104,8 +73,10 @@ class ReferenceMotion:
         ground: bool,
         lead: float,
     ) -> dict[str, Tensor]:
+        character = Character("humanoid", model)
+
         def qpos_at(at: Tensor) -> Tensor:
-            return clip_to_qpos(self.clip, model, layout, at)
+            return character.qpos(self.clip, at)
 
         qpos = qpos_at(times)
         for start in (3, *layout.ball_qpos[:, 0].tolist()):  # the root's quaternion, and the balls'

@@ -77,9 +77,10 @@ class PPO(Learner):
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
         on_gpu = context.device.type == "cuda"
-        self._actor_rate = torch.tensor(options.actor_learning_rate, device=context.device)
+        self._rate = options.actor_learning_rate
+        self._rate_on_device = torch.tensor(self._rate, device=context.device)
         self._actor_optimiser = torch.optim.Adam(
-            self._actor, self._actor_rate, fused=True, capturable=on_gpu
+            self._actor, self._rate_on_device, fused=True, capturable=on_gpu
         )
         self._critic_optimiser = torch.optim.Adam(
             self._critic, options.critic_learning_rate, fused=True, capturable=on_gpu
@@ -220,11 +221,12 @@ class PPO(Learner):
         target = self.options.target_kl
         if target is not None:
             if not kl <= 2 * target:  # also where it is not finite
-                self._actor_rate /= RATE_STEP
+                self._rate /= RATE_STEP
             elif kl < target / 2:
-                self._actor_rate *= RATE_STEP
-            self._actor_rate.clamp_(*RATE_RANGE)
-        return float(self._actor_rate)
+                self._rate *= RATE_STEP
+            self._rate = min(max(self._rate, RATE_RANGE[0]), RATE_RANGE[1])
+            self._rate_on_device.fill_(self._rate)
+        return self._rate
 
     def _refuse_hopeless(self) -> None:
         bad = int(self._bad_steps)
@@ -239,14 +241,15 @@ class PPO(Learner):
         return {
             "actor": _optimiser_state(self._actor_optimiser),
             "critic": _optimiser_state(self._critic_optimiser),
-            "actor_rate": self._actor_rate.clone(),
+            "actor_rate": self._rate,
             "generator": self._generator.get_state(),
         }
 
     def load_state_dict(self, state: State) -> None:
         _load_optimiser(self._actor_optimiser, state["actor"])
         _load_optimiser(self._critic_optimiser, state["critic"])
-        self._actor_rate.copy_(state["actor_rate"])
+        self._rate = state["actor_rate"]
+        self._rate_on_device.fill_(self._rate)
         self._generator.set_state(state["generator"].cpu())
         self._capture()
 

@@ -15,8 +15,9 @@ from understudy import rotations
 from understudy.errors import FileError
 from understudy_humanoid.character import build_spec
 from understudy_humanoid.generated import generated_walk
+from understudy_characters.character import Character
 from understudy_humanoid.kinematics import CharacterLayout, character_layout
-from understudy_humanoid.reference import ReferenceMotion, clip_to_qpos
+from understudy_humanoid.reference import ReferenceMotion
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
@@ -71,7 +72,7 @@ def test_matches_the_clip(
     reference: ReferenceMotion, model: mujoco.MjModel, layout: CharacterLayout
 ) -> None:
     times = torch.rand(64, generator=torch.Generator().manual_seed(0)) * 7.0 * reference.duration
-    expected = clip_to_qpos(reference.clip, model, layout, times)
+    expected = Character("humanoid", model).qpos(reference.clip, times)
     expected[:, 2] += reference.height_offset
     found = reference.sample(times)
     torch.testing.assert_close(

@@ -1,0 +1,336 @@
+"""An articulated figure: an MJCF model, seen as a tree of rotating joints on a free root.
+
+A :class:`Clip` of a character has one joint for each body that can move against its parent, named
+after the body. In the *zero pose* (``qpos0``) every joint's frame is parallel to the root's, so all
+rotations are then the identity; offsets are those of the zero pose. Several hinges of one body are
+one joint. Bodies without joints belong to the body they are welded to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from understudy import rotations
+from understudy.errors import ConfigError, FileError, suggestion
+from understudy.registry import Registry
+from understudy_motion.clip import Clip, Skeleton, sample
+from understudy_mujoco.scene import MjcfFile
+
+_FREE, _BALL, _HINGE = (
+    int(mujoco.mjtJoint.mjJNT_FREE),
+    int(mujoco.mjtJoint.mjJNT_BALL),
+    int(mujoco.mjtJoint.mjJNT_HINGE),
+)
+
+
+def load_character(named: str, registry: Registry) -> Character:
+    """The registered character of this name, or the one of this MJCF file.
+
+    Raises:
+        ConfigError: no such name; or the model is no character (see :class:`Character`).
+        FileError: the file does not load.
+    """
+    if named in registry.names("character"):
+        return Character(named, registry.find("character", named).factory().compile())
+    if Path(named).suffix == ".xml":
+        return Character(Path(named).stem, MjcfFile(MjcfFile.Options(named)).spec().compile())
+    known = registry.names("character")
+    raise ConfigError(
+        f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF "
+        "file (.xml)."
+    )
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of the figure: a body and the hinges, or the ball, between it and its parent."""
+
+    name: str
+    body: int  #: id in the model
+    parent: int  #: row of the parent joint, -1 for the root
+    addresses: tuple[int, ...]  #: first ``qpos`` address of each of its MuJoCo joints
+    axes: (
+        np.ndarray
+    )  #: (K, 3) of its hinges, in the body's frame; empty for a ball and for the root
+    ranges: np.ndarray  #: (K, 2) rad of its hinges, infinite where unlimited
+
+
+class Character:
+    """A model with one free root, whose other bodies hang on ball joints or on up to three hinges.
+
+    F frames, J joints (the root first, parents before children), nq as in MuJoCo.
+
+    Raises:
+        ConfigError: no free root, a slide joint, a ball beside hinges, hinges of one body that are
+            not at one point, or more than three of them.
+    """
+
+    def __init__(self, name: str, model: mujoco.MjModel) -> None:
+        self.name, self.model = name, model
+        self.data = mujoco.MjData(model)
+        free = [j for j in range(model.njnt) if model.jnt_type[j] == _FREE]
+        if not free:
+            raise ConfigError(
+                f"Model '{name}' is no character: none of its bodies has a freejoint."
+            )
+        self.root = int(model.jnt_bodyid[free[0]])
+        self.root_address = int(model.jnt_qposadr[free[0]])
+        self.joints = tuple(self._joints())
+        self.joint_names = tuple(joint.name for joint in self.joints)
+        self._at_rest()
+
+    def _joints(self) -> list[Joint]:
+        model = self.model
+        found = [
+            Joint(self._body_name(self.root), self.root, -1, (self.root_address,),
+                  np.zeros((0, 3)), np.zeros((0, 2)))
+        ]  # fmt: skip
+        row = {self.root: 0}  # of each body of the figure, the joint that carries it
+        for body in range(self.root + 1, model.nbody):
+            parent = int(model.body_parentid[body])
+            if parent not in row:
+                continue
+            first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+            if count == 0:
+                row[body] = row[parent]
+                continue
+            ids = list(range(first, first + count))
+            types = {int(model.jnt_type[j]) for j in ids}
+            place = f"Model '{self.name}' is no character: body '{self._body_name(body)}' has"
+            if types not in ({_BALL}, {_HINGE}) or (types == {_BALL} and count > 1):
+                raise ConfigError(f"{place} joints other than one ball or some hinges.")
+            if count > 3 or np.ptp(model.jnt_pos[ids], axis=0).max() > 1e-6:
+                raise ConfigError(f"{place} more than three hinges, or hinges at different points.")
+            hinge = types == {_HINGE}
+            limited = np.array([bool(model.jnt_limited[j]) for j in ids])
+            found.append(
+                Joint(
+                    self._body_name(body),
+                    body,
+                    row[parent],
+                    tuple(int(model.jnt_qposadr[j]) for j in ids),
+                    model.jnt_axis[ids].copy() if hinge else np.zeros((0, 3)),
+                    np.where(limited[:, None], model.jnt_range[ids], [-np.inf, np.inf])
+                    if hinge
+                    else np.zeros((0, 2)),
+                )
+            )
+            row[body] = len(found) - 1
+        #: By body id of the figure: the row of the joint that carries it.
+        self.carrier = row
+        return found
+
+    def _body_name(self, body: int) -> str:
+        return self.model.body(body).name or f"body{body}"
+
+    def _at_rest(self) -> None:
+        """Where the joints are in the zero pose, in the root's frame."""
+        model, data = self.model, self.data
+        data.qpos[:] = model.qpos0
+        mujoco.mj_kinematics(model, data)
+        root = data.xmat[self.root].reshape(3, 3)
+        bodies = [joint.body for joint in self.joints]
+        anchors = np.array(
+            [np.zeros(3)] + [model.jnt_pos[model.body_jntadr[b]] for b in bodies[1:]]
+        )
+        matrices = data.xmat[bodies].reshape(-1, 3, 3)
+        #: (J, 3) m: joint origins in the zero pose, in the root's frame.
+        world = data.xpos[bodies] + np.einsum("jab,jb->ja", matrices, anchors)
+        self.rest_positions = (world - data.xpos[self.root]) @ root
+        #: (J,) rotations of the bodies in the zero pose, in the root's frame.
+        self.rest_rotations = Rotation.from_matrix(root.T @ matrices)
+        parents = np.array([joint.parent for joint in self.joints])
+        offsets = self.rest_positions - self.rest_positions[parents]
+        offsets[0] = 0.0
+        self.skeleton = Skeleton(
+            self.joint_names, tuple(int(p) for p in parents), offsets, self._tips(parents)
+        )
+        self._anchors = anchors
+
+    def _tips(self, parents: np.ndarray) -> dict[str, np.ndarray]:
+        """Of joints without children: the farthest point of what they carry along its main axis."""
+        tips = {}
+        for row, joint in enumerate(self.joints):
+            if row in parents:
+                continue
+            centres = [
+                g.centre - self.rest_positions[row] for g in self.geoms if g.joint == row
+            ] + [
+                self._in_root(self.data.xpos[body]) - self.rest_positions[row]
+                for body, carrier in self.carrier.items()
+                if carrier == row and body != joint.body
+            ]
+            if centres:
+                tips[joint.name] = max(centres, key=lambda c: float(np.linalg.norm(c)))
+        return tips
+
+    def _in_root(self, point: np.ndarray) -> np.ndarray:
+        root = self.data.xmat[self.root].reshape(3, 3)
+        return (point - self.data.xpos[self.root]) @ root
+
+    @cached_property
+    def geoms(self) -> tuple[Geom, ...]:
+        """The figure's geoms in the zero pose; those that collide, if any does."""
+        model, data = self.model, mujoco.MjData(self.model)
+        mujoco.mj_kinematics(model, data)
+        own = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in self.carrier]
+        colliding = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+        return tuple(
+            Geom(
+                g,
+                self.carrier[int(model.geom_bodyid[g])],
+                self._in_root(data.geom_xpos[g]),
+            )
+            for g in colliding or own
+        )
+
+    # ------------------------------------------------------------------ clip and qpos
+
+    def qpos(self, clip: Clip, times: Tensor | None = None) -> Tensor:
+        """``qpos`` (F, nq) float64 of `clip` at `times` (F,) s (at its own frames if None), mapped by
+        joint name. Rotations that a joint's hinges cannot make are brought to the nearest they can.
+
+        Raises:
+            FileError: the clip lacks a joint of the character.
+        """
+        if times is None:
+            position, rotation = clip.root_position, clip.rotations
+        else:
+            position, rotation = sample(clip, times)
+        result = torch.tensor(self.model.qpos0, dtype=torch.float64).repeat(len(position), 1)
+        at = self.root_address
+        for row, joint in enumerate(self.joints):
+            if row == 0:  # whatever a clip calls its root
+                result[:, at : at + 3], result[:, at + 3 : at + 7] = position, rotation[:, 0]
+                continue
+            if joint.name not in clip.joint_names:
+                raise FileError(
+                    f"Clip {clip.source} has no joint '{joint.name}', which {self.name} needs."
+                    f"{suggestion(joint.name, clip.joint_names)} A clip of another skeleton is "
+                    f"retargeted first: understudy motion retarget CLIP {self.name} OUT."
+                )
+            rest = self._rest(row)
+            local = rotation[:, clip.joint_names.index(joint.name)]
+            turned = rotations.multiply(rotations.multiply(rotations.conjugate(rest), local), rest)
+            if len(joint.axes) == 0:
+                start = joint.addresses[0]
+                result[:, start : start + 4] = turned
+            else:
+                result[:, list(joint.addresses)] = _hinge_angles(turned, joint)
+        return result
+
+    def clip(
+        self, qpos: Tensor, times: Tensor, *, name: str, loop: bool = False, **about: str
+    ) -> Clip:
+        """The clip of ``qpos`` (F, nq) at `times` (F,) s; `about` holds source, licence, sha256."""
+        qpos = qpos.to(torch.float64).cpu()
+        at = self.root_address
+        found = [rotations.normalize(qpos[:, at + 3 : at + 7])]
+        for row, joint in enumerate(self.joints[1:], 1):
+            if len(joint.axes) == 0:
+                start = joint.addresses[0]
+                turned = rotations.normalize(qpos[:, start : start + 4])
+            else:
+                turned = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+                for axis, address in zip(joint.axes, joint.addresses, strict=True):
+                    hinge = rotations.from_axis_angle(torch.from_numpy(axis), qpos[:, address])
+                    turned = rotations.multiply(turned, hinge)
+            rest = self._rest(row)
+            found.append(
+                rotations.multiply(rotations.multiply(rest, turned), rotations.conjugate(rest))
+            )
+        return Clip(
+            name=name,
+            times=times,
+            root_position=qpos[:, at : at + 3],
+            rotations=torch.stack(found, dim=1),
+            joint_names=self.joint_names,
+            loop=loop,
+            skeleton=self.skeleton,
+            **about,
+        )
+
+    def _rest(self, row: int) -> Tensor:
+        return torch.from_numpy(self.rest_rotations[row].as_quat(scalar_first=True))
+
+    # ------------------------------------------------------------------ geometry
+
+    def clearance(self, qpos: Tensor) -> Tensor:
+        """(F, J): height in m of the lowest point of what each joint carries above z = 0; infinite
+        where it carries nothing."""
+        ids = [geom.id for geom in self.geoms]
+        heights, matrices = np.empty((len(qpos), len(ids))), np.empty((len(qpos), len(ids), 3))
+        for frame, row in enumerate(qpos.numpy()):
+            self.data.qpos[:] = row
+            mujoco.mj_kinematics(self.model, self.data)
+            heights[frame] = self.data.geom_xpos[ids, 2]
+            matrices[frame] = self.data.geom_xmat[ids].reshape(-1, 3, 3)[:, 2]
+        lowest = np.full((len(qpos), len(self.joints)), np.inf)
+        for column, geom in enumerate(self.geoms):
+            below = heights[:, column] - self._reach(geom.id, matrices[:, column])
+            lowest[:, geom.joint] = np.minimum(lowest[:, geom.joint], below)
+        return torch.from_numpy(lowest)
+
+    def _reach(self, geom: int, up: np.ndarray) -> np.ndarray:
+        """How far geom `geom` reaches down from its centre; `up` (F, 3) is the world's z in its frame."""
+        kind, size = int(self.model.geom_type[geom]), self.model.geom_size[geom]
+        along, across = np.abs(up[:, 2]), np.sqrt(np.clip(1.0 - up[:, 2] ** 2, 0.0, None))
+        types = mujoco.mjtGeom
+        if kind == types.mjGEOM_SPHERE:
+            return np.full(len(up), size[0])
+        if kind == types.mjGEOM_CAPSULE:
+            return size[0] + size[1] * along
+        if kind == types.mjGEOM_CYLINDER:
+            return size[1] * along + size[0] * across
+        if kind == types.mjGEOM_BOX:
+            return np.abs(up) @ size
+        if kind == types.mjGEOM_ELLIPSOID:
+            return np.sqrt((up**2) @ (size**2))
+        if kind == types.mjGEOM_MESH:
+            return -(up @ self.mesh(geom)[0].T).min(axis=1)
+        return np.zeros(len(up))
+
+    def mesh(self, geom: int) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3) m in the geom's frame, and faces (T, 3), of a mesh geom."""
+        model, mesh = self.model, int(self.model.geom_dataid[geom])
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        start, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        return (
+            model.mesh_vert[first : first + count].astype(float),
+            model.mesh_face[start : start + faces],
+        )
+
+
+@dataclass(frozen=True)
+class Geom:
+    """A geom of the figure: its id, the row of the joint that carries it, and its centre (3,) m in
+    the zero pose, in the root's frame."""
+
+    id: int
+    joint: int
+    centre: np.ndarray
+
+
+def _hinge_angles(turned: Tensor, joint: Joint) -> Tensor:
+    """(F, K) rad: the angles of up to three hinges that turn by `turned` (F, 4), or nearest to it."""
+    axes = torch.from_numpy(joint.axes)
+    if len(axes) == 1:
+        return rotations.twist_angle(turned, axes[0])[:, None]
+    full = joint.axes
+    if len(axes) == 2:
+        full = np.vstack([full, np.cross(full[0], full[1])])
+    if abs(full[0] @ full[1]) > 1e-6 or abs(full[1] @ full[2]) > 1e-6:
+        raise ConfigError(
+            f"The hinges of body '{joint.name}' are not at right angles to one another; a clip "
+            "cannot be mapped on them."
+        )
+    angles = Rotation.from_quat(turned.numpy(), scalar_first=True).as_davenport(full, "intrinsic")
+    return torch.from_numpy(np.unwrap(angles, axis=0)[:, : len(axes)].copy())
