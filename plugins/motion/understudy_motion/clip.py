@@ -66,6 +66,10 @@ class Clip:
     source: str = "generated"
     licence: str = "unknown"
     sha256: str = ""
+    url: str = ""
+    """Where the file was fetched from, if that is recorded."""
+    attribution: str = ""
+    """The acknowledgement that the licence asks for."""
 
     def __post_init__(self) -> None:
         times = self.times.to(torch.float64)

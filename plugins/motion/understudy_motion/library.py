@@ -10,7 +10,7 @@ from typing import Any
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.registry import Registry, checked_options
 from understudy_motion.clip import Clip
-from understudy_motion.reading import UNSAID, ReadOptions, read_clip, readers
+from understudy_motion.reading import RECORD_SUFFIX, UNSAID, ReadOptions, read_clip, readers
 
 DATA_VARIABLE = "UNDERSTUDY_DATA"
 
@@ -73,7 +73,7 @@ def _files(suffixes: tuple[str, ...]) -> dict[str, Path]:
         return {}
     found: dict[str, Path] = {}
     for path in sorted(folder.glob("motions/*/*")):
-        is_clip = path.suffix in suffixes and not path.stem.endswith("character")
-        if is_clip and path.is_file():
+        beside = path.stem.endswith("character") or path.name.endswith(RECORD_SUFFIX)
+        if path.suffix in suffixes and not beside and path.is_file():
             found.setdefault(path.stem, path)
     return found

@@ -1,41 +1,70 @@
 """Reading a clip of any format: the content decides which reader reads it, never the file's name.
 
+What a file leaves unsaid (its unit, say) is asked for as ``motion.unit``, on the command line
+``--unit``, and so on for every field of :class:`ReadOptions`.
+
 A reader is a component of kind ``clip_reader``, so that a plugin can add a format.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from understudy.errors import FileError
+import numpy as np
+
+from understudy.errors import ConfigError, FileError
 from understudy.registry import Registry
-from understudy_motion.clip import Clip
+from understudy_motion.clip import MAX_DISTANCE, Clip, Skeleton
 
 Unit = Literal["m", "cm", "mm", "inch", "foot"]
 Axis = Literal["y", "z"]
 
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048}
 HEAD_BYTES = 4096
-MAX_BYTES = 64 * 2**20
+MAX_BYTES = 256 * 2**20
+RECORD_SUFFIX = ".provenance.json"
+MAX_RECORD_BYTES = 2**16
+MAX_RECORD_LINE = 2000
+MAX_JOINTS = 1000
+MAX_NAME = 200
+MAX_ROTATIONS = 8_000_000
+"""Frames times joints: ten minutes of a hundred joints at 120 frames/s, 256 MB of quaternions."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a file may leave unsaid. None: taken from the file, or recognised, or an error that asks."""
+    """What a file may leave unsaid. None: taken from the file, or recognised, or an error that asks.
+
+    Raises:
+        ConfigError: a rate that is not above zero.
+    """
 
     unit: Unit | None = None  #: of lengths
     up: Axis | None = None  #: the vertical axis
     skeleton: Path | None = None  #: the skeleton's own file, for formats that keep it apart (ASF)
     loop: bool | None = None  #: whether the motion repeats, where the format does not say
+    rate: float | None = None  #: frames per second, for formats whose frames have no times
+
+    def __post_init__(self) -> None:
+        if self.rate is not None and not 0.0 < self.rate < math.inf:
+            raise ConfigError(
+                f"motion.rate={self.rate} (--rate) is not possible: frames per second are above 0."
+            )
 
 
 UNSAID = ReadOptions()
 """Options of a file that says everything."""
+
+
+class UnknownFormatError(FileError):
+    """No reader recognises the file."""
 
 
 class ClipReader(ABC):
@@ -45,8 +74,12 @@ class ClipReader(ABC):
     suffixes: tuple[str, ...] = ()
 
     @abstractmethod
-    def recognises(self, head: bytes) -> bool:
-        """Whether a file that begins with `head` (at most :data:`HEAD_BYTES`) is of this format."""
+    def recognises(self, head: bytes, path: Path) -> bool:
+        """Whether the file at `path`, which begins with `head`, is of this format.
+
+        `head` is at most :data:`HEAD_BYTES`; the file itself is only opened by formats that share
+        their beginning with others (zip archives). Never raises: a file that cannot be told is no.
+        """
 
     @abstractmethod
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
@@ -69,15 +102,18 @@ def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> 
     """Read the clip file at `path`, whatever its format.
 
     Raises:
-        FileError: no reader recognises it, or as :meth:`ClipReader.read`.
+        UnknownFormatError: no reader recognises it.
+        FileError: as :meth:`ClipReader.read`.
     """
     head = read_bytes(path, HEAD_BYTES, whole=False)
     known = readers(registry)
     for reader in known.values():
-        if reader.recognises(head):
+        if reader.recognises(head, path):
             return reader.read(path, options)
     formats = ", ".join(known) or "none"
-    raise FileError(f"Clip {path}: not a format that is read here ({formats}).{registry.absent()}")
+    raise UnknownFormatError(
+        f"Clip {path}: not a format that is read here ({formats}).{registry.absent()}"
+    )
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES, *, whole: bool = True) -> bytes:
@@ -98,12 +134,98 @@ def read_bytes(path: Path, limit: int = MAX_BYTES, *, whole: bool = True) -> byt
     return content[:limit]
 
 
+def check_size(path: Path, frames: int, joint_names: Sequence[str]) -> None:
+    """Refuse a clip too large to be held, before it is.
+
+    Raises:
+        FileError: more than :data:`MAX_JOINTS` or :data:`MAX_ROTATIONS`, or a joint's name of more
+            than :data:`MAX_NAME` characters.
+    """
+    joints = len(joint_names)
+    if joints > MAX_JOINTS:
+        raise FileError(f"Clip {path}: {joints} joints; at most {MAX_JOINTS} are read.")
+    if frames * joints > MAX_ROTATIONS:
+        raise FileError(
+            f"Clip {path}: {frames} frames of {joints} joints are too many; cut it, or take every "
+            f"second frame (at most {MAX_ROTATIONS} rotations are read)."
+        )
+    if max(map(len, joint_names), default=0) > MAX_NAME:
+        raise FileError(f"Clip {path}: a joint's name has more than {MAX_NAME} characters.")
+
+
+def checked_skeleton(
+    path: Path,
+    joint_names: Sequence[str],
+    parents: Sequence[int],
+    offsets: np.ndarray,
+    tips: Mapping[str, np.ndarray],
+) -> Skeleton:
+    """The :class:`Skeleton` of these fields, its root's offset set to zero.
+
+    Raises:
+        FileError: the parents are not a tree with joint 0 as its root, or a length is not finite
+            or beyond :data:`MAX_DISTANCE`; names the joint.
+    """
+    for joint, (name, parent) in enumerate(zip(joint_names, parents, strict=True)):
+        if not (parent == -1 if joint == 0 else 0 <= parent < joint):
+            raise FileError(
+                f"Clip {path}: joint '{name}': its parent must come before it, and only the first "
+                "joint has none."
+            )
+    lengths = {name: offset for name, offset in zip(joint_names, offsets, strict=True)}
+    for name, length in (*lengths.items(), *tips.items()):
+        if name not in lengths:
+            raise FileError(f"Clip {path}: a tip belongs to '{name}', which is no joint.")
+        if not (np.abs(length) <= MAX_DISTANCE).all():
+            raise FileError(
+                f"Clip {path}: joint '{name}': an offset is not a number of metres up to "
+                f"{MAX_DISTANCE:g}."
+            )
+    rooted = np.array(offsets, dtype=np.float64)
+    rooted[0] = 0.0
+    return Skeleton(tuple(joint_names), tuple(parents), rooted, dict(tips))
+
+
 def provenance(path: Path, content: bytes) -> dict[str, Any]:
-    """The fields of :class:`Clip` that say where a file's motion comes from."""
+    """The fields of :class:`Clip` that say where a file's motion comes from.
+
+    They are those of the clip's licence record if it is a record of this very `content`; else the
+    licence is that of a LICENSE file beside the clip.
+    """
+    digest = hashlib.sha256(content).hexdigest()
+    record = read_record(path)
+    if record.get("sha256") != digest:
+        record = {}
     return {
         "source": str(path),
-        "licence": licence_beside(path),
-        "sha256": hashlib.sha256(content).hexdigest(),
+        "licence": record.get("licence") or licence_beside(path),
+        "sha256": digest,
+        "url": record.get("url", ""),
+        "attribution": record.get("attribution", ""),
+    }
+
+
+def record_path(path: Path) -> Path:
+    """Where the licence record of the clip at `path` is: beside it, under its stem."""
+    return path.with_name(path.stem + RECORD_SUFFIX)
+
+
+def read_record(path: Path) -> dict[str, str]:
+    """The texts of the licence record of the clip at `path`, each a printable line.
+
+    Its keys are ``clip``, ``url``, ``date``, ``sha256`` and, where known, ``licence`` and
+    ``attribution``. Empty if there is no record, or none that can be read.
+    """
+    try:
+        record = json.loads(read_bytes(record_path(path), MAX_RECORD_BYTES))
+    except (FileError, ValueError, RecursionError):
+        return {}
+    if not isinstance(record, dict):
+        return {}
+    return {
+        key: "".join(filter(str.isprintable, value))[:MAX_RECORD_LINE]
+        for key, value in record.items()
+        if isinstance(value, str)
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from understudy.registry import Registry
@@ -19,24 +20,34 @@ class MotionOptions:
     parameters: dict[str, Any] = field(default_factory=dict)
     unit: Unit | None = None  #: of a file's lengths, where the file does not say
     up: Axis | None = None  #: a file's vertical axis, where the file does not say
+    skeleton: str | None = None  #: path of the ASF of an AMC file; None takes the one beside it
     loop: bool | None = None  #: whether a file's motion repeats; None takes the file's word
+    rate: float | None = None  #: a file's frames per second, where its frames have no times
 
 
 class Motion:
     """The chosen clip and where it came from."""
 
     def __init__(self, options: MotionOptions, registry: Registry) -> None:
-        reading = ReadOptions(unit=options.unit, up=options.up, loop=options.loop)
+        reading = ReadOptions(
+            unit=options.unit,
+            up=options.up,
+            skeleton=None if options.skeleton is None else Path(options.skeleton),
+            loop=options.loop,
+            rate=options.rate,
+        )
         self.clip: Clip = library.load(
             options.name, options.file, registry, options.parameters, reading
         )
 
     def provenance(self) -> dict[str, Any]:
         clip = self.clip
+        fetched = {"url": clip.url, "attribution": clip.attribution}
         return {
             "clip": clip.name,
             "source": clip.source,
             "licence": clip.licence,
             "sha256": clip.sha256,
+            **{key: text for key, text in fetched.items() if text},
             "seconds": round(float(clip.duration), 4),
         }

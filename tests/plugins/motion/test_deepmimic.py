@@ -7,6 +7,7 @@ import json
 import math
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from understudy import rotations
 from understudy.errors import FileError
 from understudy.plugins import installed
 from understudy_motion import library
+from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers import deepmimic
 
 HALF = math.sqrt(0.5)
@@ -73,6 +75,36 @@ def test_harmless_variations(tmp_path: Path) -> None:
     torch.testing.assert_close(
         deepmimic.DeepMimicReader().read(write(tmp_path, flipped)).rotations, expected
     )
+
+
+def test_the_figure_is_the_released_humanoid(tmp_path: Path) -> None:
+    clip = deepmimic.DeepMimicReader().read(write(tmp_path, document()))
+    clip = replace(clip, rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(3, 13, 4))
+    positions, world = forward_kinematics(clip)
+    tips = tip_positions(clip, positions, world)
+    heights = positions[0, :, 2] - 0.9
+    assert heights[clip.joint_names.index("right_ankle")].item() == pytest.approx(-0.832)
+    assert heights[clip.joint_names.index("neck")].item() == pytest.approx(0.46)
+    assert clip.skeleton is not None
+    ends = {name: tips[0, i] - clip.root_position[0] for i, name in enumerate(clip.skeleton.tips)}
+    assert ends["neck"][2].item() == pytest.approx(0.74)
+    assert ends["left_elbow"].tolist() == pytest.approx([-0.024, 0.183, 0.236 + 0.2435 - 0.534])
+    assert ends["right_ankle"].tolist() == pytest.approx([0.13, -0.085, -0.882])
+
+
+@pytest.mark.parametrize(
+    ("content", "is_clip"),
+    [
+        ({"Loop": "wrap", "Frames": []}, True),
+        ({"Frames": [], "Loop": "wrap"}, True),
+        ({"Skeleton": {"Joints": []}}, False),
+        ({"asset": {}, "nodes": []}, False),
+        ([{"Frames": []}], False),
+    ],
+)
+def test_only_its_own_json_is_recognised(tmp_path: Path, content: object, is_clip: bool) -> None:
+    path = write(tmp_path, content)
+    assert deepmimic.DeepMimicReader().recognises(path.read_bytes(), path) is is_clip
 
 
 def broken(frame: int, column: int, value: object) -> dict[str, Any]:

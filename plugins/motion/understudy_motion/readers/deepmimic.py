@@ -8,12 +8,15 @@ the last row is not used; in a wrap clip the last row is the first pose of the n
 The file's frame is y up, x forward, z to the right. A vector (x, y, z) becomes (x, -z, y) and a
 quaternion (w, x, y, z) becomes (w, x, -z, y). Revolute joints turn about the file's +z, our -y.
 
+The files carry no skeleton; the clips get the one they were made for (:data:`OFFSETS`).
+
 Files come from anywhere: whatever is wrong with one is a :class:`FileError`.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -22,7 +25,7 @@ import torch
 
 from understudy import rotations
 from understudy.errors import FileError, suggestion
-from understudy_motion.clip import Clip
+from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, provenance, read_bytes
 
 JOINTS: tuple[tuple[str, int], ...] = (
@@ -42,6 +45,31 @@ JOINTS: tuple[tuple[str, int], ...] = (
 )
 """Names and how many numbers each takes in a row."""
 
+OFFSETS: Mapping[str, tuple[str, tuple[float, float, float]]] = {
+    "chest": ("root", (0.0, 0.0, 0.236)),
+    "neck": ("chest", (0.0, 0.0, 0.224)),
+    "right_hip": ("root", (0.0, -0.085, 0.0)),
+    "right_knee": ("right_hip", (0.0, 0.0, -0.422)),
+    "right_ankle": ("right_knee", (0.0, 0.0, -0.41)),
+    "right_shoulder": ("chest", (-0.024, -0.183, 0.2435)),
+    "right_elbow": ("right_shoulder", (0.0, 0.0, -0.275)),
+    "left_hip": ("root", (0.0, 0.085, 0.0)),
+    "left_knee": ("left_hip", (0.0, 0.0, -0.422)),
+    "left_ankle": ("left_knee", (0.0, 0.0, -0.41)),
+    "left_shoulder": ("chest", (-0.024, 0.183, 0.2435)),
+    "left_elbow": ("left_shoulder", (0.0, 0.0, -0.275)),
+}
+"""Each joint's parent and where it is in the parent's frame, m, z up: the humanoid of the release."""
+
+TIPS: Mapping[str, tuple[float, float, float]] = {
+    "neck": (0.0, 0.0, 0.28),
+    "right_elbow": (0.0, 0.0, -0.259),
+    "left_elbow": (0.0, 0.0, -0.259),
+    "right_ankle": (0.13, 0.0, -0.05),
+    "left_ankle": (0.13, 0.0, -0.05),
+}
+"""Crown, wrists and toes, as in :data:`OFFSETS`."""
+
 COLUMNS = 1 + 3 + sum(width for _, width in JOINTS)
 MAX_BYTES = 16 * 2**20
 MAX_FRAMES = 100_000
@@ -53,8 +81,9 @@ class DeepMimicReader(ClipReader):
 
     suffixes = (".txt", ".json")
 
-    def recognises(self, head: bytes) -> bool:
-        return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{") and b"Skeleton" not in head
+    def recognises(self, head: bytes, path: Path) -> bool:
+        is_object = head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
+        return is_object and (b'"Frames"' in head or b'"Loop"' in head)
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path, MAX_BYTES)
@@ -77,8 +106,19 @@ class DeepMimicReader(ClipReader):
             rotations=_rotations(values[:, 4:]),
             joint_names=tuple(name for name, _ in JOINTS),
             loop=LOOPS[loop] if options.loop is None else options.loop,
+            skeleton=_skeleton(),
             **provenance(path, content),
         )
+
+
+def _skeleton() -> Skeleton:
+    names = tuple(name for name, _ in JOINTS)
+    return Skeleton(
+        joint_names=names,
+        parents=(-1, *(names.index(OFFSETS[name][0]) for name in names[1:])),
+        offsets=np.array([(0.0, 0.0, 0.0), *(OFFSETS[name][1] for name in names[1:])]),
+        tips={name: np.array(tip) for name, tip in TIPS.items()},
+    )
 
 
 def _document(path: Path, content: bytes) -> dict[str, Any]:

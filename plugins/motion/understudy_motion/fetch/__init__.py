@@ -1,0 +1,1 @@
+"""Fetching clips from where they are published, with their licence."""

@@ -1,0 +1,416 @@
+"""Acclaim motion (AMC) on its skeleton (ASF), as in the CMU Graphics Lab Motion Capture Database.
+
+The formats as described by J. Lander, "Working with Motion Capture File Formats", Game Developer,
+January 1998. A bone of the ASF hangs on the tip of its parent, and its own tip lies ``length`` along
+``direction``, both in the figure's frame (y up, z forward, x left). Its axis C is a product of turns
+about x, y and z; the motion M of a frame is the product of turns by the values of the frame, the one
+listed first applied first. The bone turns by C M C⁻¹ relative to its parent, so in the skeleton's
+own pose all frames are parallel. The root is read as a bone whose axis is its ``orientation``. A
+clip's joint sits where its bone begins.
+
+Lengths are in inches divided by the ``length`` of the ASF's ``:units`` (0.45 in CMU's files), unless
+the unit is given. An AMC has no frame rate: :data:`DEFAULT_RATE`, at which CMU's were recorded,
+unless one is given (some of CMU's clips are of 60 frames/s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import torch
+
+from understudy import rotations
+from understudy.errors import FileError
+from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.frames import product_of_turns, to_world
+from understudy_motion.readers.text import LARGEST, is_number, shown
+from understudy_motion.reading import (
+    METRES,
+    UNSAID,
+    Axis,
+    ClipReader,
+    ReadOptions,
+    check_size,
+    checked_skeleton,
+    provenance,
+    read_bytes,
+)
+
+DEFAULT_RATE = 120.0
+"""Frames per second of CMU's clips."""
+
+MAX_SKELETON_BYTES = 2**20
+
+ROTATIONS = ("rx", "ry", "rz")
+POSITIONS = ("tx", "ty", "tz")
+
+
+@dataclass
+class Bone:
+    """A bone, or the root, as the ASF states it. Angles are in the ASF's unit."""
+
+    name: str
+    direction: tuple[float, ...] = (0.0, 0.0, 0.0)
+    length: float = 0.0
+    axis: tuple[float, ...] = (0.0, 0.0, 0.0)
+    axis_order: str = "xyz"
+    """The axis' turns, the one applied first first."""
+    channels: tuple[str, ...] = ()
+    """What the values of a frame are, of :data:`ROTATIONS` and, for the root, :data:`POSITIONS`."""
+
+    @property
+    def tip(self) -> np.ndarray:
+        """(3,) from where the bone begins to where its children do."""
+        return self.length * np.array(self.direction)
+
+
+@dataclass
+class Figure:
+    """The content of an ASF."""
+
+    bones: list[Bone]
+    """The root, then every bone after its parent."""
+    parents: list[int]
+    position: tuple[float, ...]
+    """Where the root is when its values are zero."""
+    length_unit: float
+    """Inches are lengths divided by it."""
+    degrees: bool
+
+
+class AmcReader(ClipReader):
+    """Reads AMC, with the ASF that belongs to it."""
+
+    suffixes = (".amc",)
+
+    def recognises(self, head: bytes, path: Path) -> bool:
+        lines = (line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines())
+        return next((x for x in lines if x and not x.startswith(b"#")), b"").startswith(b":")
+
+    def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
+        content = read_bytes(path)
+        lines = content.decode("utf-8-sig", errors="replace").splitlines()
+        start, degrees = _header(path, lines)
+        figure_path = options.skeleton or _skeleton_beside(path)
+        figure = read_figure(figure_path)
+        values = _values(path, lines, start, figure.bones, figure_path)
+
+        up = options.up or "y"
+        metres = METRES[options.unit or "inch"] / figure.length_unit
+        unit_angle = np.pi / 180.0 if degrees else 1.0
+        position = np.tile(figure.position, (len(values[0]), 1))
+        for column, channel in enumerate(figure.bones[0].channels):
+            if channel in POSITIONS:
+                position[:, POSITIONS.index(channel)] += values[0][:, column]
+        joints = [
+            _local_rotation(bone, numbers * unit_angle, _axis(bone, figure.degrees), up)
+            for bone, numbers in zip(figure.bones, values, strict=True)
+        ]
+        return Clip(
+            name=path.stem,
+            times=torch.arange(len(position), dtype=torch.float64) / (options.rate or DEFAULT_RATE),
+            root_position=torch.from_numpy(to_world(metres * position, up)),
+            rotations=torch.stack(joints, dim=1),
+            joint_names=tuple(bone.name for bone in figure.bones),
+            loop=bool(options.loop),
+            skeleton=_skeleton(figure_path, figure, metres, up),
+            **provenance(path, content),
+        )
+
+
+def read_figure(path: Path) -> Figure:
+    """Read the ASF at `path`.
+
+    Raises:
+        FileError: missing, too large, or not a skeleton; names the line.
+    """
+    text = read_bytes(path, MAX_SKELETON_BYTES).decode("utf-8-sig", errors="replace")
+    return _FigureParser(path).parse(text.splitlines())
+
+
+class _FigureParser:
+    """One pass over the lines of an ASF; what a line means depends on the section it is in."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._line = 0
+        self._root = Bone("root")
+        self._position: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self._length_unit = 1.0
+        self._degrees = True
+        self._bones = {"root": self._root}
+        self._open: Bone | None = None
+        self._children: dict[str, list[str]] = {}
+        self._parent: dict[str, str] = {}
+
+    def parse(self, lines: Sequence[str]) -> Figure:
+        sections: dict[str, Callable[[list[str]], None]] = {
+            ":units": self._units_line,
+            ":root": self._root_line,
+            ":bonedata": self._bone_line,
+            ":hierarchy": self._hierarchy_line,
+        }
+        section = None
+        for number, line in enumerate(lines, start=1):
+            self._line = number
+            words = line.split("#", 1)[0].split()
+            if not words:
+                continue
+            if words[0].startswith(":"):
+                section = sections.get(words[0].lower())
+            elif section is not None:
+                section(words)
+        return self._figure()
+
+    def _units_line(self, words: list[str]) -> None:
+        key = words[0].lower()
+        if key == "length":
+            self._length_unit = self._numbers(words, 1)[0]
+            if not 1e-6 <= self._length_unit <= 1e6:
+                self._fail("the unit of length must be above 0")
+        elif key == "angle":
+            if len(words) != 2 or words[1].lower() not in ("deg", "rad"):
+                self._fail("the unit of angle is 'deg' or 'rad'")
+            self._degrees = words[1].lower() == "deg"
+
+    def _root_line(self, words: list[str]) -> None:
+        key = words[0].lower()
+        if key == "order":
+            self._root.channels = self._channels(words, (*POSITIONS, *ROTATIONS))
+        elif key == "axis":
+            self._root.axis_order = self._axis_order(words[-1])
+        elif key == "position":
+            self._position = self._numbers(words, 3)
+        elif key == "orientation":
+            self._root.axis = self._numbers(words, 3)
+
+    def _bone_line(self, words: list[str]) -> None:
+        key, bone = words[0].lower(), self._open
+        if key == "begin":
+            self._open = Bone("")
+        elif key == "end":
+            if bone is None or not bone.name:
+                self._fail("a bone ends that has no name")
+            self._open = None
+        elif bone is None:
+            self._fail("'begin' is expected")
+        elif key == "name":
+            if len(words) != 2 or words[1] in self._bones:
+                self._fail("a bone's name must be one word that no other bone has")
+            bone.name = words[1]
+            self._bones[bone.name] = bone
+        elif key == "direction":
+            bone.direction = self._numbers(words, 3)
+        elif key == "length":
+            bone.length = self._numbers(words, 1)[0]
+        elif key == "axis":
+            bone.axis_order = self._axis_order(words[-1])
+            bone.axis = self._numbers(words[:-1], 3)
+        elif key == "dof":
+            bone.channels = self._channels(words, ROTATIONS)
+
+    def _hierarchy_line(self, words: list[str]) -> None:
+        if words[0].lower() in ("begin", "end") and len(words) == 1:
+            return
+        parent, *children = words
+        for name in words:
+            if name not in self._bones:
+                self._fail(f"{shown(name)} is not a bone of this skeleton")
+        for child in children:
+            if child in self._parent or child == "root":
+                self._fail(f"'{child}' hangs on two bones")
+            self._parent[child] = parent
+        self._children.setdefault(parent, []).extend(children)
+
+    def _figure(self) -> Figure:
+        check_size(self._path, 1, tuple(self._bones))
+        names: list[str] = []
+        waiting = ["root"]
+        while waiting:
+            names.append(waiting.pop())
+            waiting.extend(reversed(self._children.get(names[-1], [])))
+        if len(names) != len(self._bones):
+            loose = next(name for name in self._bones if name not in names)
+            raise FileError(f"Skeleton {self._path}: bone '{loose}' does not hang on the root.")
+        parents = [-1, *(names.index(self._parent[name]) for name in names[1:])]
+        bones = [self._bones[name] for name in names]
+        return Figure(bones, parents, self._position, self._length_unit, self._degrees)
+
+    def _numbers(self, words: list[str], count: int) -> tuple[float, ...]:
+        if len(words) != count + 1 or not all(map(is_number, words[1:])):
+            self._fail(f"'{words[0]}' needs {count} finite {'number' if count == 1 else 'numbers'}")
+        return tuple(map(float, words[1:]))
+
+    def _axis_order(self, word: str) -> str:
+        if sorted(word.lower()) != ["x", "y", "z"]:
+            self._fail(f"{shown(word)} is not an order of the axes, such as XYZ")
+        return word.lower()
+
+    def _channels(self, words: list[str], known: Sequence[str]) -> tuple[str, ...]:
+        channels = tuple(word.lower() for word in words[1:])
+        for channel in channels:
+            if channel not in known:
+                self._fail(f"{shown(channel)} is not a freedom that is read ({' '.join(known)})")
+        if len(set(channels)) != len(channels):
+            self._fail("a freedom is listed twice")
+        return channels
+
+    def _fail(self, problem: str) -> NoReturn:
+        raise FileError(f"Skeleton {self._path}: line {self._line}: {problem}.")
+
+
+def _skeleton_beside(path: Path) -> Path:
+    """The ASF of the clip's subject (``02.asf`` of ``02_01.amc``), else the only one there is."""
+    try:
+        found = sorted(p for p in path.parent.iterdir() if p.suffix.lower() == ".asf")
+    except OSError as error:
+        raise FileError(f"Clip {path}: its folder cannot be read: {error}.") from error
+    subject = path.stem.partition("_")[0]
+    for candidate in found:
+        if candidate.stem == subject:
+            return candidate
+    if len(found) == 1:
+        return found[0]
+    have = f"{len(found)} skeletons, but no {subject}.asf," if found else "no skeleton (.asf)"
+    raise FileError(
+        f"Clip {path}: there is {have} beside it; give motion.skeleton=PATH (--skeleton)."
+    )
+
+
+def _header(path: Path, lines: Sequence[str]) -> tuple[int, bool]:
+    """The index of the first frame's line, and whether angles are in degrees."""
+    degrees = True
+    for index, line in enumerate(lines):
+        word = line.strip().lower()
+        if _frame_number(word) is not None:
+            return index, degrees
+        if word in (":units", ":root", ":bonedata", ":hierarchy"):
+            raise FileError(
+                f"Clip {path}: is a skeleton (ASF) without a motion; give the AMC that belongs to it."
+            )
+        if word in (":degrees", ":radians"):
+            degrees = word == ":degrees"
+        elif word and not word.startswith(("#", ":")):
+            raise FileError(
+                f"Clip {path}: line {index + 1}: {shown(line.strip())} is no AMC header."
+            )
+    raise FileError(f"Clip {path}: has no frames.")
+
+
+def _frame_number(line: str) -> int | None:
+    word = line.strip()
+    return int(word) if word.isascii() and word.isdecimal() and len(word) < 10 else None
+
+
+def _values(
+    path: Path, lines: list[str], start: int, bones: Sequence[Bone], figure_path: Path
+) -> list[np.ndarray]:
+    """Of each bone the values (F, channels); all frames must list the bones as the first does."""
+    rows = [line for line in lines[start:] if line.strip()]
+    by_name = {bone.name: bone for bone in bones if bone.channels}
+    listed: list[str] = []
+    for row in rows[1:]:
+        if _frame_number(row) is not None:
+            break
+        name = row.split()[0]
+        if name not in by_name or name in listed:
+            raise FileError(
+                f"Clip {path}: {shown(name)} in its first frame is not one of the moving bones of "
+                f"{figure_path}, or is listed twice."
+            )
+        listed.append(name)
+    if missing := next((name for name in by_name if name not in listed), None):
+        raise FileError(
+            f"Clip {path}: its first frame has no '{missing}', which is a moving bone of {figure_path}."
+        )
+    height = 1 + len(listed)
+    check_size(path, len(rows) // height, [bone.name for bone in bones])
+    numbers = [_frame_number(row) for row in rows[::height]]
+    counted = numbers == list(range(int(rows[0]), int(rows[0]) + len(numbers)))
+    whole = counted and len(rows) % height == 0
+    found: dict[str, np.ndarray] = {}
+    for offset, name in enumerate(listed, start=1):
+        values = _bone_values(rows[offset::height], name, len(by_name[name].channels))
+        if not whole or values is None:
+            raise FileError(f"Clip {path}: {_fault(lines, start, height, listed, by_name)}.")
+        found[name] = values
+    return [found.get(bone.name, np.empty((len(rows) // height, 0))) for bone in bones]
+
+
+def _bone_values(rows: Sequence[str], name: str, count: int) -> np.ndarray | None:
+    """(F, count) of rows that are the bone's name and its values, or None if one is not."""
+    try:
+        parsed = np.loadtxt(
+            rows,
+            dtype=[("name", f"U{len(name) + 1}"), ("values", np.float64, (count,))],
+            comments=None,
+            ndmin=1,
+        )
+    except (ValueError, OverflowError):
+        return None
+    fine = (parsed["name"] == name).all() and (np.abs(parsed["values"]) <= LARGEST).all()
+    return parsed["values"] if fine else None
+
+
+def _fault(
+    lines: Sequence[str],
+    start: int,
+    height: int,
+    listed: Sequence[str],
+    by_name: dict[str, Bone],
+) -> str:
+    """What is wrong with the first line that is not as it should be."""
+    rows = [
+        (i, line.strip()) for i, line in enumerate(lines, start=1) if i > start and line.strip()
+    ]
+    first = int(rows[0][1])
+    for index, (number, row) in enumerate(rows):
+        frame, offset = divmod(index, height)
+        if offset == 0:
+            if _frame_number(row) != first + frame:
+                return f"line {number}: the number {first + frame} of a frame is expected, not {shown(row)}"
+            continue
+        name = listed[offset - 1]
+        count = len(by_name[name].channels)
+        words = row.split()
+        if words[0] != name or len(words) != count + 1 or not all(map(is_number, words[1:])):
+            return (
+                f"line {number}: '{name}' and {count} finite numbers are expected, not {shown(row)}"
+            )
+    return "its last frame is incomplete"
+
+
+def _axis(bone: Bone, degrees: bool) -> np.ndarray:
+    """(3, 3): the rotation C of the bone's axis."""
+    angles = np.array(bone.axis) * (np.pi / 180.0 if degrees else 1.0)
+    order = ["xyz".index(letter) for letter in reversed(bone.axis_order)]
+    turn = product_of_turns(np.eye(3)[order], angles[None, order])
+    return rotations.to_matrix(turn)[0].numpy()
+
+
+def _local_rotation(bone: Bone, angles: np.ndarray, axis: np.ndarray, up: Axis) -> torch.Tensor:
+    """C M C⁻¹, (F, 4): the turns of M about the axes that C has turned."""
+    turning = [
+        (column, ROTATIONS.index(channel))
+        for column, channel in reversed(list(enumerate(bone.channels)))
+        if channel in ROTATIONS
+    ]
+    about = axis.T[[k for _, k in turning]]
+    return product_of_turns(to_world(about, up), angles[:, [column for column, _ in turning]])
+
+
+def _skeleton(path: Path, figure: Figure, metres: float, up: Axis) -> Skeleton:
+    ends = [to_world(metres * bone.tip, up) for bone in figure.bones]
+    names = [bone.name for bone in figure.bones]
+    leaves = set(range(1, len(names))) - set(figure.parents)
+    return checked_skeleton(
+        path,
+        names,
+        figure.parents,
+        np.stack([np.zeros(3), *(ends[parent] for parent in figure.parents[1:])]),
+        {names[leaf]: ends[leaf] for leaf in sorted(leaves)},
+    )

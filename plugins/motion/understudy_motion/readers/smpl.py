@@ -1,0 +1,203 @@
+"""NPZ clips of the SMPL family of bodies, as AMASS publishes them (Mahmood et al., ICCV 2019).
+
+``poses`` (F, 3 J) holds a rotation vector per joint, the root's first: 22 joints of the body, then
+those of SMPL (24), SMPL-H (52) or SMPL-X (55); or the parts stand apart as ``root_orient``,
+``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``. ``trans`` (F, 3) is in metres. The rate
+is ``mocap_framerate``, ``mocap_frame_rate`` or ``fps``.
+
+The body's own frames have y up, z forward and x left and are parallel in the T-pose; the world has
+z up, as in AMASS, unless y is given.
+
+The body model is not needed, and is not here: instead of the lengths that it would give this person,
+the clip has the skeleton of :data:`OFFSETS`, a nominal adult of 1.7 m. ``trans`` is taken for the
+pelvis, from which it differs by the body's pelvis in its model, a constant (some 0.2 m).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from understudy import rotations
+from understudy.errors import FileError
+from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.frames import to_world
+from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
+from understudy_motion.reading import (
+    METRES,
+    UNSAID,
+    ClipReader,
+    ReadOptions,
+    check_size,
+    checked_skeleton,
+    provenance,
+)
+
+_SIDES = ("left", "right")
+
+BODY: tuple[str, ...] = (
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle",
+    "right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head",
+    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+)  # fmt: skip
+FACE = ("jaw", "left_eye", "right_eye")
+FINGERS = tuple(
+    f"{side}_{finger}{joint}"
+    for side in _SIDES
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for joint in (1, 2, 3)
+)
+JOINTS: Mapping[int, tuple[str, ...]] = {
+    len(names): names
+    for names in (
+        BODY,
+        (*BODY, "left_hand", "right_hand"),
+        (*BODY, *FINGERS),
+        (*BODY, *FACE, *FINGERS),
+    )
+}
+"""Joint names of the body alone, SMPL, SMPL-H and SMPL-X, by their number."""
+
+PARTS: Mapping[str, int] = {"root_orient": 1, "pose_body": 21, "pose_jaw": 1, "pose_eye": 2, "pose_hand": 30}  # fmt: skip
+"""Joints of the arrays that may stand for ``poses``, in its order."""
+
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
+
+OFFSETS: Mapping[str, tuple[str, tuple[float, float, float]]] = {
+    "hip": ("pelvis", (0.06, -0.08, 0.0)),
+    "spine1": ("pelvis", (0.0, 0.11, -0.03)),
+    "knee": ("hip", (0.04, -0.38, 0.0)),
+    "spine2": ("spine1", (0.0, 0.13, 0.02)),
+    "ankle": ("knee", (-0.01, -0.42, -0.03)),
+    "spine3": ("spine2", (0.0, 0.06, 0.0)),
+    "foot": ("ankle", (0.03, -0.05, 0.12)),
+    "neck": ("spine3", (0.0, 0.21, -0.03)),
+    "collar": ("spine3", (0.07, 0.12, -0.02)),
+    "head": ("neck", (0.0, 0.09, 0.05)),
+    "shoulder": ("collar", (0.11, 0.04, -0.01)),
+    "elbow": ("shoulder", (0.26, 0.0, -0.02)),
+    "wrist": ("elbow", (0.25, 0.0, 0.0)),
+    "hand": ("wrist", (0.09, 0.0, 0.0)),
+    "jaw": ("head", (0.0, 0.0, 0.02)),
+    "eye": ("head", (0.03, 0.06, 0.06)),
+    "index1": ("wrist", (0.1, 0.0, 0.02)),
+    "middle1": ("wrist", (0.1, 0.0, 0.0)),
+    "ring1": ("wrist", (0.1, 0.0, -0.02)),
+    "pinky1": ("wrist", (0.08, -0.01, -0.04)),
+    "thumb1": ("wrist", (0.04, -0.01, 0.03)),
+    **{
+        f"{finger}{joint}": (f"{finger}{joint - 1}", (0.03, 0.0, 0.0))
+        for finger in ("index", "middle", "pinky", "ring")
+        for joint in (2, 3)
+    },
+    "thumb2": ("thumb1", (0.02, 0.0, 0.02)),
+    "thumb3": ("thumb2", (0.02, 0.0, 0.02)),
+}
+"""By joint, without its side: its parent and where it is in the parent's frame, m, x left, y up,
+z forward. Those of the left side; on the right x changes its sign. Estimates, to a centimetre."""
+
+TIPS: Mapping[str, tuple[float, float, float]] = {
+    "head": (0.0, 0.17, 0.0),
+    "foot": (0.0, 0.0, 0.07),
+    "hand": (0.08, 0.0, 0.0),
+    **{f"{finger}3": (0.02, 0.0, 0.0) for finger in ("index", "middle", "pinky", "ring", "thumb")},
+}
+"""Crown, toes and fingertips, as in :data:`OFFSETS`."""
+
+
+class SmplReader(ClipReader):
+    """Reads the NPZ files of AMASS, and their like of the SMPL family."""
+
+    suffixes = (".npz",)
+
+    def recognises(self, head: bytes, path: Path) -> bool:
+        if not head.startswith(ZIP_MAGIC):
+            return False
+        return bool({"poses", "root_orient", "pose_body"} & array_names(path))
+
+    def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
+        archive = Archive(path)
+        vectors = _poses(path, archive)
+        num_frames, num_joints = vectors.shape[:2]
+        check_size(path, num_frames, JOINTS[num_joints])
+        translation = archive.floats("trans", num_frames, 3) * METRES[options.unit or "m"]
+        rate = options.rate or _rate(path, archive)
+        up = options.up or "z"
+        joint_names = JOINTS[num_joints]
+        rotation = rotations.from_exponential_map(torch.from_numpy(to_world(vectors, "y")))
+        if up == "z":  # the root's turn is from the body's frame, y up, to a world with z up
+            rotation[:, 0] = _into_z_up(vectors[:, 0])
+        return Clip(
+            name=path.stem,
+            times=torch.arange(num_frames, dtype=torch.float64) / rate,
+            root_position=torch.from_numpy(to_world(translation, up)),
+            rotations=rotation,
+            joint_names=joint_names,
+            loop=bool(options.loop),
+            skeleton=_skeleton(path, joint_names),
+            **provenance(path, archive.content),
+        )
+
+
+def _poses(path: Path, archive: Archive) -> np.ndarray:
+    """(F, J, 3) rotation vectors in the body's frames."""
+    if "poses" in archive.names:
+        poses = archive.floats("poses", None, None)
+    else:
+        parts = [
+            archive.floats(name, None, 3 * joints)
+            for name, joints in PARTS.items()
+            if name in archive.names or name in ("root_orient", "pose_body")
+        ]
+        if len({len(part) for part in parts}) != 1:
+            raise FileError(f"Clip {path}: its arrays of poses differ in their number of frames.")
+        poses = np.concatenate(parts, axis=1)
+    joints, rest = divmod(poses.shape[1], 3)
+    if rest or joints not in JOINTS:
+        known = ", ".join(str(3 * known) for known in JOINTS)
+        raise FileError(
+            f"Clip {path}: {poses.shape[1]} pose values per frame are no body of the SMPL family "
+            f"({known})."
+        )
+    return poses.reshape(len(poses), joints, 3)
+
+
+def _rate(path: Path, archive: Archive) -> float:
+    name = next((name for name in RATES if name in archive.names), None)
+    if name is None:
+        raise FileError(f"Clip {path}: it does not say its frame rate; give motion.rate (--rate).")
+    rate = archive.number(name)
+    if not 0.0 < rate <= 1e6:
+        raise FileError(f"Clip {path}: '{name}' is {rate:g}, no number of frames per second.")
+    return rate
+
+
+def _into_z_up(vectors: np.ndarray) -> torch.Tensor:
+    """The root's rotation (F, 4) from our body frame, of its rotation (F, 3) from the body's own."""
+    ours = torch.tensor([0.5, -0.5, -0.5, -0.5], dtype=torch.float64)  # x, y, z -> y, z, x
+    return rotations.multiply(rotations.from_exponential_map(torch.from_numpy(vectors)), ours)
+
+
+def _skeleton(path: Path, joint_names: tuple[str, ...]) -> Skeleton:
+    parents, offsets = [-1], [np.zeros(3)]
+    tips = {}
+    for name in joint_names:
+        side, part = _split(name)
+        mirror = np.array([-1.0 if side == "right" else 1.0, 1.0, 1.0])
+        if part in OFFSETS:
+            parent, offset = OFFSETS[part]
+            sided = f"{side}_{parent}"
+            parents.append(joint_names.index(sided if sided in joint_names else parent))
+            offsets.append(to_world(mirror * offset, "y"))
+        if part in TIPS:
+            tips[name] = to_world(mirror * TIPS[part], "y")
+    return checked_skeleton(path, joint_names, parents, np.stack(offsets), tips)
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Side ("" for the middle) and name without it."""
+    side, _, part = name.partition("_")
+    return (side, part) if side in _SIDES else ("", name)

@@ -1,0 +1,212 @@
+"""This product's own formats: a table of named columns (CSV), and everything a clip has (NPZ).
+
+SI units, z up, x forward, quaternions wxyz: nothing is converted.
+
+**NPZ** holds ``format`` = "understudy.clip", ``version`` = 1, ``name``, ``loop``, the texts of
+:data:`PROVENANCE`, ``joint_names`` (J,), ``times`` (F,) s, ``root_position`` (F, 3) m and
+``rotations`` (F, J, 4); with a skeleton also ``parents`` (J,), ``offsets`` (J, 3) m, ``tip_joints``
+(K,) and ``tips`` (K, 3) m. A clip comes back as it was written.
+
+**CSV** has one row per frame under a row of column names, in any order: ``time`` (s); ``root.px``,
+``root.py``, ``root.pz`` (m); and for each joint, the root first, ``NAME.qw``, ``.qx``, ``.qy``,
+``.qz`` or its rotation vector ``NAME.rx``, ``.ry``, ``.rz`` (rad). Lines before it that begin with
+``#`` may say ``# rate: 60`` (frames/s, instead of ``time``), ``# loop: true`` and
+``# licence: TEXT``. It has no skeleton.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from understudy import rotations
+from understudy.errors import FileError
+from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
+from understudy_motion.readers.text import is_number, number_rows, shown
+from understudy_motion.reading import (
+    MAX_RECORD_LINE,
+    UNSAID,
+    ClipReader,
+    ReadOptions,
+    check_size,
+    checked_skeleton,
+    provenance,
+    read_bytes,
+)
+
+FORMAT = "understudy.clip"
+VERSION = 1
+PROVENANCE = ("source", "licence", "sha256", "url", "attribution")
+"""Texts of the NPZ, and fields of a clip, that say where its motion comes from."""
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+VECTOR = ("rx", "ry", "rz")
+ROOT_POSITION = ("root.px", "root.py", "root.pz")
+
+
+class NpzReader(ClipReader):
+    """Reads this product's NPZ."""
+
+    suffixes = (".npz",)
+
+    def recognises(self, head: bytes, path: Path) -> bool:
+        return head.startswith(ZIP_MAGIC) and {"format", "version"} <= array_names(path)
+
+    def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
+        archive = Archive(path)
+        if archive.text("format") != FORMAT or archive.number("version") != VERSION:
+            raise FileError(
+                f"Clip {path}: not of format '{FORMAT}' version {VERSION}; convert it with the "
+                "version that wrote it."
+            )
+        times = archive.floats("times", None)
+        joint_names = archive.texts("joint_names")
+        num_frames, num_joints = len(times), len(joint_names)
+        check_size(path, num_frames, joint_names)
+        clip = Clip(
+            name=archive.text("name"),
+            times=torch.from_numpy(times),
+            root_position=torch.from_numpy(archive.floats("root_position", num_frames, 3)),
+            rotations=torch.from_numpy(archive.floats("rotations", num_frames, num_joints, 4)),
+            joint_names=joint_names,
+            loop=archive.flag("loop") if options.loop is None else options.loop,
+            skeleton=_skeleton(path, archive, joint_names),
+            source=str(path),  # for messages, until the clip is known to be one
+        )
+        return replace(clip, **{field: archive.text(field) for field in PROVENANCE})
+
+
+def _skeleton(path: Path, archive: Archive, joint_names: tuple[str, ...]) -> Skeleton | None:
+    if "parents" not in archive.names:
+        return None
+    joints = len(joint_names)
+    tip_joints = archive.texts("tip_joints")
+    tips = archive.floats("tips", len(tip_joints), 3)
+    return checked_skeleton(
+        path,
+        joint_names,
+        archive.integers("parents", joints).tolist(),
+        archive.floats("offsets", joints, 3),
+        dict(zip(tip_joints, tips, strict=True)),
+    )
+
+
+class CsvReader(ClipReader):
+    """Reads a table of named columns."""
+
+    suffixes = (".csv",)
+
+    def recognises(self, head: bytes, path: Path) -> bool:
+        lines = (line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines())
+        header = next((line for line in lines if line and not line.startswith(b"#")), b"")
+        return b"root.px" in header and b"," in header
+
+    def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
+        content = read_bytes(path)
+        lines = content.decode("utf-8-sig", errors="replace").splitlines()
+        said, start = _comments(lines)
+        header = lines[start] if start < len(lines) else ""
+        columns = [name.strip().strip('"') for name in header.split(",")]
+        joints = _joint_columns(path, columns)
+        num_frames = sum(1 for line in lines[start + 1 :] if line.strip())
+        check_size(path, num_frames, tuple(joints))
+        rows = number_rows(path, lines[start + 1 :], start + 2, len(columns), ",")
+        fields = provenance(path, content)
+        if "licence" in said:
+            fields["licence"] = said["licence"][:MAX_RECORD_LINE]
+        return Clip(
+            name=path.stem,
+            times=_times(path, rows, columns, said, options),
+            root_position=torch.from_numpy(rows[:, [columns.index(c) for c in ROOT_POSITION]]),
+            rotations=torch.stack([_rotation(rows[:, at]) for at in joints.values()], dim=1),
+            joint_names=tuple(joints),
+            loop=_loop(path, said) if options.loop is None else options.loop,
+            **fields,
+        )
+
+
+def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
+    """What the comments before the table say, and the index of the line of column names."""
+    said: dict[str, str] = {}
+    for index, line in enumerate(lines):
+        if comment := re.match(r"\s*#\s*(rate|loop|licence)\s*:(.*)", line):
+            said[comment[1]] = comment[2].strip()
+        elif line.strip() and not line.lstrip().startswith("#"):
+            return said, index
+    return said, len(lines)
+
+
+def _joint_columns(path: Path, columns: Sequence[str]) -> dict[str, list[int]]:
+    """By joint, in order of appearance: the columns of its quaternion or rotation vector."""
+    index = {name: column for column, name in enumerate(columns)}
+    if len(index) != len(columns):
+        twice = next(name for name in columns if columns.count(name) > 1)
+        raise FileError(f"Clip {path}: column {shown(twice)} is there twice.")
+    for name in ROOT_POSITION:
+        if name not in index:
+            raise FileError(f"Clip {path}: column '{name}' is missing.")
+    parts: dict[str, set[str]] = {}
+    for name in columns:
+        joint, _, part = name.rpartition(".")
+        if joint and part in (*QUATERNION, *VECTOR):
+            parts.setdefault(joint, set()).add(part)
+        elif name != "time" and name not in ROOT_POSITION:
+            raise FileError(
+                f"Clip {path}: column {shown(name)} is not known; a joint's are NAME.qw, .qx, .qy, .qz "
+                "or NAME.rx, .ry, .rz."
+            )
+    joints: dict[str, list[int]] = {}
+    for joint, found in parts.items():
+        whole = next((form for form in (QUATERNION, VECTOR) if found == set(form)), None)
+        if whole is None:
+            raise FileError(
+                f"Clip {path}: joint {shown(joint)} needs either {', '.join(QUATERNION)} or "
+                f"{', '.join(VECTOR)}, and has {', '.join(sorted(found))}."
+            )
+        joints[joint] = [index[f"{joint}.{part}"] for part in whole]
+    if not joints:
+        raise FileError(f"Clip {path}: no column has the root's rotation (root.qw, …).")
+    return joints
+
+
+def _times(
+    path: Path,
+    rows: np.ndarray,
+    columns: Sequence[str],
+    said: dict[str, str],
+    options: ReadOptions,
+) -> torch.Tensor:
+    if "time" in columns:
+        return torch.from_numpy(rows[:, columns.index("time")])
+    rate = options.rate
+    if rate is None:
+        if "rate" not in said:
+            raise FileError(
+                f"Clip {path}: there is neither a column 'time' nor a line '# rate: 60'; give "
+                "motion.rate (--rate)."
+            )
+        if not is_number(said["rate"]) or not 0.0 < float(said["rate"]) <= 1e6:
+            raise FileError(
+                f"Clip {path}: the rate {shown(said['rate'])} is no number of frames per second."
+            )
+        rate = float(said["rate"])
+    return torch.arange(len(rows), dtype=torch.float64) / rate
+
+
+def _loop(path: Path, said: dict[str, str]) -> bool:
+    word = said.get("loop", "false")
+    if word not in ("true", "false"):
+        raise FileError(f"Clip {path}: '# loop:' is true or false, not {shown(word)}.")
+    return word == "true"
+
+
+def _rotation(values: np.ndarray) -> torch.Tensor:
+    """(F, 4) of a joint's columns."""
+    rotation = torch.from_numpy(values)
+    return rotation if values.shape[1] == 4 else rotations.from_exponential_map(rotation)

@@ -1,0 +1,58 @@
+"""Numbers in text files: read fast, and where one is wrong, found and named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from understudy.errors import FileError
+
+LARGEST = 1e12
+"""Beyond it a number in a motion file is taken for damage: no angle, length or time is so large."""
+
+
+def is_number(word: str) -> bool:
+    """Whether `word` is a number up to :data:`LARGEST`, in ASCII and without underscores."""
+    try:
+        return word.isascii() and "_" not in word and abs(float(word)) <= LARGEST
+    except ValueError:
+        return False
+
+
+def shown(text: str) -> str:
+    """`text` quoted and cut, for a message."""
+    return repr(text if len(text) <= 40 else text[:40] + "…")
+
+
+def number_rows(
+    path: Path, lines: Sequence[str], first: int, columns: int, delimiter: str | None = None
+) -> np.ndarray:
+    """The (F, `columns`) numbers of `lines`, of which the first is the file's line `first`.
+
+    Blank lines are skipped. `delimiter` None is any white space.
+
+    Raises:
+        FileError: naming the line that has another count, or something that is no :func:`is_number`.
+    """
+    if not any(line.strip() for line in lines):
+        return np.empty((0, columns))
+    try:
+        rows = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
+    except (ValueError, OverflowError):
+        rows = None
+    if rows is not None and rows.shape[1] == columns and (np.abs(rows) <= LARGEST).all():
+        return rows
+    for number, line in enumerate(lines, start=first):
+        words = line.split(delimiter)
+        if not line.strip():
+            continue
+        if len(words) != columns:
+            raise FileError(
+                f"Clip {path}: line {number}: {columns} numbers are needed, not {len(words)}."
+            )
+        for word in words:
+            if not is_number(word):
+                raise FileError(f"Clip {path}: line {number}: {shown(word)} is not a number.")
+    raise FileError(f"Clip {path}: from line {first} on, its numbers cannot be read.")

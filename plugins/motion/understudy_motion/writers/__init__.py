@@ -1,0 +1,1 @@
+"""Writers of clip file formats: components of kind ``clip_writer``."""

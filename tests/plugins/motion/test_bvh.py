@@ -1,0 +1,349 @@
+"""BVH: the reader's conventions by hand and against scipy, what it recognises, and round trips."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from motion_files import walker, write_bvh
+from scipy.spatial.transform import Rotation
+
+from understudy import rotations
+from understudy.errors import FileError
+from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.bvh import BvhReader
+from understudy_motion.reading import Axis, ReadOptions, Unit
+from understudy_motion.writers.bvh import BvhWriter
+
+TO_WORLD = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # (x, y, z) -> (z, x, y)
+CASES = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+WRITTEN = ReadOptions(unit="cm", up="y")
+
+TEXT = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Left Leg
+  {
+    OFFSET 10 -5 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 -80 5
+    }
+  }
+  JOINT Head
+  {
+    OFFSET 0 60 0
+    CHANNELS 1 Yrotation
+    End Site
+    {
+      OFFSET 0 20 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.025
+1 90 3  0 0 0  10 20 30  40
+1 90 13  0 90 0  -10 -20 -30  50
+"""
+
+
+def read(folder: Path, text: str, unit: Unit | None = None, up: Axis | None = None) -> Clip:
+    path = folder / "clip.bvh"
+    path.write_text(text, newline="")
+    return BvhReader().read(path, ReadOptions(unit=unit, up=up))
+
+
+def test_conventions(tmp_path: Path) -> None:
+    clip = read(tmp_path, TEXT)
+    assert clip.joint_names == ("Hips", "Left Leg", "Head")
+    assert clip.times.tolist() == pytest.approx([0.0, 0.025])
+    assert clip.root_position[1].tolist() == pytest.approx([0.13, 0.01, 0.9])
+    assert clip.skeleton is not None
+    assert clip.skeleton.parents == (-1, 0, 0)
+    assert clip.skeleton.offsets[1].tolist() == pytest.approx([0.0, 0.1, -0.05])
+    assert clip.skeleton.tips["Left Leg"].tolist() == pytest.approx([0.05, 0.0, -0.8])
+    # A quarter turn about the file's x is one about our y.
+    turn = rotations.to_exponential_map(clip.rotations[1, 0])
+    assert turn.tolist() == pytest.approx([0.0, np.pi / 2, 0.0])
+    assert rotations.to_exponential_map(clip.rotations[0, 2]).tolist() == pytest.approx(
+        [0.0, 0.0, np.radians(40.0)]
+    )
+    assert not clip.loop
+
+
+@pytest.mark.parametrize("order", ["".join(p) for p in permutations("XYZ")])
+def test_any_order_of_channels(tmp_path: Path, order: str) -> None:
+    """Upper-case letters in scipy are turns about the turning axes, the last applied first."""
+    names = " ".join(f"{axis}rotation" for axis in order)
+    text = TEXT.replace("CHANNELS 3 Zrotation Xrotation Yrotation", f"CHANNELS 3 {names}")
+    clip = read(tmp_path, text)
+    expected = Rotation.from_euler(order, [10, 20, 30], degrees=True).as_matrix()
+    ours = rotations.to_matrix(clip.rotations[0, 1]).numpy()
+    np.testing.assert_allclose(ours, TO_WORLD @ expected @ TO_WORLD.T, atol=1e-12)
+
+
+def test_positions_may_follow_rotations_and_be_incomplete(tmp_path: Path) -> None:
+    text = TEXT.replace("OFFSET 0 0 0", "OFFSET 7 0 0", 1).replace(
+        "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation",
+        "CHANNELS 5 Zrotation Xrotation Yrotation Yposition Zposition",
+    )
+    text = text.replace("1 90 3  0 0 0", "0 0 0 90 3").replace("1 90 13  0 90 0", "0 90 0 90 13")
+    clip = read(tmp_path, text)
+    assert clip.root_position[1].tolist() == pytest.approx([0.13, 0.07, 0.9])
+    torch.testing.assert_close(clip.rotations, read(tmp_path, TEXT).rotations)
+
+
+def test_white_space_does_not_matter(tmp_path: Path) -> None:
+    expected = read(tmp_path, TEXT)
+    for text in (
+        TEXT.replace("\n", "\r\n"),
+        TEXT.replace("  ", "\t\t "),
+        TEXT.replace("\n  {", " {").replace("}\n", "}\n\n") + "\n\n",
+        TEXT.lower()
+        .replace("hips", "Hips")
+        .replace("left leg", "Left  Leg")
+        .replace("head", "Head"),
+        "\ufeff" + TEXT,
+    ):
+        clip = read(tmp_path, text)
+        assert clip.joint_names == expected.joint_names
+        assert torch.equal(clip.rotations, expected.rotations)
+        assert torch.equal(clip.root_position, expected.root_position)
+
+
+def test_position_channels_of_joints(tmp_path: Path) -> None:
+    moving = TEXT.replace(
+        "CHANNELS 3 Zrotation Xrotation Yrotation",
+        "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation",
+    )
+    still = moving.replace("  10 20", "  10 -5 0.05 10 20").replace(
+        "  -10 -20", "  10 -5 0 -10 -20"
+    )
+    torch.testing.assert_close(
+        read(tmp_path, still).rotations, read(tmp_path, TEXT).rotations, rtol=0, atol=0
+    )
+    with pytest.raises(FileError, match="frame 0: joint 'Left Leg' moves from its OFFSET"):
+        read(tmp_path, still.replace(" 10 -5 0.05 ", " 10 -6 0 "))
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize(
+    ("unit", "per_metre"), [("m", 1), ("cm", 100), ("mm", 1000), ("inch", 39.37)]
+)
+def test_unit_and_vertical_axis_are_recognised(
+    tmp_path: Path, unit: Unit, per_metre: float, up: Axis
+) -> None:
+    clip = scaled(tmp_path, per_metre, up)
+    assert clip.root_position[0, 2] == pytest.approx(0.9, rel=1e-3)
+    assert clip.skeleton is not None
+    assert clip.skeleton.tips["chest"].tolist() == pytest.approx([0.0, 0.0, 0.55], rel=1e-3)
+
+
+def scaled(folder: Path, per_metre: float, up: Axis) -> Clip:
+    """The walking figure in another unit; with z up, its x and y are those of the file."""
+    rows = []
+    for line in write_bvh(folder).read_text().splitlines():
+        words = line.split()
+        if words and words[0] == "OFFSET":
+            x, y, z = (float(word) * per_metre / 100.0 for word in words[1:])
+            line = f"OFFSET {x} {y} {z}" if up == "y" else f"OFFSET {z} {x} {y}"
+        elif words and words[0][0] in "-0123456789":
+            x, y, z = (float(word) * per_metre / 100.0 for word in words[:3])
+            place = f"{x} {y} {z}" if up == "y" else f"{z} {x} {y}"
+            line = " ".join((place, *words[3:]))
+        elif up == "z":
+            line = line.replace("Zrot", "?rot").replace("Yrot", "Zrot").replace("Xrot", "Yrot")
+            line = line.replace("?rot", "Xrot")
+        rows.append(line)
+    return read(folder, "\n".join(rows))
+
+
+def test_bones_laid_out_along_x_are_recognised_by_the_first_frame(tmp_path: Path) -> None:
+    """Some files' own pose is a star of bones along x; only the motion makes the figure stand."""
+    text = TEXT.replace("OFFSET 0 60 0", "OFFSET 60 0 0").replace("OFFSET 0 20 0", "OFFSET 20 0 0")
+    text = text.replace("OFFSET 0 -80 5", "OFFSET -80 0 0").replace(
+        "OFFSET 10 -5 0", "OFFSET -5 8 9"
+    )
+    text = text.replace("CHANNELS 1 Y", "CHANNELS 1 Z")
+    text = text.replace("0 0 0  10 20 30  40", "90 0 0  0 0 0  0")
+    clip = read(tmp_path, text)
+    assert clip.root_position[0].tolist() == pytest.approx([0.03, 0.01, 0.9])
+
+
+def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
+    flat = TEXT.replace("OFFSET 0 60 0", "OFFSET 0 60 60").replace("-80 5", "-80 -80")
+    with pytest.raises(FileError, match=r"which axis is vertical.*motion\.up=y or z \(--up\)"):
+        read(tmp_path, flat)
+    with pytest.raises(
+        FileError, match=r"unit of length.*motion\.unit, one of m, cm, .*\(--unit\)"
+    ):
+        read(tmp_path, TEXT.replace("OFFSET 0 -80 5", "OFFSET 0 -9000 5"))
+    assert read(tmp_path, flat, up="y").root_position[0, 2] == pytest.approx(0.9)
+    assert read(tmp_path, TEXT, unit="inch").root_position[0, 2] == pytest.approx(90 * 0.0254)
+    assert read(tmp_path, TEXT, unit="m", up="z").root_position[0].tolist() == [1.0, 90.0, 3.0]
+    path = tmp_path / "clip.bvh"
+    assert BvhReader().read(path, ReadOptions(rate=50.0, loop=True)).duration == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("Frames: 2", "Frames: 3", "line 26: 3 frames are announced, but 2 lines"),
+        ("Frames: 2", "Frames: 999999999", "are announced, but 2 lines"),
+        ("Frames: 2", "Frames: two", "'Frames: <count>' and 'Frame Time: <seconds>'"),
+        ("Frame Time: 0.025\n", "", "'Frame Time: <seconds>'"),
+        ("0.025", "0", "'Frame Time' must be seconds above 0"),
+        ("0.025", "nan", "'Frame Time' must be seconds above 0"),
+        ("-30  50", "-30", "line 29: 10 numbers are needed, not 9"),
+        ("-30  50", "-30  x50", "line 29: 'x50' is not a number"),
+        ("-30  50", "-30  nan", "line 29: 'nan' is not a number"),
+        ("1 90 13", "1 9e9 13", "frame 1: root position is more than"),
+        ("OFFSET 0 60 0", "OFFSET 0 60", "line 18: OFFSET needs three numbers, not 'CHANNELS'"),
+        ("    OFFSET 0 60 0\n", "", "joint 'Head' has no OFFSET"),
+        ("JOINT Head", "JOINT Hips", "joint 'Hips' is named twice"),
+        ("JOINT Head", "ROOT Head", "line 15: one ROOT is expected"),
+        ("JOINT Head", "JOINT", "line 16: a joint has no name"),
+        ("JOINT Head", "BONE Head", "line 15: 'BONE' is not part of a joint"),
+        ("CHANNELS 1", "CHANNELS 7", "from 0 to 6 CHANNELS, not '7'"),
+        ("CHANNELS 1 Yrotation", "CHANNELS 1 Wrotation", "'wrotation' is not a channel"),
+        ("}\nMOTION", "MOTION", "line 24: MOTION comes before the hierarchy is complete"),
+        ("}\nMOTION", "}\n}\nMOTION", "'}' stands outside of any joint"),
+        ("MOTION", "", "'FRAMES:' stands outside of any joint"),
+        ("ROOT Hips", "ROOT Hips\n{\n" * 3, "line 4: one ROOT is expected"),
+    ],
+)
+def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    with pytest.raises(FileError, match=message) as caught:
+        read(tmp_path, TEXT.replace(old, new, 1), "cm", "y")
+    assert str(tmp_path / "clip.bvh") in str(caught.value)
+
+
+def test_a_hierarchy_without_end_is_refused(tmp_path: Path) -> None:
+    nested = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n" + "".join(
+        f"JOINT j{i}\n{{\nOFFSET 0 1 0\nCHANNELS 0\n" for i in range(5000)
+    )
+    with pytest.raises(FileError, match="more than 1000 joints are not read"):
+        read(tmp_path, nested)
+    with pytest.raises(FileError, match="the file ends within the hierarchy"):
+        read(tmp_path, "HIERARCHY\nROOT a\n{\n")
+
+
+# Writing
+
+
+def random_clip(seed: int, joints: int, frames: int, lock: bool) -> Clip:
+    """Any tree, any rotations; `lock` puts the middle Euler angle at or near a quarter turn."""
+    rng = np.random.default_rng(seed)
+    parents = (-1, *(int(rng.integers(0, joint)) for joint in range(1, joints)))
+    names = tuple(f"joint{i}" for i in range(joints))
+    offsets = rng.normal(size=(joints, 3))
+    offsets[0] = 0.0
+    turned = Rotation.from_quat(rng.normal(size=(frames * joints, 4)))
+    if lock:
+        angles = rng.uniform(-180, 180, (frames * joints, 3))
+        angles[:, 1] = rng.choice([90.0, -90.0], frames * joints)
+        angles[:, 1] += rng.choice([0.0, 1e-9, 1e-6, -1e-4], frames * joints)
+        turned = Rotation.from_euler(
+            "XYZ", angles, degrees=True
+        )  # ZXY of the file's axes is XYZ here
+    quaternions = turned.as_quat()[:, [3, 0, 1, 2]].reshape(frames, joints, 4)
+    return Clip(
+        name="random",
+        times=torch.arange(frames) / 50.0,
+        root_position=torch.from_numpy(rng.uniform(-20.0, 20.0, (frames, 3))),
+        rotations=torch.from_numpy(quaternions),
+        joint_names=names,
+        loop=False,
+        skeleton=Skeleton(names, parents, offsets, {names[-1]: rng.normal(size=3)}),
+    )
+
+
+@CASES
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    joints=st.integers(1, 12),
+    frames=st.integers(2, 6),
+    lock=st.booleans(),
+)
+def test_what_is_written_is_read_again(
+    tmp_path: Path, seed: int, joints: int, frames: int, lock: bool
+) -> None:
+    clip = random_clip(seed, joints, frames, lock)
+    path = tmp_path / "clip.bvh"
+    BvhWriter().write(clip, path)
+    back = BvhReader().read(path, WRITTEN)
+    assert sorted(back.joint_names) == sorted(clip.joint_names)
+    order = [back.joint_names.index(name) for name in clip.joint_names]
+    torch.testing.assert_close(back.times, clip.times, rtol=0, atol=1e-6)
+    torch.testing.assert_close(back.root_position, clip.root_position, rtol=0, atol=1e-6)
+    assert rotations.angle_between(back.rotations[:, order], clip.rotations).max() < 1e-5
+    assert back.skeleton is not None
+    assert clip.skeleton is not None
+    np.testing.assert_allclose(back.skeleton.offsets[order], clip.skeleton.offsets, atol=1e-9)
+    for joint, parent in enumerate(clip.skeleton.parents):
+        found = back.skeleton.parents[order[joint]]
+        assert found == -1 if parent == -1 else back.joint_names[found] == clip.joint_names[parent]
+    (name,) = clip.skeleton.tips
+    assert list(back.skeleton.tips) == [name]
+    np.testing.assert_allclose(back.skeleton.tips[name], clip.skeleton.tips[name], atol=1e-9)
+
+
+def test_written_files_need_no_options(tmp_path: Path) -> None:
+    back = BvhReader().read(write_bvh(tmp_path))
+    torch.testing.assert_close(back.root_position, walker().root_position, rtol=0, atol=1e-9)
+
+
+def test_uneven_frames_are_resampled(tmp_path: Path) -> None:
+    clip = walker(frames=4)
+    uneven = Clip(
+        name="uneven",
+        times=torch.tensor([0.0, 0.1, 0.4, 0.6]),
+        root_position=clip.root_position,
+        rotations=clip.rotations,
+        joint_names=clip.joint_names,
+        loop=True,
+        skeleton=clip.skeleton,
+    )
+    path = tmp_path / "uneven.bvh"
+    BvhWriter().write(uneven, path)
+    back = BvhReader().read(path)
+    assert back.times.tolist() == pytest.approx([0.0, 0.2, 0.4, 0.6])
+    torch.testing.assert_close(back.root_position[[0, 2, 3]], clip.root_position[[0, 2, 3]])
+
+
+def test_a_thousand_joints_in_a_row_are_written(tmp_path: Path) -> None:
+    joints = 1000
+    names = tuple(f"j{i}" for i in range(joints))
+    still = torch.zeros(2, joints, 4)
+    still[..., 0] = 1.0
+    skeleton = Skeleton(names, tuple(range(-1, joints - 1)), np.full((joints, 3), 0.001))
+    clip = Clip("chain", torch.tensor([0.0, 1.0]), torch.zeros(2, 3), still, names, False, skeleton)
+    BvhWriter().write(clip, tmp_path / "chain.bvh")
+    assert BvhReader().read(tmp_path / "chain.bvh", WRITTEN).joint_names == names
+
+
+def test_what_bvh_cannot_hold(tmp_path: Path) -> None:
+    clip = walker()
+    bare = Clip("bare", clip.times, clip.root_position, clip.rotations, clip.joint_names, False)
+    with pytest.raises(FileError, match="has no skeleton"):
+        BvhWriter().write(bare, tmp_path / "bare.bvh")
+    names = ("the hips", *clip.joint_names[1:])
+    assert clip.skeleton is not None
+    skeleton = Skeleton(names, clip.skeleton.parents, clip.skeleton.offsets)
+    odd = Clip(
+        "odd", clip.times, clip.root_position, clip.rotations, names, False, skeleton=skeleton
+    )
+    with pytest.raises(FileError, match="joint 'the hips' cannot be written as BVH"):
+        BvhWriter().write(odd, tmp_path / "odd.bvh")

@@ -1,0 +1,102 @@
+"""Which reader reads a file is decided by its content, and every recorded file is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from motion_files import WRITE
+
+import understudy_motion
+from understudy.errors import FileError
+from understudy.registry import Registrar, Registry
+from understudy_motion import library, reading
+from understudy_motion.kinematics import forward_kinematics
+from understudy_motion.reading import HEAD_BYTES, UnknownFormatError, read_clip, readers
+
+
+@pytest.fixture(scope="module")
+def registry() -> Registry:
+    made = Registry()
+    understudy_motion.understudy_register(Registrar(made, "motion"))
+    return made
+
+
+def test_every_reader_has_an_example(registry: Registry) -> None:
+    assert set(readers(registry)) == set(WRITE)
+
+
+@pytest.mark.parametrize("name", WRITE)
+@pytest.mark.parametrize("disguise", ["clip.txt", "clip", "clip.json", "clip.npz"])
+def test_content_decides(tmp_path: Path, registry: Registry, name: str, disguise: str) -> None:
+    path = WRITE[name](tmp_path).rename(tmp_path / disguise)
+    head = path.read_bytes()[:HEAD_BYTES]
+    assert [n for n, r in readers(registry).items() if r.recognises(head, path)] == [name]
+    assert read_clip(path, registry).num_frames == 6
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\0" * 5000,
+        b"PK\x03\x04 but no archive",
+        b"just text, with a comma",
+        b"a,b,c\n1,2,3\n",
+        b'{"asset": {"version": "2.0"}, "scenes": []}',
+        b'{"Skeleton": {"Joints": []}}',
+        b"[1, 2, 3]",
+        b"\xff\xfe\x00\x01",
+    ],
+)
+def test_other_content_is_nobodys(tmp_path: Path, registry: Registry, content: bytes) -> None:
+    for name in ("clip.bvh", "clip.json", "clip.npz", "clip.csv", "clip.amc"):
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(UnknownFormatError, match=r"not a format that is read here \(amc, bvh"):
+            read_clip(path, registry)
+
+
+def test_a_skeleton_alone(tmp_path: Path, registry: Registry) -> None:
+    WRITE["amc"](tmp_path)
+    with pytest.raises(FileError, match=r"is a skeleton \(ASF\) without a motion"):
+        read_clip(tmp_path / "small.asf", registry)
+
+
+@pytest.mark.parametrize("name", ["amc", "bvh", "csv", "npz", "smpl"])
+def test_clips_too_large_are_refused(
+    tmp_path: Path, registry: Registry, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = WRITE[name](tmp_path)
+    monkeypatch.setattr(reading, "MAX_ROTATIONS", 10)
+    with pytest.raises(FileError, match=r"6 frames of \d+ joints are too many; cut it"):
+        read_clip(path, registry)
+    monkeypatch.setattr(reading, "MAX_JOINTS", 4)
+    with pytest.raises(FileError, match=r"joints; at most 4 are read|more than 4 joints"):
+        read_clip(path, registry)
+
+
+def recorded() -> list[Path]:
+    folder = library.data_folder()
+    found = sorted(folder.glob("motions/*/*")) if folder else []
+    return [
+        path
+        for path in found
+        if path.suffix in (".amc", ".txt") and not path.stem.endswith("character")
+    ]
+
+
+@pytest.mark.skipif(not recorded(), reason="no recorded clips: UNDERSTUDY_DATA is not set")
+def test_every_recorded_clip_is_a_person_in_motion(registry: Registry) -> None:
+    for path in recorded():
+        clip = read_clip(path, registry)
+        positions, world = forward_kinematics(clip)
+        assert positions.isfinite().all(), path
+        assert world.norm(dim=-1).sub(1.0).abs().max() < 1e-9, path
+        extent = (positions.amax(dim=1) - positions.amin(dim=1)).norm(dim=-1)
+        assert 0.8 < extent.median() < 2.6, path
+        # Nothing hangs far below or far above the floor it was recorded on.
+        lowest = positions[..., 2].amin(dim=1)
+        assert torch.quantile(lowest, 0.1) > -0.3, path
+        assert torch.quantile(lowest, 0.1) < 0.5, path

@@ -1,0 +1,220 @@
+"""The SMPL reader: which way the figure stands, all layouts, and archives that mean harm."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from motion_files import smpl_arrays, write_smpl
+
+from understudy import rotations
+from understudy.errors import FileError
+from understudy_motion.clip import Clip
+from understudy_motion.kinematics import forward_kinematics, tip_positions
+from understudy_motion.readers.smpl import SmplReader
+from understudy_motion.reading import UNSAID, ReadOptions
+
+
+def read(folder: Path, arrays: Mapping[str, Any], options: ReadOptions = UNSAID) -> Clip:
+    path = folder / "clip.npz"
+    np.savez(path, **arrays)
+    return SmplReader().read(path, options)
+
+
+def test_the_figure_stands(tmp_path: Path) -> None:
+    clip = SmplReader().read(write_smpl(tmp_path))
+    positions, world = forward_kinematics(clip)
+    tips = tip_positions(clip, positions, world)
+    at = {name: positions[0, i] for i, name in enumerate(clip.joint_names)}
+    assert clip.skeleton is not None
+    crown = tips[0, list(clip.skeleton.tips).index("head"), 2]
+    assert at["left_foot"][2].abs() < 0.01  # trans is the pelvis, 0.93 m above the soles
+    assert crown == pytest.approx(1.7, abs=0.02)
+    # As AMASS' T-pose turned about x by a quarter: it faces -y, so its left is +x.
+    assert rotations.heading(clip.rotations[0, 0]) == pytest.approx(-np.pi / 2)
+    assert at["left_wrist"][0] - at["right_wrist"][0] > 1.2
+    assert tips[0, list(clip.skeleton.tips).index("left_foot"), 1] < -0.1
+    # A positive turn about the body's x (left) bends the knee: the ankle goes back.
+    knee = clip.joint_names.index("left_knee")
+    bend = rotations.to_exponential_map(clip.rotations[-1, knee])
+    assert bend.tolist() == pytest.approx([0.0, 1.0, 0.0])
+    assert positions[-1, clip.joint_names.index("left_ankle"), 1] > 0.2
+    assert clip.frame_rate == pytest.approx(120.0)
+
+
+def test_a_world_with_y_up(tmp_path: Path) -> None:
+    arrays = smpl_arrays()
+    arrays["poses"][:, 0] = 0.0
+    arrays["trans"] = np.tile([0.1, 0.93, 0.3], (6, 1))
+    clip = read(tmp_path, arrays, ReadOptions(up="y"))
+    assert clip.root_position[0].tolist() == pytest.approx([0.3, 0.1, 0.93])
+    torch.testing.assert_close(
+        clip.rotations[0, 0], torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    )
+
+
+@pytest.mark.parametrize("joints", [22, 24, 52, 55])
+def test_every_body_of_the_family(tmp_path: Path, joints: int) -> None:
+    clip = read(tmp_path, smpl_arrays(joints=joints))
+    assert len(clip.joint_names) == joints
+    positions, _ = forward_kinematics(clip)
+    at = {name: positions[0, i] for i, name in enumerate(clip.joint_names)}
+    for name, position in at.items():  # left and right mirror each other; the figure faces -y
+        if name.startswith("left_") and "knee" not in name:
+            other = at[name.replace("left_", "right_")]
+            if name in ("left_ankle", "left_foot"):
+                continue  # the left knee bends
+            assert position[0] == pytest.approx(-other[0]), name
+            assert position[0] > 0.02, name
+
+
+def test_parts_instead_of_poses(tmp_path: Path) -> None:
+    whole = smpl_arrays(joints=55)
+    whole["poses"] = np.random.default_rng(1).normal(size=(6, 165))
+    parts = {key: value for key, value in whole.items() if key != "poses"}
+    start = 0
+    for name, joints in (
+        ("root_orient", 1), ("pose_body", 21), ("pose_jaw", 1), ("pose_eye", 2), ("pose_hand", 30),
+    ):  # fmt: skip
+        parts[name] = whole["poses"][:, start : start + 3 * joints]
+        start += 3 * joints
+    assert torch.equal(read(tmp_path, parts).rotations, read(tmp_path, whole).rotations)
+    assert len(read(tmp_path, {k: parts[k] for k in ("root_orient", "pose_body", "trans", "mocap_framerate")}).joint_names) == 22  # fmt: skip
+    parts["pose_body"] = parts["pose_body"][:-1]
+    with pytest.raises(FileError, match="differ in their number of frames"):
+        read(tmp_path, parts)
+
+
+def test_rates(tmp_path: Path) -> None:
+    arrays = smpl_arrays()
+    del arrays["mocap_framerate"]
+    with pytest.raises(
+        FileError, match=r"does not say its frame rate; give motion\.rate \(--rate\)"
+    ):
+        read(tmp_path, arrays)
+    assert read(tmp_path, arrays, ReadOptions(rate=30.0)).frame_rate == pytest.approx(30.0)
+    for name, value in (("mocap_frame_rate", np.float32(60)), ("fps", np.array([60]))):
+        assert read(tmp_path, {**arrays, name: value}).frame_rate == pytest.approx(60.0)
+    for value in (0.0, -1.0, np.nan, "60", [60.0, 60.0]):
+        with pytest.raises(FileError, match="mocap_framerate"):
+            read(tmp_path, {**arrays, "mocap_framerate": value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("poses", np.zeros((6, 65)), "65 pose values per frame are no body"),
+        ("poses", np.zeros((5, 66)), r"'trans': its shape is \(6, 3\) and should be \(5, 3\)"),
+        ("poses", np.zeros((6, 66), dtype=int), "'poses': holds int64 where floats are needed"),
+        ("poses", np.zeros((6, 66), dtype=complex), "'poses': holds complex128"),
+        ("poses", np.full((6, 66), np.nan), "frame 0: 'poses' is not finite"),
+        ("poses", np.zeros(396), r"'poses': its shape is \(396,\)"),
+        ("poses", np.zeros((0, 66)), "'trans': its shape"),
+        ("poses", np.zeros((6, 66), dtype=[("a", "f8")]), "'poses': holds"),
+        ("trans", np.zeros((6, 2)), "'trans': its shape"),
+        ("trans", np.full((6, 3), 1e300), "root position is more than"),
+    ],
+)
+def test_damage_is_named(tmp_path: Path, name: str, value: np.ndarray, message: str) -> None:
+    with pytest.raises(FileError, match=message) as caught:
+        read(tmp_path, {**smpl_arrays(), name: value})
+    assert str(tmp_path / "clip.npz") in str(caught.value)
+
+
+def test_a_missing_array_is_named(tmp_path: Path) -> None:
+    arrays = smpl_arrays()
+    del arrays["trans"]
+    with pytest.raises(FileError, match="the array 'trans' is missing"):
+        read(tmp_path, arrays)
+
+
+class Payload:
+    """Creates a file when it is unpickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (Path("executed"),)
+
+
+def test_objects_are_not_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert b"executed" in pickle.dumps(Payload())
+    payload = np.empty((6, 66), dtype=object)
+    payload[0, 0] = Payload()
+    with pytest.raises(FileError, match="'poses': holds object where floats are needed"):
+        read(tmp_path, {**smpl_arrays(), "poses": payload})
+    assert not Path("executed").exists()
+
+
+def archive(folder: Path, poses: bytes, compression: int = zipfile.ZIP_DEFLATED) -> Path:
+    """The arrays of a valid file, `poses` replaced by these bytes."""
+    path = folder / "clip.npz"
+    with zipfile.ZipFile(path, "w", compression) as file:
+        for name, value in smpl_arrays().items():
+            content = io.BytesIO()
+            np.save(content, value)
+            file.writestr(f"{name}.npy", poses if name == "poses" else content.getvalue())
+    return path
+
+
+def header(shape: str, descr: str = "'<f8'") -> bytes:
+    text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+@pytest.mark.parametrize(
+    "poses",
+    [
+        header("(10**12, 66)"),
+        header("(1000000000000, 66)") + bytes(1000),
+        header("(-6, 66)") + bytes(6 * 66 * 8),
+        header("(6, 66)") + bytes(6 * 66 * 8 - 1),
+        header("(6, 66)", "'|O'") + bytes(6 * 66 * 8),
+        header("(6, 66)", "'<f99'") + bytes(6 * 66 * 8),
+        header("(" * 200 + ")" * 200),
+        header("__import__('os')"),
+        b"\x93NUMPY\x09\x00" + bytes(100),
+        b"\x93NUMPY\x02\x00\xff\xff\xff\xff" + bytes(100),
+        b"",
+        b"not an array",
+    ],
+)
+def test_headers_that_lie(tmp_path: Path, poses: bytes) -> None:
+    with pytest.raises(FileError, match="array 'poses'"):
+        SmplReader().read(archive(tmp_path, poses))
+
+
+def test_bombs_are_refused_unopened(tmp_path: Path) -> None:
+    bomb = archive(tmp_path, header("(1000000, 66)") + bytes(1_000_000 * 66 * 8))
+    assert bomb.stat().st_size < 2**20
+    with pytest.raises(FileError, match="array 'poses': the arrays are larger than 128 MB"):
+        SmplReader().read(bomb)
+    other = archive(tmp_path, bytes(1000), zipfile.ZIP_BZIP2)
+    with pytest.raises(FileError, match="compressed in a way that is not read"):
+        SmplReader().read(other)
+    crowd = tmp_path / "crowd.npz"
+    with zipfile.ZipFile(crowd, "w") as file:
+        for index in range(1000):
+            file.writestr(f"a{index}.npy", b"")
+    with pytest.raises(FileError, match="more than 256 arrays"):
+        SmplReader().read(crowd)
+
+
+def test_what_is_no_archive(tmp_path: Path) -> None:
+    path = tmp_path / "clip.npz"
+    for content in (
+        b"",
+        b"PK\x03\x04",
+        b"PK\x05\x06" + bytes(18),
+        write_smpl(tmp_path).read_bytes()[:-30],
+    ):
+        path.write_bytes(content)
+        assert not SmplReader().recognises(content, path)
+        with pytest.raises(FileError):
+            SmplReader().read(path)

@@ -1,0 +1,239 @@
+"""This product's own formats: nothing is lost in NPZ, and CSV says what it needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from motion_files import walker, write_csv, write_npz
+
+from understudy import rotations
+from understudy.errors import FileError
+from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.table import CsvReader, NpzReader
+from understudy_motion.reading import UNSAID, ReadOptions
+from understudy_motion.writers.table import CsvWriter, NpzWriter
+
+CASES = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+#: Any text that a name may be; numpy's strings cannot end in NUL.
+TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+
+
+@st.composite
+def clips(draw: st.DrawFn) -> Clip:
+    """Any clip at all, with or without a skeleton."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    joints, frames = draw(st.integers(1, 8)), draw(st.integers(2, 9))
+    names = tuple(draw(st.lists(TEXTS, min_size=joints, max_size=joints, unique=True)))
+    skeleton = None
+    if draw(st.booleans()):
+        offsets = rng.normal(size=(joints, 3))
+        offsets[0] = 0.0
+        tipped = draw(st.lists(st.sampled_from(names), unique=True))
+        skeleton = Skeleton(
+            names,
+            (-1, *(int(rng.integers(0, joint)) for joint in range(1, joints))),
+            offsets,
+            {name: rng.normal(size=3) for name in tipped},
+        )
+    steps = torch.from_numpy(rng.uniform(1e-4, 1.0, frames - 1))
+    return Clip(
+        name=draw(TEXTS),
+        times=torch.cat((torch.zeros(1, dtype=torch.float64), steps.cumsum(0))),
+        root_position=torch.from_numpy(rng.normal(size=(frames, 3)) * 10.0 ** rng.integers(-3, 4)),
+        rotations=rotations.normalize(torch.from_numpy(rng.normal(size=(frames, joints, 4)))),
+        joint_names=names,
+        loop=draw(st.booleans()),
+        skeleton=skeleton,
+        source=draw(TEXTS),
+        licence=draw(TEXTS),
+        sha256=draw(TEXTS),
+        url=draw(TEXTS),
+        attribution=draw(TEXTS),
+    )
+
+
+@CASES
+@given(clip=clips())
+def test_npz_loses_nothing(tmp_path: Path, clip: Clip) -> None:
+    path = tmp_path / "clip.npz"
+    NpzWriter().write(clip, path)
+    back = NpzReader().read(path)
+    for name in (
+        "name",
+        "loop",
+        "joint_names",
+        "source",
+        "licence",
+        "sha256",
+        "url",
+        "attribution",
+    ):
+        assert getattr(back, name) == getattr(clip, name), name
+    assert torch.equal(back.times, clip.times)
+    assert torch.equal(back.root_position, clip.root_position)
+    torch.testing.assert_close(back.rotations, clip.rotations, rtol=0, atol=1e-15)
+    assert (back.skeleton is None) == (clip.skeleton is None)
+    if clip.skeleton is not None and back.skeleton is not None:
+        assert back.skeleton.parents == clip.skeleton.parents
+        assert back.skeleton.joint_names == clip.skeleton.joint_names
+        np.testing.assert_array_equal(back.skeleton.offsets, clip.skeleton.offsets)
+        assert list(back.skeleton.tips) == list(clip.skeleton.tips)
+        for joint, tip in clip.skeleton.tips.items():
+            np.testing.assert_array_equal(back.skeleton.tips[joint], tip)
+
+
+NAMES = st.text(
+    st.characters(codec="ascii", exclude_characters=',"# \0', min_codepoint=33), min_size=1
+)
+
+
+@CASES
+@given(clip=clips(), data=st.data())
+def test_csv_keeps_the_motion(tmp_path: Path, clip: Clip, data: st.DataObject) -> None:
+    joints = len(clip.joint_names)
+    names = tuple(data.draw(st.lists(NAMES, min_size=joints, max_size=joints, unique=True)))
+    path = tmp_path / "clip.csv"
+    CsvWriter().write(replace(clip, joint_names=names, skeleton=None), path)
+    back = CsvReader().read(path)
+    assert back.joint_names == names
+    assert back.loop == clip.loop
+    assert torch.equal(back.times, clip.times)
+    assert torch.equal(back.root_position, clip.root_position)
+    torch.testing.assert_close(back.rotations, clip.rotations, rtol=0, atol=1e-15)
+
+
+def test_npz_is_the_same_bytes_each_time(tmp_path: Path) -> None:
+    assert write_npz(tmp_path).read_bytes() == write_npz(tmp_path).read_bytes()
+
+
+def changed_npz(folder: Path, **changes: Any) -> Path:
+    with np.load(write_npz(folder)) as file:
+        arrays = dict(file)
+    arrays.update(changes)
+    path = folder / "changed.npz"
+    np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": "other.clip"}, "not of format 'understudy.clip' version 1"),
+        ({"version": 2}, "not of format 'understudy.clip' version 1"),
+        ({"times": None}, "the array 'times' is missing"),
+        (
+            {"times": np.arange(5.0)},
+            r"'root_position': its shape is \(6, 3\) and should be \(5, 3\)",
+        ),
+        ({"times": -np.arange(6.0)}, "time does not increase"),
+        ({"times": np.full(6, np.nan)}, "frame 0: 'times' is not finite"),
+        ({"joint_names": np.array(["a"])}, "'rotations': its shape"),
+        ({"joint_names": np.array(["hips"] * 6), "parents": None}, "'hips' is named twice"),
+        ({"loop": 1}, "'loop': holds int64 where true or false are needed"),
+        ({"name": 3}, "'name': holds int64 where text are needed"),
+        ({"rotations": np.zeros((6, 6, 4))}, "hips quaternion is not unit"),
+        ({"parents": np.array([-1, 0, 0, 3, 0, 4])}, "joint 'l_shin': its parent must come before"),
+        ({"parents": np.array([0, 0, 0, 2, 0, 4])}, "joint 'hips': its parent"),
+        ({"parents": np.array([-1, 0, 0, -9, 0, 4])}, "joint 'l_shin': its parent"),
+        ({"offsets": np.full((6, 3), 1e9)}, "joint 'hips': an offset is not a number of metres"),
+        ({"tip_joints": np.array(["a", "b", "c"])}, "a tip belongs to 'a', which is no joint"),
+    ],
+)
+def test_damage_of_npz_is_named(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    path = changed_npz(tmp_path, **changes)
+    with pytest.raises(FileError, match=message) as caught:
+        NpzReader().read(path)
+    assert str(path) in str(caught.value)
+
+
+CSV = """# made by hand
+# rate: 50
+# loop: true
+root.px,root.py,root.pz,pelvis.qw,pelvis.qx,pelvis.qy,pelvis.qz,knee.rx,knee.ry,knee.rz
+0,0,0.9,1,0,0,0,0,0.5,0
+0.1,0,0.9,1,0,0,0,0,0.7,0
+"""
+
+
+def read_csv(folder: Path, text: str, options: ReadOptions = UNSAID) -> Clip:
+    path = folder / "clip.csv"
+    path.write_text(text, newline="")
+    return CsvReader().read(path, options)
+
+
+def test_a_table_by_hand(tmp_path: Path) -> None:
+    clip = read_csv(tmp_path, CSV)
+    assert clip.joint_names == ("pelvis", "knee")
+    assert clip.frame_rate == pytest.approx(50.0)
+    assert clip.loop
+    assert clip.skeleton is None
+    assert rotations.to_exponential_map(clip.rotations[1, 1]).tolist() == pytest.approx([0, 0.7, 0])
+    assert clip.root_position[1].tolist() == [0.1, 0.0, 0.9]
+    assert read_csv(tmp_path, CSV, ReadOptions(rate=25.0, loop=False)).duration == 0.04
+    quoted = CSV.replace("knee.rx", '"knee.rx"')
+    assert read_csv(tmp_path, quoted).joint_names == ("pelvis", "knee")
+    spaced = CSV.replace(",", " , ").replace("\n", "\r\n") + "\r\n\r\n"
+    assert torch.equal(read_csv(tmp_path, spaced).rotations, clip.rotations)
+
+
+def test_columns_in_any_order(tmp_path: Path) -> None:
+    rows = [line.split(",") for line in CSV.splitlines()[3:]]
+    reordered = "\n".join(",".join(reversed(row)) for row in rows)
+    clip = read_csv(tmp_path, "# rate: 50\n" + reordered)
+    assert clip.joint_names == ("knee", "pelvis")
+    torch.testing.assert_close(clip.rotations[:, [1, 0]], read_csv(tmp_path, CSV).rotations)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("# rate: 50", "", r"neither a column 'time' nor a line '# rate: 60'; give motion\.rate"),
+        ("# rate: 50", "# rate: fast", "the rate 'fast' is no number"),
+        ("# rate: 50", "# rate: -1", "the rate '-1' is no number"),
+        ("# loop: true", "# loop: maybe", "'# loop:' is true or false, not 'maybe'"),
+        ("root.pz", "root.pw", "column 'root.pz' is missing"),
+        ("root.py", "root.px", "column 'root.px' is there twice"),
+        ("knee.rx", "knee.rw", "column 'knee.rw' is not known"),
+        ("knee.rx,", "", "joint 'knee' needs either .* and has ry, rz"),
+        ("pelvis.qw", "pelvis.rx", "joint 'pelvis' needs either"),
+        ("0.5,0\n", "0.5\n", "line 5: 10 numbers are needed, not 9"),
+        ("0.5,0\n", "x,0\n", "line 5: 'x' is not a number"),
+        ("0.5,0\n", ",0\n", "line 5: '' is not a number"),
+        ("0.1,0,0.9,1", "0.1,0,0.9,7", "frame 1: pelvis quaternion is not unit"),
+        ("0.1,0,0.9,1,0,0,0,0,0.7,0\n", "", "at least 2 frames and this one has 1"),
+    ],
+)
+def test_damage_of_csv_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in CSV
+    with pytest.raises(FileError, match=message) as caught:
+        read_csv(tmp_path, CSV.replace(old, new, 1))
+    assert str(tmp_path / "clip.csv") in str(caught.value)
+
+
+def test_a_table_without_a_rotation(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="no column has the root's rotation"):
+        read_csv(tmp_path, "time,root.px,root.py,root.pz\n0,0,0,0\n1,0,0,0\n")
+    with pytest.raises(FileError, match=r"column 'root\.px' is missing"):
+        read_csv(tmp_path, "")
+
+
+def test_the_licence_travels(tmp_path: Path) -> None:
+    assert CsvReader().read(write_csv(tmp_path)).licence == "CC0"
+    assert NpzReader().read(write_npz(tmp_path)).licence == "CC0"
+
+
+@pytest.mark.parametrize("name", ["a,b", 'a"b', "a#b", " a", "", "a\nb"])
+def test_names_that_csv_cannot_hold(tmp_path: Path, name: str) -> None:
+    clip = replace(walker(), joint_names=(name, *walker().joint_names[1:]), skeleton=None)
+    with pytest.raises(FileError, match="cannot be a column"):
+        CsvWriter().write(clip, tmp_path / "clip.csv")

@@ -1,0 +1,49 @@
+"""Writing by ending, all or nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from motion_files import walker
+
+import understudy_motion
+from understudy.errors import FileError
+from understudy.registry import Registrar, Registry
+from understudy_motion.reading import read_clip
+from understudy_motion.writing import write_clip
+
+
+@pytest.fixture(scope="module")
+def registry() -> Registry:
+    made = Registry()
+    understudy_motion.understudy_register(Registrar(made, "motion"))
+    return made
+
+
+@pytest.mark.parametrize("ending", ["bvh", "csv", "npz", "NPZ"])
+def test_what_is_written_is_read(tmp_path: Path, registry: Registry, ending: str) -> None:
+    path = tmp_path / f"walker.{ending}"
+    write_clip(walker(), path, registry)
+    torch.testing.assert_close(
+        read_clip(path, registry).root_position, walker().root_position, rtol=0, atol=1e-9
+    )
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_other_endings_are_refused(tmp_path: Path, registry: Registry) -> None:
+    with pytest.raises(FileError, match=r"no format is written to '\.xyz'.*\.bvh, \.csv, \.npz"):
+        write_clip(walker(), tmp_path / "walker.xyz", registry)
+    with pytest.raises(FileError, match="cannot be written"):
+        write_clip(walker(), tmp_path / "absent" / "walker.npz", registry)
+
+
+def test_a_failure_leaves_the_old_file(tmp_path: Path, registry: Registry) -> None:
+    path = tmp_path / "walker.bvh"
+    path.write_text("old")
+    with pytest.raises(FileError, match="has no skeleton"):
+        write_clip(replace(walker(), skeleton=None), path, registry)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
