@@ -9,6 +9,17 @@ from understudy.registry import Registrar
 REQUIRES = ("mujoco", "motion")
 
 _HERE = "understudy_humanoid"
+_CLIPS = {
+    "walk": "a generated walk, straight or along an arc",
+    "run": "a generated run",
+    "hop": "generated hops, on both legs or one",
+    "turn_left": "a generated turn to the left in place",
+    "turn_right": "a generated turn to the right in place",
+    "sit": "generated sitting down on a chair",
+    "stand": "generated standing up from a chair",
+    "cartwheel": "a generated cartwheel to the left",
+    "backflip": "a generated backflip",
+}
 
 
 @hookimpl
@@ -31,7 +42,8 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.parts:Fall",
         "a body that must not touches the floor",
     )
-    add("clip", "walk", f"{_HERE}.generated:generated_walk", "a generated walk")
+    for name, summary in _CLIPS.items():
+        add("clip", name, f"{_HERE}.generated:generated_{name}", summary)
 
 
 @hookimpl

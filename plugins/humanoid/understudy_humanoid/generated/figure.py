@@ -1,0 +1,184 @@
+"""The character as the generated clips see it: proportions, centre of mass, clips.
+
+A pose is each joint's rotation relative to its parent by the joint's name, the root's in the world;
+with the path of the root it is a motion. All arrays are float64 and run over F frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from understudy.errors import ConfigError
+from understudy_humanoid.character import BODIES, Body
+from understudy_motion.clip import Clip, Skeleton, sample
+
+Array: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
+Pose: TypeAlias = dict[str, Rotation]
+Side: TypeAlias = Literal["left", "right"]
+
+SIDES: tuple[Side, Side] = ("right", "left")
+#: 1 for what lies on the left, at positive y.
+SIGN: Mapping[Side, float] = {"left": 1.0, "right": -1.0}
+GRAVITY = 9.81
+
+ROWS = {row.name: row for row in BODIES}
+_JOINTS = [row for row in BODIES if row.joint is not None or row.parent is None]
+_NAMES = tuple(row.name for row in _JOINTS)
+_PARENTS = tuple(-1 if row.parent is None else _NAMES.index(row.parent) for row in _JOINTS)
+#: Times per second of a grid, at least.
+_FINENESS = 480.0
+
+
+def check(clip: str, least: float, most: float, **parameters: float) -> None:
+    """Raise a ConfigError that names the first of a clip's parameters outside [least, most]."""
+    for name, value in parameters.items():
+        if not least <= value <= most:
+            raise ConfigError(
+                f"{clip}: {name}={value:g} is not possible: "
+                f"it must be at least {least:g} and at most {most:g}."
+            )
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The times at which a motion is put together: finer than its frames, which are among them."""
+
+    seconds: float
+    times: Array  #: (F,) s, evenly spaced from 0; a cycle's end is left out
+    frames: NDArray[np.int64]  #: (n,) which of the times are frames
+    cyclic: bool  #: whether the motion repeats, its end being its beginning moved along x
+
+
+def grid(
+    clip: str, seconds: float, frame_rate: float, *, cyclic: bool = False, multiple: int = 1
+) -> Grid:
+    """The grid of a clip of so many seconds, with a whole `multiple` of steps between its frames.
+
+    Raises:
+        ConfigError: the frame rate is not between 10 and 1000 frames/s.
+    """
+    check(clip, 10.0, 1000.0, frame_rate=frame_rate)
+    steps = multiple * max(8, round(seconds * frame_rate / multiple))
+    fine = math.ceil(_FINENESS * seconds / steps)
+    times = np.linspace(0.0, seconds, steps * fine + 1)
+    chosen = np.arange(0, steps * fine + 1, fine)
+    return (
+        Grid(seconds, times[:-1], chosen[:-1], True)
+        if cyclic
+        else Grid(seconds, times, chosen, False)
+    )
+
+
+def turns(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike) -> Rotation:
+    """Turns about z, then the turned y, then the turned x; degrees, (F,) or one for all."""
+    angles = np.broadcast_arrays(*np.atleast_1d(yaw, pitch, roll))
+    return Rotation.from_euler("ZYX", np.stack(angles, axis=1), degrees=True)
+
+
+def about_y(angle: Array) -> Rotation:
+    """Turns about y by (F,) rad."""
+    return Rotation.from_rotvec(angle[:, None] * [0.0, 1.0, 0.0])
+
+
+def trunk(pelvis: Rotation, thorax: Rotation, head: Rotation) -> Pose:
+    """The pose of the trunk from its parts' rotations in one frame, the world if it is that."""
+    return {"root": pelvis, "chest": pelvis.inv() * thorax, "neck": thorax.inv() * head}
+
+
+def links(root: Array, pose: Pose) -> tuple[Array, list[Rotation]]:
+    """World places of all links' mass centres (L, F, 3) m and their rotations, in table order."""
+    origins: dict[str, Array] = {}
+    turned: dict[str, Rotation] = {}
+    for row in BODIES:
+        if row.parent is None:
+            origins[row.name], turned[row.name] = root, pose[row.name]
+            continue
+        above = turned[row.parent]
+        origins[row.name] = origins[row.parent] + above.apply(row.offset)
+        turned[row.name] = above * pose[row.name] if row.name in pose else above
+    centres = [origins[row.name] + turned[row.name].apply(row.centre) for row in BODIES]
+    return np.stack(centres), [turned[row.name] for row in BODIES]
+
+
+MASSES = np.array([row.mass for row in BODIES])
+
+
+def centre_of_mass(root: Array, pose: Pose) -> Array:
+    """(F, 3) m, world."""
+    return np.einsum("l,lfk->fk", MASSES / MASSES.sum(), links(root, pose)[0])
+
+
+def pitching(times: Array, root: Array, pose: Pose) -> tuple[Array, Array]:
+    """Angular momentum (F,) kg m^2/s and inertia (F,) kg m^2 about the y axis through the centre of
+    mass, of a motion in which all joints turn about y."""
+    places, turned = links(root, pose)
+    arms = places - np.einsum("l,lfk->fk", MASSES / MASSES.sum(), places)
+    speeds = np.gradient(arms, times, axis=1)
+    pitch = np.stack([np.unwrap(_pitch_of(each)) for each in turned])
+    own = np.array([_inertia(row) for row in BODIES])[:, None]
+    mass = MASSES[:, None]
+    moment = mass * (arms[..., 2] * speeds[..., 0] - arms[..., 0] * speeds[..., 2])
+    momentum = (moment + own * np.gradient(pitch, times, axis=1)).sum(axis=0)
+    return momentum, (mass * (arms[..., 0] ** 2 + arms[..., 2] ** 2) + own).sum(axis=0)
+
+
+def _pitch_of(rotation: Rotation) -> Array:
+    """The turn about y, (F,) rad, of the rotated x axis in the xz plane."""
+    x = rotation.apply([1.0, 0.0, 0.0])
+    return np.arctan2(-x[:, 2], x[:, 0])
+
+
+def _inertia(row: Body) -> float:
+    """A link's moment of inertia about the y axis through its centre, kg m^2."""
+    if row.shape == "box":
+        return row.mass / 3.0 * (row.size[0] ** 2 + row.size[2] ** 2)
+    radius, half = row.size if row.shape == "capsule" else (row.size[0], 0.0)
+    # A cylinder between two half spheres, of volumes in this proportion.
+    cylinder = row.mass * half / (half + 2.0 / 3.0 * radius)
+    ends = row.mass - cylinder
+    return cylinder * (radius**2 / 4.0 + half**2 / 3.0) + ends * (
+        0.4 * radius**2 + 0.75 * half * radius + half**2
+    )
+
+
+def make_clip(
+    name: str, grid: Grid, root: Array, pose: Pose, *, loop: bool = False, advance: float = 0.0
+) -> Clip:
+    """The clip of a motion on a grid; a cyclic one ends `advance` m ahead along x of where it began."""
+    times, chosen = grid.times[grid.frames], grid.frames
+    root = root[chosen]
+    if grid.cyclic:
+        times, chosen = np.append(times, grid.seconds), np.append(chosen, 0)
+        root = np.vstack([root, root[:1] + np.array([advance, 0.0, 0.0])])
+    quaternions = [pose[joint].as_quat(scalar_first=True)[chosen] for joint in _NAMES]
+    return Clip(
+        name=name,
+        times=torch.from_numpy(times),
+        root_position=torch.from_numpy(root),
+        rotations=torch.from_numpy(np.stack(quaternions, axis=1)),
+        joint_names=_NAMES,
+        loop=loop or grid.cyclic,
+        skeleton=Skeleton(_NAMES, _PARENTS, np.array([row.offset for row in _JOINTS])),
+        source="generated",
+        licence="Apache-2.0 (generated)",
+    )
+
+
+def only_key_poses(clip: Clip, times: Sequence[float]) -> Clip:
+    """Nothing but the poses of `clip` at `times`, s, of which the first and the last are its ends.
+
+    Whoever plays it interpolates between a handful of poses: feet slide and nothing is ballistic, as
+    in an animation of few keys.
+    """
+    at = torch.tensor(times, dtype=torch.float64)
+    position, rotation = sample(replace(clip, loop=False), at)
+    return replace(clip, times=at, root_position=position, rotations=rotation)
