@@ -260,6 +260,7 @@ def _save_recording(
 ) -> None:
     """Write ``recording.npz``: the `tracks` (T, …), ``control_dt`` in s between their frames, and
     ``first_episode``, how many of the frames came before the world's first ending."""
+    arrays: dict[str, Any] = {"control_dt": control_dt, "first_episode": first_episode, **tracks}
     file = io.BytesIO()
-    np.savez(file, allow_pickle=False, control_dt=control_dt, first_episode=first_episode, **tracks)
+    np.savez(file, **arrays)
     checkpoint.write_atomically(run.path / "recording.npz", file.getvalue())

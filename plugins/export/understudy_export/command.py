@@ -1,0 +1,189 @@
+"""``understudy export``: a run's motion, or a clip, as a file of any format that is written."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import typing
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from understudy.errors import ConfigError, FileError
+from understudy.interfaces import Command
+from understudy.plugins import installed
+from understudy.registry import Registry
+from understudy_characters.character import Character, load_character
+from understudy_characters.recording import recorded_clips, run_character
+from understudy_characters.shapes import shapes
+from understudy_export.wearing import fitting_character, worn
+from understudy_motion import library
+from understudy_motion.clip import Clip, resample, sample
+from understudy_motion.reading import MAX_ROTATIONS, Axis, ReadOptions, Unit, read_clip
+from understudy_motion.writing import write_clip
+
+BONES = "none"
+
+
+class Export(Command):
+    """Writes the learned motion of a run, or a clip, as a file; its ending says of which format."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("source", help="a run folder, a clip file, or a clip's name")
+        parser.add_argument(
+            "destination", type=Path, help="the file to write, such as walk.glb, .usdc or .bvh"
+        )
+        parser.add_argument(
+            "--reference", action="store_true", help="the motion that the run learned from"
+        )
+        parser.add_argument(
+            "--character",
+            metavar="NAME",
+            help="whose shapes are shown: a character, an MJCF file, or none for bones; by default "
+            "the run's, or the one that the clip fits",
+        )
+        parser.add_argument("--rate", type=_positive, metavar="HZ", help="frames per second")
+        length = parser.add_mutually_exclusive_group()
+        length.add_argument(
+            "--seconds",
+            type=_positive,
+            help="how much from the beginning; a looping clip goes on as long as that",
+        )
+        length.add_argument("--cycles", type=_count, help="how many cycles of a looping clip")
+        reading = parser.add_argument_group("what a clip file may leave unsaid")
+        reading.add_argument("--unit", choices=typing.get_args(Unit), help="of its lengths")
+        reading.add_argument("--up", choices=typing.get_args(Axis), help="its vertical axis")
+        reading.add_argument(
+            "--skeleton", type=Path, metavar="FILE", help="the ASF file of an AMC file"
+        )
+        reading.add_argument(
+            "--loop", action=argparse.BooleanOptionalAction, help="whether it repeats"
+        )
+        reading.add_argument(
+            "--source-rate", type=_positive, metavar="HZ", help="frames per second of the file"
+        )
+
+    def run(self, options: argparse.Namespace) -> int:
+        registry = installed().registry
+        clip, character = _moving(options, registry)
+        if options.character == BONES:
+            character = None
+        elif options.character is not None:
+            character = load_character(options.character, registry)
+        if character is not None:
+            clip = worn(clip, character)
+        clip = timed(clip, rate=options.rate, seconds=options.seconds, cycles=options.cycles)
+        surface = [] if character is None else shapes(character)
+        write_clip(clip, options.destination, registry, surface)
+        print(_summary(clip, options.destination, character))
+        return 0
+
+
+def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Character | None]:
+    """What the command's arguments name, and the character that it moves."""
+    path = Path(options.source)
+    if path.is_dir():
+        learned, reference = recorded_clips(path)
+        clip = reference if options.reference else learned
+        if clip is None:
+            raise FileError(f"{path}: its task has no reference motion to export.")
+        return clip, run_character(path)
+    if options.reference:
+        raise ConfigError(f"--reference is not possible: {path} is no run folder.")
+    reading = ReadOptions(
+        unit=options.unit,
+        up=options.up,
+        skeleton=options.skeleton,
+        loop=options.loop,
+        rate=options.source_rate,
+    )
+    if path.is_file() or path.suffix or len(path.parts) > 1:
+        clip = read_clip(path, registry, reading)
+    else:
+        clip = library.load(options.source, None, registry, options=reading)
+    return clip, fitting_character(clip, registry)
+
+
+def timed(
+    clip: Clip,
+    *,
+    rate: float | None = None,
+    seconds: float | None = None,
+    cycles: int | None = None,
+) -> Clip:
+    """`clip` at another rate and of another length; None leaves it as it is.
+
+    Args:
+        clip: the clip.
+        rate: frames per second; of whole cycles the nearest that makes them end on a frame.
+        seconds: at most so many from the beginning; a looping clip goes on over its end.
+        cycles: this many of a looping clip, each one where the one before left off.
+
+    Raises:
+        FileError: cycles of a clip that does not loop, too little time, or too many frames.
+    """
+    if cycles is not None:
+        clip = _repeated(clip, cycles)
+    if seconds is None and rate is None:
+        return clip
+    rate = rate or clip.frame_rate
+    if seconds is None and clip.loop:
+        _check_frames(clip, clip.duration * rate)
+        return resample(clip, rate)
+    length = min(seconds or clip.duration, math.inf if clip.loop else clip.duration)
+    _check_frames(clip, length * rate)
+    steps = math.floor(length * rate + 1e-6)
+    if steps < 1:
+        raise FileError(
+            f"Clip {clip.source}: {length:g} s at {rate:g} Hz are less than two frames; give more "
+            "--seconds or a higher --rate."
+        )
+    times = torch.arange(steps + 1, dtype=torch.float64) / rate
+    position, rotation = sample(clip, times)
+    return replace(clip, times=times, root_position=position, rotations=rotation, loop=False)
+
+
+def _repeated(clip: Clip, cycles: int) -> Clip:
+    """`cycles` of `clip` at its own frames; together they loop again."""
+    if not clip.loop:
+        raise FileError(
+            f"Clip {clip.source}: it does not loop, so it has no cycles to repeat; --seconds cuts it."
+        )
+    _check_frames(clip, cycles * clip.num_frames)
+    starts = clip.duration * torch.arange(cycles, dtype=torch.float64)
+    times = torch.cat(((starts[:, None] + clip.times[:-1]).flatten(), cycles * clip.times[-1:]))
+    position, rotation = sample(clip, times)
+    return replace(clip, times=times, root_position=position, rotations=rotation)
+
+
+def _check_frames(clip: Clip, frames: float) -> None:
+    if frames * len(clip.joint_names) > MAX_ROTATIONS:
+        raise FileError(
+            f"Clip {clip.source}: at this rate and length it has too many frames (times joints at "
+            f"most {MAX_ROTATIONS}); give a lower --rate, fewer --seconds or fewer --cycles."
+        )
+
+
+def _summary(clip: Clip, destination: Path, character: Character | None) -> str:
+    parts = [
+        f"{clip.num_frames} frames at {clip.frame_rate:g} Hz",
+        f"{clip.duration:.2f} s{', looping' if clip.loop else ''}",
+        f"{len(clip.joint_names)} joints{f' of {character.name}' if character else ''}",
+        f"licence: {clip.licence}",
+    ]
+    return f"{destination}: {' · '.join(parts)}"
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return value
