@@ -10,3 +10,4 @@ REQUIRES = ("mujoco", "motion")
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.kind("character", "makes the MJCF model specification of a character")
+    register.kind("overlay", "what is drawn over the recorded motion of a run")

@@ -41,7 +41,12 @@ def load_character(named: str, registry: Registry) -> Character:
     if named in registry.names("character"):
         return Character(named, registry.find("character", named).factory().compile())
     if Path(named).suffix == ".xml":
-        return Character(Path(named).stem, MjcfFile(MjcfFile.Options(named)).spec().compile())
+        spec = MjcfFile(MjcfFile.Options(named)).spec()
+        try:
+            return Character(Path(named).stem, spec.compile())
+        except (ValueError, mujoco.FatalError) as error:
+            reason = str(error).strip().splitlines()[0]
+            raise FileError(f"The model {named} does not compile: {reason}") from error
     known = registry.names("character")
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF "
@@ -61,6 +66,57 @@ class Joint:
         np.ndarray
     )  #: (K, 3) of its hinges, in the body's frame; empty for a ball and for the root
     ranges: np.ndarray  #: (K, 2) rad of its hinges, infinite where unlimited
+
+    def angles(self, turned: Tensor) -> Tensor:
+        """(F, K) rad: the angles at which its hinges turn by `turned` (F, 4), in the body's frame, or
+        near to it.
+
+        Of equivalent angles those within the hinges' ranges; without ranges, those that go on from
+        the frame before.
+
+        Raises:
+            ConfigError: there are three hinges, not at right angles one to the next.
+        """
+        axes = torch.from_numpy(self.axes)
+        if len(axes) == 1:
+            angles = rotations.twist_angle(turned, axes[0])[:, None].numpy()
+        elif len(axes) == 2:
+            angles = _two_angles(turned, axes[0], axes[1])
+        else:
+            angles = self._three_angles(turned)
+        unlimited = ~np.isfinite(self.ranges[:, 0])
+        angles[:, unlimited] = np.unwrap(angles[:, unlimited], axis=0)
+        return torch.from_numpy(self._near_ranges(angles))
+
+    def _three_angles(self, turned: Tensor) -> np.ndarray:
+        first, second, third = self.axes
+        if abs(first @ second) > 1e-6 or abs(second @ third) > 1e-6:
+            raise ConfigError(
+                f"The hinges of body '{self.name}' are not at right angles to one another; a clip "
+                "cannot be mapped on them."
+            )
+        turn = Rotation.from_quat(turned.numpy(), scalar_first=True)
+        angles = turn.as_davenport(self.axes, "intrinsic")
+        # Half a turn about the first and the third axis is one about the second and its mirror image.
+        between = np.arctan2(np.cross(first, third) @ second, first @ third)
+        other = np.stack(
+            (angles[:, 0] + np.pi, -angles[:, 1] - 2.0 * between, angles[:, 2] + np.pi), axis=1
+        )
+        better = self._excess(other) < self._excess(angles) - 1e-9
+        return np.where(better[:, None], other, angles)
+
+    def _near_ranges(self, angles: np.ndarray) -> np.ndarray:
+        """The angles, whole turns added so that they are nearest to the middle of their range."""
+        limited = np.isfinite(self.ranges[:, 0])
+        middle = np.where(limited[:, None], self.ranges, 0.0).mean(axis=1)
+        turns = np.round((angles - middle) / (2.0 * np.pi))
+        return np.where(limited, angles - 2.0 * np.pi * turns, angles)
+
+    def _excess(self, angles: np.ndarray) -> np.ndarray:
+        """(F,) rad: by how much the angles are out of their ranges."""
+        near = self._near_ranges(angles)
+        beyond = np.maximum(self.ranges[:, 0] - near, near - self.ranges[:, 1])
+        return np.clip(beyond, 0.0, None).sum(axis=1)
 
 
 class Character:
@@ -177,20 +233,25 @@ class Character:
         return (point - self.data.xpos[self.root]) @ root
 
     @cached_property
-    def geoms(self) -> tuple[Geom, ...]:
-        """The figure's geoms in the zero pose; those that collide, if any does."""
+    def shown(self) -> tuple[Geom, ...]:
+        """All geoms of the figure, in the zero pose."""
         model, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_kinematics(model, data)
-        own = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in self.carrier]
-        colliding = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+        bodies = [int(body) for body in model.geom_bodyid]
         return tuple(
-            Geom(
-                g,
-                self.carrier[int(model.geom_bodyid[g])],
-                self._in_root(data.geom_xpos[g]),
-            )
-            for g in colliding or own
+            Geom(geom, self.carrier[body], self._in_root(data.geom_xpos[geom]))
+            for geom, body in enumerate(bodies)
+            if body in self.carrier
         )
+
+    @cached_property
+    def geoms(self) -> tuple[Geom, ...]:
+        """Of these the ones that collide, if any does."""
+        model = self.model
+        colliding = tuple(
+            g for g in self.shown if model.geom_contype[g.id] or model.geom_conaffinity[g.id]
+        )
+        return colliding or self.shown
 
     # ------------------------------------------------------------------ clip and qpos
 
@@ -224,7 +285,7 @@ class Character:
                 start = joint.addresses[0]
                 result[:, start : start + 4] = turned
             else:
-                result[:, list(joint.addresses)] = _hinge_angles(turned, joint)
+                result[:, list(joint.addresses)] = joint.angles(turned)
         return result
 
     def clip(
@@ -319,18 +380,11 @@ class Geom:
     centre: np.ndarray
 
 
-def _hinge_angles(turned: Tensor, joint: Joint) -> Tensor:
-    """(F, K) rad: the angles of up to three hinges that turn by `turned` (F, 4), or nearest to it."""
-    axes = torch.from_numpy(joint.axes)
-    if len(axes) == 1:
-        return rotations.twist_angle(turned, axes[0])[:, None]
-    full = joint.axes
-    if len(axes) == 2:
-        full = np.vstack([full, np.cross(full[0], full[1])])
-    if abs(full[0] @ full[1]) > 1e-6 or abs(full[1] @ full[2]) > 1e-6:
-        raise ConfigError(
-            f"The hinges of body '{joint.name}' are not at right angles to one another; a clip "
-            "cannot be mapped on them."
-        )
-    angles = Rotation.from_quat(turned.numpy(), scalar_first=True).as_davenport(full, "intrinsic")
-    return torch.from_numpy(np.unwrap(angles, axis=0)[:, : len(axes)].copy())
+def _two_angles(turned: Tensor, first: Tensor, second: Tensor) -> np.ndarray:
+    """(F, 2) rad: of two hinges, from where the second axis gets to; exact where they can turn so."""
+    moved = rotations.rotate(turned, second)
+    level = moved - (moved @ first)[:, None] * first
+    across = torch.linalg.cross(first, second)
+    angle = torch.atan2(level @ across, level @ second - (second @ first) * (level @ first))
+    undone = rotations.multiply(rotations.from_axis_angle(first, -angle), turned)
+    return torch.stack((angle, rotations.twist_angle(undone, second)), dim=1).numpy()

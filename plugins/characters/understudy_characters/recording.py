@@ -89,7 +89,7 @@ def _character(experiment: Experiment) -> Character:
     name = experiment.scene.component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
-    return Character(name, scene.compiled(context))
+    return Character(name, scene.shown().compile())
 
 
 def _about(run: Run) -> dict[str, str]:

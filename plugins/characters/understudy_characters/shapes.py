@@ -1,17 +1,23 @@
-"""What a character looks like: a triangle mesh of each geom, fixed to the joint that carries it."""
+"""What a figure looks like: a character's geoms, or bones, as triangle meshes fixed to its joints."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
 import trimesh
 
-from understudy_characters.character import Character
+from understudy_characters.character import Character, Geom
+from understudy_motion.clip import Skeleton
 from understudy_motion.writing import Shape
 
+#: Metres across that mark a joint from which no bone leads on.
+MARKER = 0.02
 
-def shapes(character: Character) -> list[Shape]:
-    """The geoms of `character` as triangle meshes in the frames of its clips' joints.
+
+def shapes(character: Character, geoms: Sequence[Geom] | None = None) -> list[Shape]:
+    """The `geoms` of `character`, by default all, as triangle meshes in the frames of its joints.
 
     Curved geoms are tessellated, about 300 triangles each. Their colours are the model's.
     """
@@ -20,7 +26,7 @@ def shapes(character: Character) -> list[Shape]:
     mujoco.mj_kinematics(model, data)
     root = data.xmat[character.root].reshape(3, 3)
     result = []
-    for geom in character.geoms:
+    for geom in character.shown if geoms is None else geoms:
         mesh = _mesh(character, geom.id)
         turn = root.T @ data.geom_xmat[geom.id].reshape(3, 3)
         centre = geom.centre - character.rest_positions[geom.joint]
@@ -32,7 +38,7 @@ def shapes(character: Character) -> list[Shape]:
                 character.joint_names[geom.joint],
                 mesh.vertices @ turn.T + centre,
                 np.asarray(mesh.faces),
-                tuple(float(c) for c in colour),
+                (float(colour[0]), float(colour[1]), float(colour[2]), float(colour[3])),
             )
         )
     return result
@@ -57,3 +63,38 @@ def _mesh(character: Character, geom: int) -> trimesh.Trimesh:
         return mesh
     vertices, faces = character.mesh(geom)
     return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def bones(skeleton: Skeleton) -> Iterator[Shape]:
+    """Octahedra from each joint to those that hang on it and to its tip, else a small one about it."""
+    ends: dict[int, list[np.ndarray]] = {row: [] for row in range(len(skeleton.joint_names))}
+    for joint, parent in enumerate(skeleton.parents[1:], start=1):
+        ends[parent].append(skeleton.offsets[joint])
+    for name, tip in skeleton.tips.items():
+        ends[skeleton.joint_names.index(name)].append(np.asarray(tip))
+    for row, name in enumerate(skeleton.joint_names):
+        long = [end for end in ends[row] if np.linalg.norm(end) > MARKER]
+        for end in long:
+            yield _octahedron(name, np.zeros(3), end, waist=0.2, width=0.2)
+        if not long:
+            half = np.array([0.0, 0.0, 0.5 * MARKER])
+            yield _octahedron(name, -half, half, waist=0.5, width=1.0)
+
+
+def _octahedron(
+    joint: str, start: np.ndarray, end: np.ndarray, *, waist: float, width: float
+) -> Shape:
+    """From `start` to `end`; its square waist lies at the share `waist` of its length and is as wide
+    as the share `width` of it."""
+    along = end - start
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    across *= 0.5 * width * np.linalg.norm(along) / np.linalg.norm(across)
+    beside = np.cross(along, across) / np.linalg.norm(along)
+    middle = start + waist * along
+    ring = [middle + across, middle + beside, middle - across, middle - beside]
+    faces = [
+        face
+        for first, second in ((1, 2), (2, 3), (3, 4), (4, 1))
+        for face in ((0, second, first), (5, first, second))
+    ]
+    return Shape(joint, np.array([start, *ring, end]), np.array(faces))

@@ -4,9 +4,11 @@ from understudy import hookimpl
 from understudy.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ('characters',)
+REQUIRES = ("characters", "motion")
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    register.component(
+        "command", "motion check", "understudy_doctor.command:Check", "examine and repair a clip"
+    )

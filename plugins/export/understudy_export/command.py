@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import typing
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +14,12 @@ from understudy.interfaces import Command
 from understudy.plugins import installed
 from understudy.registry import Registry
 from understudy_characters.character import Character, load_character
+from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import recorded_clips, run_character
 from understudy_characters.shapes import shapes
-from understudy_export.wearing import fitting_character, worn
-from understudy_motion import library
+from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.clip import Clip, resample, sample
-from understudy_motion.reading import MAX_ROTATIONS, Axis, ReadOptions, Unit, read_clip
+from understudy_motion.reading import MAX_ROTATIONS
 from understudy_motion.writing import write_clip
 
 BONES = "none"
@@ -43,26 +42,15 @@ class Export(Command):
             help="whose shapes are shown: a character, an MJCF file, or none for bones; by default "
             "the run's, or the one that the clip fits",
         )
-        parser.add_argument("--rate", type=_positive, metavar="HZ", help="frames per second")
+        parser.add_argument("--rate", type=positive, metavar="HZ", help="frames per second")
         length = parser.add_mutually_exclusive_group()
         length.add_argument(
             "--seconds",
-            type=_positive,
+            type=positive,
             help="how much from the beginning; a looping clip goes on as long as that",
         )
         length.add_argument("--cycles", type=_count, help="how many cycles of a looping clip")
-        reading = parser.add_argument_group("what a clip file may leave unsaid")
-        reading.add_argument("--unit", choices=typing.get_args(Unit), help="of its lengths")
-        reading.add_argument("--up", choices=typing.get_args(Axis), help="its vertical axis")
-        reading.add_argument(
-            "--skeleton", type=Path, metavar="FILE", help="the ASF file of an AMC file"
-        )
-        reading.add_argument(
-            "--loop", action=argparse.BooleanOptionalAction, help="whether it repeats"
-        )
-        reading.add_argument(
-            "--source-rate", type=_positive, metavar="HZ", help="frames per second of the file"
-        )
+        add_reading(parser)
 
     def run(self, options: argparse.Namespace) -> int:
         registry = installed().registry
@@ -91,17 +79,7 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
         return clip, run_character(path)
     if options.reference:
         raise ConfigError(f"--reference is not possible: {path} is no run folder.")
-    reading = ReadOptions(
-        unit=options.unit,
-        up=options.up,
-        skeleton=options.skeleton,
-        loop=options.loop,
-        rate=options.source_rate,
-    )
-    if path.is_file() or path.suffix or len(path.parts) > 1:
-        clip = read_clip(path, registry, reading)
-    else:
-        clip = library.load(options.source, None, registry, options=reading)
+    clip = open_clip(options.source, options, registry)
     return clip, fitting_character(clip, registry)
 
 
@@ -173,13 +151,6 @@ def _summary(clip: Clip, destination: Path, character: Character | None) -> str:
         f"licence: {clip.licence}",
     ]
     return f"{destination}: {' · '.join(parts)}"
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
 
 
 def _count(text: str) -> int:

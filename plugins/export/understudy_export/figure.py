@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import trimesh
 
+from understudy_characters.shapes import bones
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.kinematics import need_skeleton
 from understudy_motion.writing import Shape
@@ -20,8 +21,6 @@ Colour = tuple[float, float, float, float]
 SHARP = np.pi / 5
 #: Metres from the origin up to which float32 keeps a root position to a micrometre.
 NEAR = 8.0
-#: Metres across that mark a joint from which no bone leads on.
-MARKER = 0.02
 
 
 @dataclass(frozen=True)
@@ -86,41 +85,6 @@ def _shaded(shape: Shape) -> trimesh.Trimesh:
     """The shape with its vertices doubled along sharp edges, so that each has one normal."""
     mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
     return trimesh.graph.smooth_shade(mesh, angle=SHARP)
-
-
-def bones(skeleton: Skeleton) -> Iterator[Shape]:
-    """Octahedra from each joint to those that hang on it and to its tip, else a small one about it."""
-    ends: dict[int, list[np.ndarray]] = {row: [] for row in range(len(skeleton.joint_names))}
-    for joint, parent in enumerate(skeleton.parents[1:], start=1):
-        ends[parent].append(skeleton.offsets[joint])
-    for name, tip in skeleton.tips.items():
-        ends[skeleton.joint_names.index(name)].append(np.asarray(tip))
-    for row, name in enumerate(skeleton.joint_names):
-        long = [end for end in ends[row] if np.linalg.norm(end) > MARKER]
-        for end in long:
-            yield _octahedron(name, np.zeros(3), end, waist=0.2, width=0.2)
-        if not long:
-            half = np.array([0.0, 0.0, 0.5 * MARKER])
-            yield _octahedron(name, -half, half, waist=0.5, width=1.0)
-
-
-def _octahedron(
-    joint: str, start: np.ndarray, end: np.ndarray, *, waist: float, width: float
-) -> Shape:
-    """From `start` to `end`; its square waist lies at the share `waist` of its length and is as wide
-    as the share `width` of it."""
-    along = end - start
-    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    across *= 0.5 * width * np.linalg.norm(along) / np.linalg.norm(across)
-    beside = np.cross(along, across) / np.linalg.norm(along)
-    middle = start + waist * along
-    ring = [middle + across, middle + beside, middle - across, middle - beside]
-    faces = [
-        face
-        for first, second in ((1, 2), (2, 3), (3, 4), (4, 1))
-        for face in ((0, second, first), (5, first, second))
-    ]
-    return Shape(joint, np.array([start, *ring, end]), np.array(faces))
 
 
 def origin(clip: Clip) -> np.ndarray:

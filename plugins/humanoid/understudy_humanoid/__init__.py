@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("mujoco", "motion")
+REQUIRES = ("mujoco", "motion", "characters")
 
 _HERE = "understudy_humanoid"
 _CLIPS = {
@@ -42,6 +42,8 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.parts:Fall",
         "a body that must not touches the floor",
     )
+    add("character", "humanoid", f"{_HERE}.character:build_humanoid", "the humanoid, 45 kg")
+    add("character", "jumper", f"{_HERE}.jumper:build_jumper", "a stronger humanoid, 60 kg")
     for name, summary in _CLIPS.items():
         add("clip", name, f"{_HERE}.generated:generated_{name}", summary)
 

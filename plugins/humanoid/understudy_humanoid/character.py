@@ -7,7 +7,7 @@ the arms hanging. Lengths in m, masses in kg, angles in rad, torques in N m.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,7 +21,7 @@ class Joint:
     """A joint and its actuator: stable PD with gains `kp`, `kd`, limited to `torque`."""
 
     kind: Literal["ball", "hinge"]
-    torque: float
+    torque: float | Vector  #: of a ball joint one for all axes, or one about each
     kp: float
     kd: float
     axis: Vector = (0.0, 1.0, 0.0)
@@ -151,8 +151,15 @@ _SHAPES = {
 }
 
 
-def build_spec(*, timestep: float = 1 / 600, self_collision: bool = False) -> mujoco.MjSpec:
-    """The humanoid on a floor, as a model specification to be compiled or added to.
+def build_spec(
+    *,
+    timestep: float = 1 / 600,
+    self_collision: bool = False,
+    bodies: Sequence[Body] = BODIES,
+    name: str = "humanoid",
+) -> mujoco.MjSpec:
+    """The humanoid on a floor, or another character of these `bodies` and standing height, as a model
+    specification to be compiled or added to.
 
     Actuators are position servos on exponential maps (ball) and angles (hinge), three or one a
     joint in table order. Their velocity gain is ``kd + kp * timestep``: with implicit integration of
@@ -160,7 +167,7 @@ def build_spec(*, timestep: float = 1 / 600, self_collision: bool = False) -> mu
     position one step ahead, ``q + timestep * qdot``.
     """
     spec = mujoco.MjSpec()
-    spec.modelname = "humanoid"
+    spec.modelname = name
     spec.compiler.degree = False
     option = spec.option
     option.timestep = timestep
@@ -174,8 +181,15 @@ def build_spec(*, timestep: float = 1 / 600, self_collision: bool = False) -> mu
     )
     floor.contype, floor.conaffinity, floor.condim = 1, 2, 3
     floor.friction = [1.0, 0.005, 0.0001]
-    add_character(spec, self_collision=self_collision)
+    add_character(spec, self_collision=self_collision, bodies=bodies)
     _add_sun(spec)
+    return spec
+
+
+def build_humanoid() -> mujoco.MjSpec:
+    """The humanoid as it is seen."""
+    spec = build_spec()
+    add_trunk(spec)
     return spec
 
 
@@ -186,10 +200,11 @@ def add_character(
     colour: tuple[float, float, float, float] = COLOUR,
     collides: bool = True,
     self_collision: bool = False,
+    bodies: Sequence[Body] = BODIES,
 ) -> None:
     """Add the character's bodies, and actuators if it `collides`, with names after `prefix`."""
     made: dict[str, mujoco.MjsBody] = {}
-    for row in BODIES:
+    for row in bodies:
         parent = spec.worldbody if row.parent is None else made[row.parent]
         offset = row.offset if row.parent is not None else (0, 0, STANDING_HEIGHT)
         body = made[row.name] = parent.add_body(name=prefix + row.name, pos=offset)
@@ -244,6 +259,7 @@ def _add_joint(
     if not actuated:
         return
     damping = row.kd + row.kp * spec.option.timestep
+    torques = row.torque if isinstance(row.torque, tuple) else (row.torque,) * 3
     for i in range(3 if ball else 1):
         actuator = spec.add_actuator(
             name=f"{name}_{'xyz'[i]}" if ball else name,
@@ -252,7 +268,7 @@ def _add_joint(
             gaintype=mujoco.mjtGain.mjGAIN_FIXED,
             biastype=mujoco.mjtBias.mjBIAS_AFFINE,
             forcelimited=True,
-            forcerange=[-row.torque, row.torque],
+            forcerange=[-torques[i], torques[i]],
         )
         actuator.gear = (
             [float(i == k) for k in range(3)] + [0, 0, 0] if ball else [1, 0, 0, 0, 0, 0]

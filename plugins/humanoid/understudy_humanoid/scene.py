@@ -30,7 +30,7 @@ _BESIDE = 1.2
 class HumanoidScene(MujocoScene):
     """One 34-DoF humanoid on an infinite floor."""
 
-    recorded = ("qpos", "reference_qpos")
+    recorded = ("qpos", "reference_qpos", "phase")
 
     @dataclass(frozen=True)
     class Options:
@@ -42,6 +42,11 @@ class HumanoidScene(MujocoScene):
 
     def spec(self) -> mujoco.MjSpec:
         return build_spec(timestep=self._timestep, self_collision=self._options.self_collision)
+
+    def shown(self) -> mujoco.MjSpec:
+        spec = self.spec()
+        add_trunk(spec)
+        return spec
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -55,8 +60,7 @@ class HumanoidScene(MujocoScene):
         self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
     ) -> Iterator[np.ndarray]:
         """The recorded motion in warm colours, its reference beside it in green."""
-        spec = self.spec()
-        add_trunk(spec)
+        spec = self.shown()
         beside = "reference_qpos" in tracks
         if beside:
             add_character(spec, prefix="reference_", colour=REFERENCE_COLOUR, collides=False)

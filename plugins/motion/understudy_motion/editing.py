@@ -12,12 +12,17 @@ from torch import Tensor
 
 from understudy import rotations
 from understudy.errors import ConfigError
-from understudy_motion.clip import Clip, align_signs, cycle_transform, sample, velocities
+from understudy_motion.clip import Clip, align_signs, cycle_transform, resample, sample, velocities
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
 
 BLEND_SECONDS = 0.3
 """At each end of a loop: how long the blend over its seam takes. About a quarter of a gait cycle, so
 that a pose difference of 0.5 rad is closed at under 3 rad/s, a fraction of a limb's own speed."""
+
+EVEN = 0.01
+"""Relative deviation up to which frames count as evenly spaced: what files round durations to."""
+MAX_FRAMES = 20_000
+"""Of a clip that is evened out: ten minutes at 30 frames/s, three at 120."""
 
 SEARCH_FRAMES = 900
 """Frames that the search for a loop compares, all with all; a longer clip is searched at a lower
@@ -25,6 +30,10 @@ rate, then refined."""
 
 MIN_LOOP_SECONDS = 0.4
 """The shortest loop: a sprinter's gait cycle, 5 steps/s."""
+
+WORST_LOOP = 0.4
+"""rad of mismatch from which two poses are different ones: a walk's own at opposite steps differ by
+0.5."""
 
 _SEARCH_RATE = 30.0
 #: What differences are worth in a mismatch, in rad: a metre bends a leg by about 3 rad, and a velocity
@@ -57,6 +66,24 @@ def cut(clip: Clip, start: float, stop: float) -> Clip:
 def shift(clip: Clip, offset: Tensor) -> Clip:
     """The clip moved by `offset` m, world: (3,) for all frames, or (F, 3)."""
     return replace(clip, root_position=clip.root_position + offset)
+
+
+def evenly_spaced(clip: Clip) -> Clip:
+    """The clip at evenly spaced frames, as many a second as it mostly has; itself if they are that.
+
+    Raises:
+        ConfigError: these would be more than :data:`MAX_FRAMES`.
+    """
+    steps = clip.times.diff()
+    usual = steps.median().item()
+    if clip.duration / usual > MAX_FRAMES:
+        raise ConfigError(
+            f"Clip {clip.source}: {clip.duration / usual:.0f} frames of {usual:g} s are too many; cut it, "
+            f"or take every second frame (at most {MAX_FRAMES})."
+        )
+    if (steps / usual - 1.0).abs().max() <= EVEN:
+        return clip
+    return resample(clip, 1.0 / usual)
 
 
 def remove_frames(clip: Clip, frames: Sequence[int], *, close_up: bool = False) -> Clip:
@@ -101,12 +128,12 @@ def smooth(clip: Clip, cutoff: float) -> Clip:
     """The clip low-pass filtered at `cutoff` Hz, without delay: Butterworth, fourth order in all, as
     is usual in gait analysis (Winter, "Biomechanics and Motor Control of Human Movement", 2009, ch. 3).
 
-    The frames must be evenly spaced. A looping clip stays one. Unchanged if the clip's rate, or its
-    length, holds nothing above the cutoff that could be told.
+    The frames must be evenly spaced. A looping clip stays one. Unchanged if the clip's rate has
+    nothing above the cutoff, or if it is shorter than the cutoff's period.
     """
     nyquist = 0.5 * clip.frame_rate
     pad = math.ceil(2.0 * clip.frame_rate / cutoff)
-    if cutoff >= 0.95 * nyquist or clip.num_frames <= 4:
+    if cutoff >= 0.95 * nyquist or clip.duration * cutoff < 1.0:
         return clip
     sections = butter(2, cutoff / nyquist, output="sos")
     if clip.loop:
@@ -228,7 +255,7 @@ def find_loop(clip: Clip, contacts: Tensor | None = None) -> Loop | None:
     features = _Features.of(clip)
     pose, mismatch = features.differences(every, every)
     lag = (every[None] - every[:, None]) / clip.frame_rate
-    possible = lag >= MIN_LOOP_SECONDS - 1e-9
+    possible = (lag >= MIN_LOOP_SECONDS - 1e-9) & (mismatch < WORST_LOOP)
     possible &= _variety(pose)
     if contacts is not None:
         possible &= _whole_cycles(contacts, every)

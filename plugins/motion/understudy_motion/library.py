@@ -66,6 +66,18 @@ def load(
     )
 
 
+def find(source: str, registry: Registry, options: ReadOptions = UNSAID) -> Clip:
+    """The clip that `source` is the path or the name of.
+
+    Raises:
+        FileError: as :func:`load` and :func:`read_clip`.
+    """
+    path = Path(source)
+    if path.is_file() or path.suffix or len(path.parts) > 1:
+        return read_clip(path, registry, options)
+    return load(source, None, registry, options=options)
+
+
 def _files(suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Stem -> path of the data folder's clips; the first folder in alphabetical order wins."""
     folder = data_folder()

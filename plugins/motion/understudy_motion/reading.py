@@ -55,7 +55,7 @@ class ReadOptions:
     def __post_init__(self) -> None:
         if self.rate is not None and not 0.0 < self.rate < math.inf:
             raise ConfigError(
-                f"motion.rate={self.rate} (--rate) is not possible: frames per second are above 0."
+                f"motion.rate={self.rate} (--source-rate) is not possible: frames per second are above 0."
             )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from abc import abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import mujoco
 
 from understudy.errors import FileError
 from understudy.interfaces import Context, Scene
+from understudy_mujoco.mjcf import read_mjcf
 
 
 class MujocoScene(Scene):
@@ -20,6 +20,10 @@ class MujocoScene(Scene):
     @abstractmethod
     def spec(self) -> mujoco.MjSpec:
         """A fresh model specification, to be compiled or added to."""
+
+    def shown(self) -> mujoco.MjSpec:
+        """The same with what is only there to be seen."""
+        return self.spec()
 
     def compiled(self, context: Context, disable: int = 0) -> mujoco.MjModel:
         """The model at the task's physics rate, with the engine's flags `disable` switched off.
@@ -48,19 +52,8 @@ class MujocoScene(Scene):
         }
 
 
-#: Elements and attributes by which MJCF reaches files other than its own.
-_REACHES_OUT = re.compile(
-    rb"<\s*(include|plugin|extension)\b|\b(file|meshdir|texturedir|assetdir)\s*=", re.I
-)
-_MAX_BYTES = 16 << 20
-
-
 class MjcfFile(MujocoScene):
-    """A model from one self-contained MJCF file.
-
-    Includes, plugins and asset files are refused: a model from a stranger must not reach out of its
-    own file.
-    """
+    """A model from an MJCF file, which may refer to files of its own folder and to nothing else."""
 
     @dataclass(frozen=True)
     class Options:
@@ -68,26 +61,12 @@ class MjcfFile(MujocoScene):
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self._path = Path(options.file)
-        try:
-            if self._path.stat().st_size > _MAX_BYTES:
-                raise FileError(
-                    f"{self._path} is larger than {_MAX_BYTES >> 20} MiB; no MJCF model is."
-                )
-            text = self._path.read_bytes()
-        except OSError as error:
-            raise FileError(f"The model {self._path} cannot be read: {error.strerror}.") from error
-        found = _REACHES_OUT.search(text)
-        if found:
-            raise FileError(
-                f"The model {self._path} refers to other files or plugins "
-                f"('{found.group(0).decode(errors='replace')}'); give one self-contained MJCF file."
-            )
-        self._text = text.decode("utf-8", errors="replace")
-        self.spec().compile  # noqa: B018 - parsing is what can fail
+        self._mjcf = read_mjcf(self._path)
+        self.spec()
 
     def spec(self) -> mujoco.MjSpec:
         try:
-            return mujoco.MjSpec.from_string(self._text)
+            return mujoco.MjSpec.from_string(self._mjcf.text, assets=dict(self._mjcf.assets))
         except (ValueError, mujoco.FatalError) as error:
             reason = str(error).strip().splitlines()[0]
             raise FileError(f"The model {self._path} does not load: {reason}") from error

@@ -4,9 +4,14 @@ from understudy import hookimpl
 from understudy.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ('characters',)
+REQUIRES = ("characters", "motion")
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    register.component(
+        "command",
+        "motion retarget",
+        "understudy_retarget.command:Retarget",
+        "put the motion of any skeleton on a character",
+    )

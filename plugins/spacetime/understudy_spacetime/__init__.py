@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("humanoid", "motion", "mujoco", "ppo")
+REQUIRES = ("characters", "humanoid", "motion", "mujoco", "ppo")
 
 _HERE = "understudy_spacetime"
 
@@ -65,6 +65,7 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.initial_states:Evolution",
         "elite states of past rollouts",
     )
+    add("overlay", "spacetime.bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
     register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")
     register.citation(
         "spacetime",

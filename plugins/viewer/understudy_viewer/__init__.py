@@ -4,9 +4,14 @@ from understudy import hookimpl
 from understudy.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ('characters',)
+REQUIRES = ("characters", "motion")
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    register.component(
+        "command",
+        "motion view",
+        "understudy_viewer.command:View",
+        "show a clip, or a run beside its reference, in the browser",
+    )

@@ -19,10 +19,10 @@ from understudy.errors import FileError
 from understudy.registry import Registry
 from understudy_characters import recording
 from understudy_characters.character import Character, load_character
+from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import recorded_clips
 from understudy_export import command
 from understudy_export.command import timed
-from understudy_export.wearing import fitting_character, worn
 from understudy_motion.clip import Clip, cycle_transform, sample
 from understudy_motion.reading import UNSAID, ReadOptions, read_clip
 from understudy_motion.writers.table import NpzWriter
@@ -121,7 +121,7 @@ def test_a_run_without_a_reference_or_recording(
 @pytest.mark.parametrize("name", sorted(set(WRITE) - {"csv"}))
 def test_a_clip_file_of_any_format(tmp_path: Path, name: str, registry: Registry) -> None:
     source = WRITE[name](tmp_path)
-    assert export(source, tmp_path / "a.glb") == 0
+    assert export(source, tmp_path / "a.glb", "--character", "none") == 0
     file = GltfFile(tmp_path / "a.glb")
     file.check()
     assert angle_error(file.joint_rotations(), read_clip(source, registry)) < 1e-6

@@ -96,7 +96,7 @@ def test_rates(tmp_path: Path) -> None:
     arrays = smpl_arrays()
     del arrays["mocap_framerate"]
     with pytest.raises(
-        FileError, match=r"does not say its frame rate; give motion\.rate \(--rate\)"
+        FileError, match=r"does not say its frame rate; give motion\.rate \(--source-rate\)"
     ):
         read(tmp_path, arrays)
     assert read(tmp_path, arrays, ReadOptions(rate=30.0)).frame_rate == pytest.approx(30.0)

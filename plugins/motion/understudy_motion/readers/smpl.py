@@ -168,7 +168,9 @@ def _poses(path: Path, archive: Archive) -> np.ndarray:
 def _rate(path: Path, archive: Archive) -> float:
     name = next((name for name in RATES if name in archive.names), None)
     if name is None:
-        raise FileError(f"Clip {path}: it does not say its frame rate; give motion.rate (--rate).")
+        raise FileError(
+            f"Clip {path}: it does not say its frame rate; give motion.rate (--source-rate)."
+        )
     rate = archive.number(name)
     if not 0.0 < rate <= 1e6:
         raise FileError(f"Clip {path}: '{name}' is {rate:g}, no number of frames per second.")

@@ -189,7 +189,7 @@ def _times(
         if "rate" not in said:
             raise FileError(
                 f"Clip {path}: there is neither a column 'time' nor a line '# rate: 60'; give "
-                "motion.rate (--rate)."
+                "motion.rate (--source-rate)."
             )
         if not is_number(said["rate"]) or not 0.0 < float(said["rate"]) <= 1e6:
             raise FileError(

@@ -41,8 +41,8 @@ def worn(clip: Clip, character: Character) -> Clip:
         if name not in clip.joint_names[1:]:
             raise FileError(
                 f"Clip {clip.source} has no joint '{name}', which {character.name} needs."
-                f"{suggestion(name, clip.joint_names)} Export it as bones (--character none), or "
-                "retarget it first."
+                f"{suggestion(name, clip.joint_names)} Retarget it first: understudy "
+                f"motion retarget CLIP {character.name} OUT."
             )
         rows.append(clip.joint_names.index(name))
     return replace(

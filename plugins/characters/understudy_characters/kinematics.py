@@ -1,0 +1,148 @@
+"""Kinematics of a character for many poses at once: forward, derivatives, and steps.
+
+F poses, J joints, D degrees of freedom: the root's translation (3) and rotation (3) along world
+axes, then those of each joint in the character's order: one per hinge, and for a ball three, about
+world axes. Frames are those of a clip's joints: parallel to the root's in the zero pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy import rotations
+from understudy_characters.character import Character, Joint
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where the joints are, float64."""
+
+    positions: Tensor  #: (F, J, 3) m, world
+    rotations: Tensor  #: (F, J, 4), world
+    axes: Tensor  #: (F, D - 3, 3) world axes of the degrees of freedom that turn
+
+
+class Kinematics:
+    """Maps ``qpos`` of a character to the places of its joints, and derivatives of those back."""
+
+    def __init__(self, character: Character) -> None:
+        self.character = character
+        joints = character.joints
+        self._offsets = torch.from_numpy(character.skeleton.offsets)
+        self._rests = torch.from_numpy(character.rest_rotations.as_quat(scalar_first=True))
+        self._axes = [
+            rotations.rotate(rest, torch.from_numpy(joint.axes))
+            for joint, rest in zip(joints, self._rests, strict=True)
+        ]
+        widths = [3 if len(joint.axes) == 0 else len(joint.axes) for joint in joints]
+        columns = torch.arange(3, 3 + sum(widths)).split(widths)
+        #: Of each joint, the degrees of freedom that turn it.
+        self.columns = tuple(slice(int(c[0]), int(c[-1]) + 1) for c in columns)
+        self.num_dofs = 3 + sum(widths)
+        owner = torch.repeat_interleave(torch.arange(len(joints)), torch.tensor(widths))
+        above = torch.eye(len(joints), dtype=torch.bool)
+        for row, joint in enumerate(joints[1:], start=1):
+            above[row] |= above[joint.parent]
+        #: (D - 3,) the joint that each degree of freedom turns, the root's translations left out.
+        self.owners = owner
+        #: (J, J) bool: the joint of the row is that of the column, or hangs on it.
+        self.hangs_on = above
+        hinges = [(row, k) for row, joint in enumerate(joints) for k in range(len(joint.axes))]
+        self.hinge_columns = torch.tensor(
+            [self.columns[row].start + k for row, k in hinges], dtype=torch.long
+        )
+        self.hinge_addresses = torch.tensor(
+            [joints[row].addresses[k] for row, k in hinges], dtype=torch.long
+        )
+        #: (H, 2) rad, infinite where a hinge is not limited.
+        self.hinge_ranges = torch.tensor(
+            [joints[row].ranges[k].tolist() for row, k in hinges], dtype=torch.float64
+        ).reshape(-1, 2)
+
+    def forward(self, qpos: Tensor) -> Poses:
+        """The poses of ``qpos`` (F, nq)."""
+        character, count = self.character, len(qpos)
+        at = character.root_address
+        positions, world = [qpos[:, at : at + 3]], [qpos[:, at + 3 : at + 7]]
+        about_world = torch.eye(3, dtype=torch.float64).expand(count, 3, 3)
+        axes = [about_world]
+        for row, joint in enumerate(character.joints[1:], start=1):
+            place, turn = positions[joint.parent], world[joint.parent]
+            positions.append(place + rotations.rotate(turn, self._offsets[row]))
+            if len(joint.axes) == 0:
+                turn = rotations.multiply(turn, self._ball(qpos, row, joint))
+                axes.append(about_world)
+            for axis, address in zip(self._axes[row], joint.addresses, strict=False):
+                axes.append(rotations.rotate(turn, axis)[:, None])
+                hinge = rotations.from_axis_angle(axis, qpos[:, address])
+                turn = rotations.multiply(turn, hinge)
+            world.append(turn)
+        return Poses(torch.stack(positions, 1), torch.stack(world, 1), torch.cat(axes, 1))
+
+    def _ball(self, qpos: Tensor, row: int, joint: Joint) -> Tensor:
+        rest, start = self._rests[row], joint.addresses[0]
+        local = rotations.multiply(rest, qpos[:, start : start + 4])
+        return rotations.multiply(local, rotations.conjugate(rest))
+
+    def aimed(self, position: Tensor, goals: Mapping[int, Tensor]) -> Tensor:
+        """``qpos`` (F, nq) with the root at `position` (F, 3), whose joints turn as near to `goals` as
+        each can, given how far those before it got; a joint without a goal is in the zero pose.
+
+        Args:
+            position: (F, 3) m, world.
+            goals: by joint, the root (0) among them: its rotation (F, 4), world.
+        """
+        character = self.character
+        result = torch.tensor(character.model.qpos0, dtype=torch.float64).repeat(len(position), 1)
+        at = character.root_address
+        result[:, at : at + 3], result[:, at + 3 : at + 7] = position, goals[0]
+        world = [goals[0]]
+        for row, joint in enumerate(character.joints[1:], start=1):
+            above, rest = world[joint.parent], self._rests[row]
+            local = rotations.multiply(rotations.conjugate(above), goals.get(row, above))
+            turned = rotations.multiply(rotations.conjugate(rest), rotations.multiply(local, rest))
+            addresses = list(joint.addresses)
+            if len(joint.axes) == 0:
+                start = addresses[0]
+                result[:, start : start + 4] = turned
+                world.append(rotations.multiply(above, local))
+                continue
+            limits = torch.from_numpy(joint.ranges)
+            angles = joint.angles(turned)
+            result[:, addresses] = angles.clamp(limits[:, 0], limits[:, 1])
+            for axis, address in zip(self._axes[row], addresses, strict=True):
+                hinge = rotations.from_axis_angle(axis, result[:, address])
+                above = rotations.multiply(above, hinge)
+            world.append(above)
+        return result
+
+    def moved(self, qpos: Tensor, poses: Poses, step: Tensor) -> Tensor:
+        """``qpos`` (F, nq) after `step` (F, D) from `poses`; hinges stay within their ranges."""
+        result = qpos.clone()
+        at = self.character.root_address
+        result[:, at : at + 3] += step[:, :3]
+        turn = rotations.from_exponential_map(step[:, 3:6])
+        root = rotations.multiply(turn, qpos[:, at + 3 : at + 7])
+        result[:, at + 3 : at + 7] = rotations.normalize(root)
+        for row, joint in enumerate(self.character.joints):
+            if row == 0 or len(joint.axes) > 0:
+                continue
+            start = joint.addresses[0]
+            about = rotations.inverse_rotate(
+                poses.rotations[:, joint.parent], step[:, self.columns[row]]
+            )
+            turn = rotations.from_exponential_map(rotations.inverse_rotate(self._rests[row], about))
+            ball = rotations.multiply(turn, qpos[:, start : start + 4])
+            result[:, start : start + 4] = rotations.normalize(ball)
+        result[:, self.hinge_addresses] += step[:, self.hinge_columns]
+        return self.within_ranges(result)
+
+    def within_ranges(self, qpos: Tensor) -> Tensor:
+        """``qpos`` (F, nq) with hinges beyond their ranges at the ends of these."""
+        low, high = self.hinge_ranges.unbind(-1)
+        angles = torch.minimum(torch.maximum(qpos[:, self.hinge_addresses], low), high)
+        return qpos.index_copy(1, self.hinge_addresses, angles)

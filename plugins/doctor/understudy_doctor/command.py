@@ -1,0 +1,127 @@
+"""``understudy motion check``: what is wrong with a clip, and a repaired copy of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import typing
+from pathlib import Path
+
+from understudy.checkpoint import write_atomically
+from understudy.errors import ConfigError
+from understudy.interfaces import Command
+from understudy.plugins import installed
+from understudy.registry import Registry
+from understudy_characters.character import Character, load_character
+from understudy_doctor.character_checks import missing_joints
+from understudy_doctor.examination import Examination, examine
+from understudy_doctor.findings import Severity
+from understudy_doctor.page import page
+from understudy_doctor.repair import Repair, make_loop, repair
+from understudy_doctor.summary import as_json, comparison, findings_as_json, text, verdict
+from understudy_motion.arguments import add_reading, open_clip
+from understudy_motion.clip import Clip
+from understudy_motion.writing import write_clip
+
+DEFAULT_CHARACTER = "humanoid"
+
+
+class Check(Command):
+    """Examines a clip; exit status 1 if something is majorly wrong with it."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
+        parser.add_argument(
+            "--character",
+            metavar="NAME",
+            help="a character, or an MJCF file, that is to move so; by default the "
+            f"{DEFAULT_CHARACTER}, if the clip has its joints",
+        )
+        parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+        parser.add_argument(
+            "--page", type=Path, metavar="OUT.html", help="write them as a page with pictures"
+        )
+        parser.add_argument(
+            "--fix", type=Path, metavar="OUT", help="write the clip repaired, as far as it can be"
+        )
+        parser.add_argument(
+            "--loop", action="store_true", help="with --fix: cut out the best loop and close it"
+        )
+        add_reading(parser, loop=False)
+
+    def run(self, options: argparse.Namespace) -> int:
+        registry = installed().registry
+        if options.loop and options.fix is None:
+            raise ConfigError("--loop makes a new clip: say where it is to be written, --fix OUT.")
+        clip = open_clip(options.clip, options, registry)
+        character = _character(options.character, clip, registry)
+        before = examine(clip, character)
+        after, done = before, None
+        if options.fix is not None:
+            done = _repaired(before, options.loop)
+            _write(done.clip, options, registry)
+            after = examine(done.clip, character)
+        if options.page is not None:
+            content = page(after, done.done if done else ())
+            write_atomically(options.page, content.encode(errors="replace"))
+        if options.json:
+            print(json.dumps(_as_json(before, after, done, options.fix), indent=1))
+        else:
+            print(_as_text(before, after, done, options.fix))
+        return 1 if after.worst == Severity.MAJOR else 0
+
+
+def _character(named: str | None, clip: Clip, registry: Registry) -> Character | None:
+    """The character asked for, or the default one if the clip has its joints."""
+    if named is not None:
+        return load_character(named, registry)
+    if DEFAULT_CHARACTER not in registry.names("character"):
+        return None
+    character = load_character(DEFAULT_CHARACTER, registry)
+    return None if missing_joints(clip, character) else character
+
+
+def _repaired(before: Examination, loop: bool) -> Repair:
+    if not loop:
+        return repair(before)
+    # Frames and spikes first: a loop is found by matching frames.
+    mended = repair(before)
+    cut = make_loop(mended.clip, before.character)
+    again = repair(examine(cut.clip, before.character))
+    return Repair(again.clip, (*mended.done, *cut.done, *again.done))
+
+
+def _write(clip: Clip, options: argparse.Namespace, registry: Registry) -> None:
+    destination = options.fix
+    for source in (Path(options.clip), Path(clip.source)):
+        if source.exists() and destination.exists() and destination.samefile(source):
+            raise ConfigError(
+                f"--fix {destination} would replace the clip itself; name another file."
+            )
+    write_clip(clip, destination, registry)
+
+
+def _as_json(
+    before: Examination, after: Examination, done: Repair | None, file: Path | None
+) -> dict[str, typing.Any]:
+    result = as_json(after)
+    if done is not None:
+        result["repair"] = {
+            "file": str(file),
+            "done": list(done.done),
+            "before": findings_as_json(before.findings),
+        }
+    return result
+
+
+def _as_text(
+    before: Examination, after: Examination, done: Repair | None, file: Path | None
+) -> str:
+    if done is None:
+        return text(before)
+    lines = [text(before), ""]
+    lines += [f"repaired: {what}" for what in done.done] or ["repaired: nothing"]
+    for kind, (was, now) in comparison(before.findings, after.findings).items():
+        lines.append(f"{kind}: {was} → {now}")
+    lines += [f"remains: {finding.line()}" for finding in after.findings]
+    return "\n".join([*lines, f"{file}: {verdict(after.findings)}"])

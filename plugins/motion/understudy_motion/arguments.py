@@ -1,0 +1,54 @@
+"""What commands that take a clip have in common: how it is named and read."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import typing
+from pathlib import Path
+
+from understudy.registry import Registry
+from understudy_motion import library
+from understudy_motion.clip import Clip
+from understudy_motion.reading import Axis, ReadOptions, Unit
+
+
+def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
+    """Add the options of :class:`ReadOptions`, as a group; `loop` says whether that one too."""
+    group = parser.add_argument_group("what a clip file may leave unsaid")
+    group.add_argument("--unit", choices=typing.get_args(Unit), help="of its lengths")
+    group.add_argument("--up", choices=typing.get_args(Axis), help="its vertical axis")
+    group.add_argument("--skeleton", type=Path, metavar="FILE", help="the ASF file of an AMC file")
+    group.add_argument("--source-rate", type=positive, metavar="HZ", help="its frames per second")
+    parser.set_defaults(repeats=None)
+    if loop:
+        group.add_argument(
+            "--loop",
+            dest="repeats",
+            action=argparse.BooleanOptionalAction,
+            help="whether it repeats",
+        )
+
+
+def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> Clip:
+    """The clip that `source` names, a file or a clip's name, read as the `options` say.
+
+    Raises:
+        FileError: as :func:`library.find`.
+    """
+    reading = ReadOptions(
+        unit=options.unit,
+        up=options.up,
+        skeleton=options.skeleton,
+        loop=options.repeats,
+        rate=options.source_rate,
+    )
+    return library.find(source, registry, reading)
+
+
+def positive(text: str) -> float:
+    """An argument's type: a finite number above 0."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value

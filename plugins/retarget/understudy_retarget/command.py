@@ -1,0 +1,131 @@
+"""``understudy motion retarget``: a clip of any skeleton becomes a clip of a character."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from understudy.errors import ConfigError
+from understudy.interfaces import Command
+from understudy.plugins import installed
+from understudy.registry import Registry
+from understudy_characters.character import load_character
+from understudy_motion.arguments import add_reading, open_clip
+from understudy_motion.clip import Clip
+from understudy_motion.editing import cut
+from understudy_motion.writing import write_clip
+from understudy_retarget.retarget import Options, Report, retarget
+
+
+class Retarget(Command):
+    """Puts a motion on a character, its feet on the floor, and says how well that went."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
+        parser.add_argument("character", metavar="CHARACTER", help="a character, or an MJCF file")
+        parser.add_argument(
+            "destination", metavar="OUT", type=Path, help="the clip to write: .npz, .csv or .bvh"
+        )
+        parser.add_argument(
+            "--map",
+            nargs="+",
+            action="extend",
+            default=[],
+            metavar="JOINT=JOINT",
+            help="the character's joint, or a part of the body, and the clip's joint for it, such as "
+            "left_knee=LeftLeg",
+        )
+        parser.add_argument(
+            "--scale",
+            type=float,
+            metavar="S",
+            help="of travel and height, instead of the legs' ratio",
+        )
+        parser.add_argument("--start", type=float, metavar="S", help="leave out what is before, s")
+        parser.add_argument("--end", type=float, metavar="S", help="leave out what is after, s")
+        parser.add_argument("--json", action="store_true", help="print the report as JSON")
+        add_reading(parser)
+
+    def run(self, options: argparse.Namespace) -> int:
+        registry = installed().registry
+        how = Options(map=_pairs(options.map), scale=options.scale)
+        character = load_character(options.character, registry)
+        result, report = retarget(_load(options, registry), character, how)
+        write_clip(result, options.destination, registry)
+        if options.json:
+            print(json.dumps(_as_json(report, options.destination), indent=1))
+        else:
+            print(_as_text(report, result, options.character, options.destination))
+        return 0
+
+
+def _pairs(texts: Sequence[str]) -> dict[str, str]:
+    pairs = {}
+    for text in texts:
+        ours, equals, theirs = text.partition("=")
+        if not (ours and equals and theirs):
+            raise ConfigError(f"--map {text} is not possible: it is OURS=THEIRS, two joints.")
+        pairs[ours] = theirs
+    return pairs
+
+
+def _load(options: argparse.Namespace, registry: Registry) -> Clip:
+    clip = open_clip(options.clip, options, registry)
+    if options.start is None and options.end is None:
+        return clip
+    start = 0.0 if options.start is None else options.start
+    return cut(clip, start, clip.duration if options.end is None else options.end)
+
+
+def _as_json(report: Report, destination: Path) -> dict[str, Any]:
+    return {
+        "file": str(destination),
+        "mapping": {part: list(joints) for part, joints in report.mapping.items()},
+        "missing": list(report.missing),
+        "unused": list(report.unused),
+        "scale": report.scale,
+        "key_point_error_m": {
+            "mean": report.mean_error,
+            "worst": report.worst_error,
+            "points": {p: {"mean": m, "worst": w} for p, (m, w) in report.errors.items()},
+        },
+        "contact_share": report.contact_share,
+        "skate_m_per_s": report.skate,
+        "penetration_m": report.penetration,
+        "peak_joint_speed_rad_per_s": {"clip": report.source_speed[0], "result": report.speed[0]},
+    }
+
+
+def _as_text(report: Report, result: Clip, character: str, destination: Path) -> str:
+    lines = [_row("part", "character", "clip", "mean cm", "worst")]
+    for part, (ours, theirs) in report.mapping.items():
+        distances = [f"{100 * error:.1f}" for error in report.errors.get(part, ())]
+        lines.append(_row(part, ours, theirs, *distances))
+    if report.missing:
+        lines.append(f"Not in the clip, left as in the zero pose: {', '.join(report.missing)}.")
+    if report.unused:
+        lines.append(f"Not on the character, left out: {', '.join(report.unused)}.")
+    worst = max(report.errors, key=lambda part: report.errors[part][1])
+    speed, joint = report.speed
+    before, joint_before = report.source_speed
+    target = shlex.quote(str(destination))
+    lines += [
+        f"Scale {report.scale:.3f}. Key points are met within {100 * report.mean_error:.1f} cm on "
+        f"average, {100 * report.worst_error:.1f} cm at worst ({worst}).",
+        f"A foot is on the floor in {100 * report.contact_share:.0f} % of the frames, where it slides "
+        f"at {100 * report.skate:.1f} cm/s. The deepest point is {1000 * report.penetration:.0f} mm "
+        "below the floor.",
+        f"The fastest joint: {speed:.1f} rad/s ({joint}); in the clip {before:.1f} ({joint_before}).",
+        f"Written: {destination}, {result.num_frames} frames, {result.duration:.2f} s.",
+        f"Next: understudy motion check {target} --character {shlex.quote(character)}; to learn it, "
+        f"train a task of this character with motion.file={target}",
+    ]
+    return "\n".join(lines)
+
+
+def _row(part: str, ours: str, theirs: str, mean: str = "", worst: str = "") -> str:
+    return f"{part:15} {ours:26} {theirs:26} {mean:>7} {worst:>6}".rstrip()

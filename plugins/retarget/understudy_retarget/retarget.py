@@ -1,0 +1,311 @@
+"""Retargeting: a clip of any skeleton becomes a clip of a character, on the floor, its feet at rest
+where they touch it.
+
+1. Parts of the body are found in both skeletons (:mod:`understudy_retarget.anatomy`).
+2. *Key points* are the source's pose on the character's limbs: each bone points where the source's
+   does and has the character's length; the pelvis travels at the scale of the legs. Pelvis, chest,
+   head and feet turn as the source's do, from how each of the two stands in its zero pose.
+3. Feet that touch the floor are planted on it (:mod:`understudy_retarget.feet`).
+4. Inverse kinematics finds the poses that come nearest (:mod:`understudy_retarget.solver`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, suggestion
+from understudy_characters.character import Character
+from understudy_characters.contacts import foot_points
+from understudy_characters.kinematics import Kinematics
+from understudy_motion.clip import Clip, sample, velocities
+from understudy_motion.kinematics import forward_kinematics, need_skeleton
+from understudy_retarget import feet
+from understudy_retarget.anatomy import PARTS, SIDES, Parts, find_parts, path_up
+from understudy_retarget.feet import Contacts, Sole
+from understudy_retarget.figure import BONES, Figure, Place
+from understudy_retarget.goals import Goals
+from understudy_retarget.posing import lifted, pose
+
+NEEDED: tuple[str, ...] = tuple(
+    f"{side}_{part}"
+    for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    for side in SIDES
+)
+"""Parts that the clip must have if the character has them."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to do otherwise than by default.
+
+    Raises:
+        ConfigError: the scale is not above zero.
+    """
+
+    #: By the character's joint, or a part of the body: the clip's joint.
+    map: Mapping[str, str] = field(default_factory=dict)
+    scale: float | None = None  #: of travel and height; None takes the ratio of the legs
+
+    def __post_init__(self) -> None:
+        if self.scale is not None and not 0.0 < self.scale < float("inf"):
+            raise ConfigError(f"--scale {self.scale} is not possible: it is a number above 0.")
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was done, and how well."""
+
+    mapping: Mapping[str, tuple[str, str]]  #: by part: the character's joint, the clip's joint
+    missing: tuple[str, ...]  #: parts of the character that the clip does not have
+    unused: tuple[str, ...]  #: joints of the clip that no part of the character follows
+    scale: float
+    errors: Mapping[str, tuple[float, float]]  #: m, by key point: mean and worst over the frames
+    mean_error: float  #: m, over all key points and frames
+    worst_error: float
+    contact_share: float  #: of the frames: how often a foot touches the floor
+    skate: float  #: m/s, mean over the contacts, of the points that rest
+    penetration: float  #: m, the deepest point below the floor
+    source_speed: tuple[float, str]  #: rad/s, the fastest joint of the clip
+    speed: tuple[float, str]  #: rad/s, the fastest joint of the result
+
+
+def retarget(clip: Clip, character: Character, options: Options = Options()) -> tuple[Clip, Report]:
+    """The motion of `clip` on `character`.
+
+    Raises:
+        FileError: the clip has no skeleton.
+        ConfigError: a part that matters is not found in the clip, or could be several joints; or the
+            options name joints that do not exist.
+    """
+    skeleton = need_skeleton(clip)
+    own_parts = find_parts(character.skeleton, {}, f"Character {character.name}")
+    given = _given(options.map, character, own_parts, clip)
+    parts = find_parts(skeleton, given, f"Clip {clip.source}")
+    target, soles = _target(character, own_parts)
+    source = Figure(skeleton, parts)
+    _check(source, target, clip, character)
+
+    own_frames = slice(None)
+    wide = clip
+    if clip.loop:
+        wide, own_frames = _with_neighbours(clip)
+    goals = Goals(wide, source, target, options.scale)
+    touching = goals.stand(soles)
+    planted = {
+        side: feet.planted(wide.times, *goals.foot(side), sole, touching[side])
+        for side, sole in soles.items()
+    }
+    kinematics = Kinematics(character)
+    qpos = pose(kinematics, target, goals, planted, soles)
+    qpos = lifted(character, qpos, wide.times)[own_frames]
+    about = {
+        key: getattr(clip, key) for key in ("source", "licence", "sha256", "url", "attribution")
+    }
+    result = character.clip(qpos, clip.times, name=clip.name, loop=clip.loop, **about)
+    if clip.loop:
+        result = _closed(result)
+    points = {part: track[own_frames] for part, track in goals.points.items()}
+    errors = _errors(kinematics, target, qpos, points)
+    skate, share = _skate(result, soles, touching, own_frames)
+    report = Report(
+        mapping=_mapping(target, source),
+        missing=tuple(p for p in own_parts if p not in source.points and p not in source.segments),
+        unused=_unused(source, target),
+        scale=goals.scale,
+        errors={part: (float(e.mean()), float(e.max())) for part, e in errors.items()},
+        mean_error=float(torch.stack(list(errors.values())).mean()),
+        worst_error=float(torch.stack(list(errors.values())).max()),
+        contact_share=share,
+        skate=skate,
+        penetration=max(0.0, -float(character.clearance(qpos).min())),
+        source_speed=_fastest(clip),
+        speed=_fastest(result),
+    )
+    return result, report
+
+
+# ---------------------------------------------------------------------- what is what
+
+
+def _given(
+    names: Mapping[str, str], character: Character, own_parts: Parts, clip: Clip
+) -> dict[str, int]:
+    """By part: the joint of the clip that the user says it is."""
+    by_joint = {
+        character.joint_names[joint]: part
+        for part, chain in reversed(list(own_parts.items()))
+        for joint in chain
+    }
+    given = {}
+    for ours, theirs in names.items():
+        part = ours if ours in PARTS else by_joint.get(ours)
+        if part is None:
+            raise ConfigError(
+                f"--map {ours}={theirs}: {character.name} has no part '{ours}' that follows a joint."
+                f"{suggestion(ours, {*PARTS, *by_joint})}"
+            )
+        if theirs not in clip.joint_names:
+            raise ConfigError(
+                f"--map {ours}={theirs}: clip {clip.source} has no joint '{theirs}'."
+                f"{suggestion(theirs, clip.joint_names)}"
+            )
+        given[part] = clip.joint_names.index(theirs)
+    return given
+
+
+def _check(source: Figure, target: Figure, clip: Clip, character: Character) -> None:
+    if any(part not in target.points for part in NEEDED if part.endswith(("hip", "knee", "ankle"))):
+        raise ConfigError(
+            f"Character {character.name}: its legs are not recognised; name its joints "
+            "left_hip, left_knee, left_ankle and so on."
+        )
+    missing = [
+        part
+        for part in NEEDED
+        if part in target.points and part not in source.points and not _turn_is_known(source, part)
+    ]
+    if missing:
+        part = missing[0]
+        more = f" (and {', '.join(missing[1:])})" if missing[1:] else ""
+        raise ConfigError(
+            f"Clip {clip.source}: none of its joints is recognised as the {part}{more}, which "
+            f"{character.name} has; say which one it is with --map {part}=JOINT."
+            f"{suggestion(part, clip.joint_names, limit=60)}"
+        )
+    for bone, (start, end) in BONES.items():
+        if start in source.points and end in source.points and source.length(start, end) < 1e-6:
+            raise ConfigError(
+                f"Clip {clip.source}: its {bone} has no length, from {start} to {end}; say which "
+                f"joints they are with --map {start}=JOINT {end}=JOINT."
+            )
+
+
+def _turn_is_known(source: Figure, part: str) -> bool:
+    """Whether the part is a hand that the clip lacks, but how the forearm turns is known."""
+    side, _, name = part.partition("_")
+    elbow = f"{side}_elbow"
+    return name == "wrist" and elbow in source.parts and source.ends_at(elbow)
+
+
+def _target(character: Character, parts: Parts) -> tuple[Figure, dict[str, Sole]]:
+    """The character's figure, and by side the soles of its feet.
+
+    Its toes are the front edges of the soles. A foot that is a piece of the shin has its ankle there,
+    too.
+    """
+    figure = Figure(character.skeleton, parts)
+    carried, soles = foot_points(character), {}
+    for side in SIDES:
+        foot, ankle = f"{side}_foot", f"{side}_ankle"
+        joint = figure.segments.get(foot, figure.segments.get(f"{side}_shin"))
+        if joint is None:
+            continue
+        points = [
+            vertices + torch.from_numpy(figure.rest[row] - figure.rest[joint])
+            for row, name in enumerate(figure.skeleton.joint_names)
+            if (vertices := carried.get(name)) is not None
+            and joint in path_up(figure.skeleton, row)
+        ]
+        if not points:
+            continue
+        vertices = torch.cat(points)
+        if foot in figure.segments:
+            place = torch.from_numpy(figure.at_rest(ankle) - figure.rest[joint])
+            sole = Sole.of(joint, place, vertices, figure.axes)
+            figure.points[f"{side}_toe"] = Place(joint, (sole.ankle + sole.toe).numpy())
+        else:
+            sole = Sole.point(joint, vertices, figure.axes)
+            figure.points[ankle] = Place(joint, sole.ankle.numpy())
+        soles[side] = sole
+    return figure, soles
+
+
+def _mapping(target: Figure, source: Figure) -> dict[str, tuple[str, str]]:
+    def name(figure: Figure, part: str) -> str:
+        if part in figure.parts:
+            return figure.skeleton.joint_names[figure.parts[part][0]]
+        return f"tip of {figure.skeleton.joint_names[figure.points[part].joint]}"
+
+    return {
+        part: (name(target, part), name(source, part))
+        for part in PARTS
+        if all(part in figure.points or part in figure.parts for figure in (target, source))
+    }
+
+
+def _unused(source: Figure, target: Figure) -> tuple[str, ...]:
+    """Joints of the clip on no way from the pelvis to a part that the character has."""
+    used: set[int] = set()
+    for part, chain in source.parts.items():
+        if part in target.parts or part in target.points:
+            used.update(path_up(source.skeleton, chain[-1]))
+    names = source.skeleton.joint_names
+    return tuple(name for joint, name in enumerate(names) if joint not in used)
+
+
+# ---------------------------------------------------------------------- loops
+
+
+def _with_neighbours(clip: Clip) -> tuple[Clip, slice]:
+    """The clip between the cycle before and the one after, not looping, and its own frames there."""
+    before, after = clip.times[:-1] - clip.duration, clip.times[1:] + clip.duration
+    times = torch.cat((before, clip.times, after))
+    position, rotation = sample(clip, times)
+    wide = replace(
+        clip, times=times - times[0], root_position=position, rotations=rotation, loop=False
+    )
+    return wide, slice(len(before), len(before) + clip.num_frames)
+
+
+def _closed(clip: Clip) -> Clip:
+    """The loop with the last pose exactly the first one's, its root's place and heading its own."""
+    rotation = clip.rotations.clone()
+    rotation[-1, 1:] = rotation[0, 1:]
+    return replace(clip, rotations=rotation)
+
+
+# ---------------------------------------------------------------------- how well
+
+
+def _errors(
+    kinematics: Kinematics, target: Figure, qpos: Tensor, points: Mapping[str, Tensor]
+) -> dict[str, Tensor]:
+    """By key point: (F,) m, how far the character is from it."""
+    poses = kinematics.forward(qpos)
+    return {
+        part: torch.linalg.vector_norm(
+            target.points[part].track(poses.positions, poses.rotations) - goal, dim=-1
+        )
+        for part, goal in points.items()
+        if part in target.points
+    }
+
+
+def _skate(
+    clip: Clip, soles: Mapping[str, Sole], touching: Mapping[str, Contacts], frames: slice
+) -> tuple[float, float]:
+    """Mean horizontal speed, m/s, of heels and toes from frame to frame of contact, and how often
+    a foot is in contact."""
+    positions, world = forward_kinematics(clip)
+    speeds, shares = [], []
+    for side, sole in soles.items():
+        for point, touches in ((sole.heel, touching[side].heel), (sole.toe, touching[side].toe)):
+            place = Place(sole.joint, (sole.ankle + point).numpy())
+            track = place.track(positions, world)[:, :2]
+            both = touches[frames][1:] & touches[frames][:-1]
+            speed = torch.linalg.vector_norm(track.diff(dim=0), dim=-1) / clip.times.diff()
+            speeds.append(speed[both])
+        shares.append(touching[side].any[frames].double().mean())
+    if not speeds or not sum(map(len, speeds)):
+        return 0.0, 0.0
+    return float(torch.cat(speeds).mean()), float(torch.stack(shares).mean())
+
+
+def _fastest(clip: Clip) -> tuple[float, str]:
+    """rad/s and name of the joint that turns fastest against its parent."""
+    speed = torch.linalg.vector_norm(velocities(clip)[1][:, 1:], dim=-1).amax(dim=0)
+    return float(speed.max()), clip.joint_names[1 + int(speed.argmax())]

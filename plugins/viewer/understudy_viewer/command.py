@@ -1,0 +1,79 @@
+"""``understudy motion view``: clips and runs in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import webbrowser
+
+from understudy.errors import ConfigError
+from understudy.interfaces import Command
+from understudy.plugins import installed
+from understudy_motion.arguments import add_reading, open_clip
+from understudy_motion.clip import Clip
+from understudy_viewer.sources import open_scene
+from understudy_viewer.stage import build
+
+
+class View(Command):
+    """Serves the motion page until interrupted."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "source",
+            metavar="SOURCE",
+            help="a clip file, the name of a clip, or a run folder, which shows the learned motion "
+            "beside its reference",
+        )
+        parser.add_argument(
+            "other", metavar="OTHER", nargs="?", help="another one, to be shown beside the first"
+        )
+        parser.add_argument(
+            "--character",
+            metavar="NAME",
+            help="whose shapes are shown: a character or an MJCF file; by default the run's, or the "
+            "one that fits the clip",
+        )
+        parser.add_argument(
+            "--host",
+            default="127.0.0.1",
+            help="address to serve at (%(default)s: this machine only)",
+        )
+        parser.add_argument(
+            "--port", type=_port, default=8080, help="port, or the first to try (%(default)s)"
+        )
+        parser.add_argument(
+            "--no-browser", action="store_true", help="serve the page without opening it"
+        )
+        add_reading(parser)
+
+    def run(self, options: argparse.Namespace) -> int:
+        if importlib.util.find_spec("viser") is None:
+            raise ConfigError("The motion page needs viser: pip install 'understudy[view]'")
+        from understudy_viewer.page import Page, free_port
+
+        sources = [source for source in (options.source, options.other) if source is not None]
+        registry = installed().registry
+
+        def read(source: str) -> Clip:
+            return open_clip(source, options, registry)
+
+        stage = build(open_scene(sources, registry, read, options.character))
+        page = Page(stage, options.host, free_port(options.host, options.port))
+        try:
+            print(f"{page.url} shows the motion; Ctrl-C ends it.", flush=True)
+            if not options.no_browser:
+                webbrowser.open(page.url)
+            page.run()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            page.close()
+        return 0
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if not 0 <= port < 2**16:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 65535")
+    return port
