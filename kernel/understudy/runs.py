@@ -8,7 +8,7 @@
     checkpoints/       see :mod:`understudy.checkpoint`
     faults/            what led to the first numerical failure, to be replayed
     evaluation.json    the last evaluation
-    video.mp4, report.html
+    recording.npz, video.mp4, report.html
 """
 
 from __future__ import annotations
