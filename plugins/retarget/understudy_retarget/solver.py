@@ -27,7 +27,8 @@ CHUNK = 512
 
 MAX_ITERATIONS = 60
 CLOSE = 1e-3
-"""rad and m: a step shorter than that is the last one; convergence is quadratic."""
+"""rad and m: a step shorter than that is the last one. Convergence is quadratic where the goals can be met,
+linear where they cannot."""
 
 LARGEST_STEP = 0.5
 """rad and m per degree of freedom."""
