@@ -23,9 +23,9 @@ import numpy as np
 import torch
 from mujoco.batch import Batch
 
-from understudy.config import load_experiment
-from understudy.runs import versions
-from understudy.training import Collector, Training
+from understudy.records.runs import versions
+from understudy.running.training import Collector, Training
+from understudy.setup.config import load_experiment
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "cpu.jsonl"
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import torch
 
-from understudy.config import load_experiment
-from understudy.runs import versions
-from understudy.training import Training
+from understudy.records.runs import versions
+from understudy.running.training import Training
+from understudy.setup.config import load_experiment
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "gpu.jsonl"
 SCENES = {"walk": (), "self_collision": ("scene.self_collision=true",)}

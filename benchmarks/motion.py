@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from understudy.plugins import installed
+from understudy.setup.plugins import installed
 from understudy_characters.character import load_character
 from understudy_motion import library
 from understudy_retarget.retarget import retarget

@@ -19,10 +19,10 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from understudy.interfaces import Context, Rollout
 from understudy.nn import Schedule
 from understudy.random import WorldStreams, private_rng
-from understudy.runs import versions
+from understudy.records.runs import versions
+from understudy.task.interfaces import Context, Rollout
 from understudy_ppo.learner import PPO
 from understudy_ppo.policy import MLPPolicy
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from worlds import all_plugins
 
-from understudy.plugins import Plugins
+from understudy.setup.plugins import Plugins
 
 #: Real clips, for the tests that want some; skipped with a reason where there are none.
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -9,11 +9,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from understudy import runs
-from understudy.config import load_experiment
-from understudy.interfaces import Context
-from understudy.plugins import Plugins, hookimpl, load
-from understudy.registry import Registrar
+from understudy.records import runs
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import Registrar
+from understudy.task.interfaces import Context
 from understudy.testing import fake
 from understudy_mujoco.scene import MujocoScene
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from understudy.config import load_experiment
-from understudy.plugins import Plugins, installed, load
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins, installed, load
 from understudy.testing import check_plugin
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,14 +13,14 @@ import mujoco
 import torch
 from torch import Tensor
 
-from understudy import runs
-from understudy.config import load_experiment
-from understudy.interfaces import Actuation, Context, Encoder, InitialStates
-from understudy.plugins import Plugins, hookimpl, load
 from understudy.random import WorldStreams
-from understudy.registry import Registrar
+from understudy.records import runs
+from understudy.running.training import Reporter, Training
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import Registrar
+from understudy.task.interfaces import Actuation, Context, Encoder, InitialStates
 from understudy.testing import fake
-from understudy.training import Reporter, Training
 from understudy_mujoco.scene import MujocoScene
 
 #: A tiny learner and policy; with them an iteration takes milliseconds.
@@ -207,8 +207,8 @@ def child_environment(**more: str) -> dict[str, str]:
 
 #: Begins a child's code: the command line with the fake parts among the installed plugins.
 CLI = """
-import sys, understudy.plugins as p, worlds
+import sys, understudy.setup.plugins as p, worlds
 load, fake, parts = p.load, worlds.fake, worlds
 p.load = lambda **k: load(extra=[("fake", fake), ("test", parts)])
-from understudy.cli import main
+from understudy.command.cli import main
 """

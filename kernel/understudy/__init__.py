@@ -1,6 +1,6 @@
 """understudy: simulated characters learn physical skills, from parts that plugins provide."""
 
-from understudy.plugins import hookimpl
+from understudy.setup.plugins import hookimpl
 
 __version__ = "0.1.0"
 __all__ = ["__version__", "hookimpl"]

@@ -18,9 +18,9 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from understudy.building import build_environment
-from understudy.config import load_experiment
-from understudy.plugins import installed
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import installed
 
 
 def register_envs() -> None:

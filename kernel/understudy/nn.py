@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from understudy import distributed
-from understudy.interfaces import Distribution
+from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.registry import check_range
+from understudy.task.interfaces import Distribution
 
 
 def mlp(

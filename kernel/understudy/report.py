@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from understudy.checkpoint import write_atomically
 from understudy.pictures import ANIMATION_SCRIPT, stick_figure_animation, stick_figure_svg
-from understudy.runs import Run
+from understudy.records.checkpoint import write_atomically
+from understudy.records.runs import Run
 
 Row = Mapping[str, Any]
 

@@ -30,7 +30,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def understudy(site: Path, *arguments: str, cwd: Path | None = None) -> str:
     environment = os.environ | {"PYTHONPATH": str(site), "MUJOCO_GL": "disable"}
     done = subprocess.run(
-        [sys.executable, "-m", "understudy.cli", *arguments],
+        [sys.executable, "-m", "understudy.command.cli", *arguments],
         env=environment, cwd=cwd, capture_output=True, text=True, timeout=200, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

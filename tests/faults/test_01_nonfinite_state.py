@@ -9,11 +9,11 @@ import pytest
 import torch
 from worlds import PADDLE_TASK, SMALL, flat, low, make_training
 
-from understudy.building import build_environment
-from understudy.config import load_experiment
-from understudy.environment import Environment, Step
-from understudy.interfaces import Rollout
-from understudy.plugins import Plugins
+from understudy.running.environment import Environment, Step
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins
+from understudy.task.interfaces import Rollout
 from understudy.testing.fake import FAKE_TASK
 
 BAD = 5

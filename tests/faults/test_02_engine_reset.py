@@ -8,9 +8,9 @@ import pytest
 import torch
 from worlds import PADDLE_TASK, SMALL
 
-from understudy.building import build_environment
-from understudy.config import load_experiment
-from understudy.plugins import Plugins
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins
 
 
 @pytest.mark.parametrize("value", [float("nan"), 1e12])

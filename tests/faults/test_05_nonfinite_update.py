@@ -8,14 +8,14 @@ import pytest
 import torch
 from worlds import SMALL, assert_same_state, flat, make_training
 
-from understudy import checkpoint
-from understudy.building import build_environment, build_learner, build_policy
-from understudy.config import validate
 from understudy.errors import TrainingError
-from understudy.interfaces import Rollout
-from understudy.plugins import Plugins
+from understudy.records import checkpoint
+from understudy.running.training import Training
+from understudy.setup.building import build_environment, build_learner, build_policy
+from understudy.setup.config import validate
+from understudy.setup.plugins import Plugins
+from understudy.task.interfaces import Rollout
 from understudy.testing.fake import FAKE_TASK
-from understudy.training import Training
 from understudy_ppo.learner import PPO
 
 #: 8 steps × 16 worlds / 32 = 4 minibatches × 2 epochs = 8 optimiser steps an iteration.

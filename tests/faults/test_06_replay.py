@@ -8,11 +8,11 @@ import pytest
 import torch
 from worlds import PADDLE_TASK, SMALL, make_training
 
-from understudy import checkpoint
 from understudy.errors import RunError
 from understudy.nn import RunningNormaliser
-from understudy.plugins import Plugins
-from understudy.replay import replay_step
+from understudy.records import checkpoint
+from understudy.records.replay import replay_step
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
 

@@ -13,7 +13,7 @@ import json, os, random, signal, sys, time
 import torch
 torch.set_num_threads(1)
 from pathlib import Path
-from understudy import checkpoint
+from understudy.records import checkpoint
 folder = Path(sys.argv[1]); folder.mkdir()
 rng = random.Random(0)
 

@@ -14,13 +14,13 @@ import pytest
 import torch
 from worlds import CLI, SMALL, make_training, python, resumed
 
-from understudy import checkpoint
 from understudy.errors import RunError
-from understudy.interfaces import RunObserver
-from understudy.plugins import Plugins
-from understudy.runs import Run
+from understudy.records import checkpoint
+from understudy.records.runs import Run
+from understudy.running.training import Reporter
+from understudy.setup.plugins import Plugins
+from understudy.task.interfaces import RunObserver
 from understudy.testing.fake import FAKE_TASK
-from understudy.training import Reporter
 
 
 @pytest.fixture

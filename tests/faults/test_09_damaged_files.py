@@ -9,9 +9,9 @@ import pytest
 import torch
 from worlds import SMALL, assert_same_state, make_training, resumed
 
-from understudy import checkpoint
 from understudy.errors import RunError
-from understudy.plugins import Plugins
+from understudy.records import checkpoint
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
 

@@ -21,8 +21,8 @@ from worlds import (
     resumed,
 )
 
-from understudy import checkpoint
-from understudy.plugins import Plugins
+from understudy.records import checkpoint
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
 TASKS = {"fake": (*FAKE_TASK, "episode.seconds=0.7"), "contacts": PADDLE_TASK}

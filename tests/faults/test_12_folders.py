@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from worlds import CLI, SMALL, child_environment, make_training, resumed
 
-from understudy import checkpoint, runs
 from understudy.errors import RunError
-from understudy.plugins import Plugins
+from understudy.records import checkpoint, runs
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
 

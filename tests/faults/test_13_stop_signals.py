@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 from worlds import CLI, SMALL, assert_same_state, child_environment, make_training, resumed
 
-from understudy import checkpoint
 from understudy.errors import PreemptedError
-from understudy.plugins import Plugins
+from understudy.records import checkpoint
+from understudy.running.training import Training
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from understudy.training import Training
 
 LONG = (*FAKE_TASK, *SMALL, "budget.samples=100000000", "checkpoint.minutes=1000")
 

@@ -9,15 +9,15 @@ import pytest
 import torch
 from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
 
-from understudy.building import build_environment
-from understudy.config import load_experiment
-from understudy.interfaces import RunObserver
-from understudy.plugins import Plugins, load
 from understudy.random import WorldStreams
-from understudy.runs import Run
+from understudy.records.runs import Run
+from understudy.running.training import Reporter, Training
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins, load
+from understudy.task.interfaces import RunObserver
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
-from understudy.training import Reporter, Training
 
 TASKS = {"fake": (*FAKE_TASK, "episode.seconds=0.7"), "contacts": PADDLE_TASK}
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
 
-from understudy.plugins import Plugins
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
 

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 import torch
 
-from understudy import checkpoint, runs
 from understudy.errors import UnderstudyError
-from understudy.replay import replay_step
+from understudy.records import checkpoint, runs
+from understudy.records.replay import replay_step
 
 ROOT = Path(__file__).parents[2]
 

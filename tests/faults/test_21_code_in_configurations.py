@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from worlds import SMALL, make_training, resumed
 
-from understudy import checkpoint, runs
-from understudy.config import CODE_KEYS, load_experiment, provenance, validate
 from understudy.errors import ConfigError, UnderstudyError
-from understudy.plugins import Plugins
-from understudy.replay import replay_step
+from understudy.records import checkpoint, runs
+from understudy.records.replay import replay_step
+from understudy.setup.config import CODE_KEYS, load_experiment, provenance, validate
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
 

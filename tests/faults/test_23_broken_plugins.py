@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from worlds import SMALL
 
-from understudy import plugins as plugins_module
-from understudy.building import build_environment
-from understudy.cli import main
-from understudy.config import load_experiment
+from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy.plugins import Plugins, hookimpl, load
-from understudy.registry import Registrar
+from understudy.setup import plugins as plugins_module
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import Registrar
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 

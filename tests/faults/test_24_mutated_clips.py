@@ -28,7 +28,7 @@ from motion_files import ASF, WRITE
 
 import understudy_motion
 from understudy.errors import FileError
-from understudy.registry import Registrar, Registry
+from understudy.setup.registry import Registrar, Registry
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics
 from understudy_motion.reading import HEAD_BYTES, ReadOptions, readers

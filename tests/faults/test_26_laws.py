@@ -6,8 +6,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from understudy.building import build_environment
-from understudy.config import load_experiment
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
 from understudy.testing import check_environment
 from understudy_humanoid.character import BODIES
 from understudy_humanoid.scene import reference_motion

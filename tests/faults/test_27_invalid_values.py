@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from worlds import PADDLE_TASK, SMALL
 
-from understudy.config import load_experiment
 from understudy.errors import ConfigError
-from understudy.plugins import Plugins
+from understudy.running.training import Training
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from understudy.training import Training
 
 #: Key path and values that cannot work.
 INVALID: dict[str, tuple[str, ...]] = {

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 import torch
 
-from understudy.environment import Environment
+from understudy.running.environment import Environment
 
 ROOT = Path(__file__).resolve().parents[2]
 

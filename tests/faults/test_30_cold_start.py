@@ -9,8 +9,8 @@ from worlds import python
 
 def test_plugins_load_without_heavy_imports(tmp_path: Path) -> None:
     code = """
-import sys, understudy.plugins
-plugins = understudy.plugins.load()
+import sys, understudy.setup.plugins
+plugins = understudy.setup.plugins.load()
 heavy = {"torch", "warp", "mujoco", "mujoco_warp", "scipy", "hydra", "omegaconf", "tensorboard", "imageio"}
 print(sorted(heavy & sys.modules.keys()), [p.status for p in plugins.loaded if p.name in ("ppo", "mujoco")])
 """

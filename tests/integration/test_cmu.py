@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from understudy.plugins import installed
+from understudy.setup.plugins import installed
 from understudy_characters.character import Character, load_character
 from understudy_doctor.examination import examine
 from understudy_doctor.findings import Finding, Severity

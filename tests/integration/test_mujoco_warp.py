@@ -17,11 +17,11 @@ import torch
 
 pytest.importorskip("warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
 
-from understudy.building import Built, build_environment
-from understudy.config import load_experiment
 from understudy.errors import ConfigError
+from understudy.running.training import Training
+from understudy.setup.building import Built, build_environment
+from understudy.setup.config import load_experiment
 from understudy.testing import check_environment
-from understudy.training import Training
 
 DEVICES = [
     pytest.param("cpu", marks=pytest.mark.slow),
@@ -124,7 +124,14 @@ def test_too_many_worlds_are_refused_before_allocating() -> None:
 def test_without_a_gpu_one_line_says_what_is_missing() -> None:
     if torch.cuda.is_available():
         pytest.skip("this machine has a GPU")
-    command = [sys.executable, "-m", "understudy.cli", "train", *TASK, "simulator=mujoco_warp"]
+    command = [
+        sys.executable,
+        "-m",
+        "understudy.command.cli",
+        "train",
+        *TASK,
+        "simulator=mujoco_warp",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert done.stderr.strip().splitlines()[-1] == (
@@ -172,8 +179,8 @@ def test_cold_start(device: str, cache: str, tmp_path: Path) -> None:
     folder = tmp_path / "kernels" if cache == "empty" else Path("/proc/no-such-cache")
     overrides = [*TASK, "simulator=mujoco_warp", f"device={device}", "num_worlds=8"]
     code = f"""
-from understudy.building import build_environment
-from understudy.config import load_experiment
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
 environment = build_environment(load_experiment({overrides!r})).environment
 environment.reset(seed=0)
 environment.step(environment.observations["feedforward"])

@@ -6,8 +6,8 @@ import pytest
 import torch
 from worlds import assert_same_state
 
-from understudy import checkpoint
 from understudy.errors import RunError
+from understudy.records import checkpoint
 
 
 def test_round_trip(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from understudy.cli import main
+from understudy.command.cli import main
 
 QUICK = (
     "experiment=spacetime/walk",

@@ -6,10 +6,11 @@ import argparse
 
 import pytest
 
-from understudy import cli, plugins
+from understudy.command import cli
 from understudy.errors import FileError
-from understudy.interfaces import Command
-from understudy.registry import Registrar
+from understudy.setup import plugins
+from understudy.setup.registry import Registrar
+from understudy.task.interfaces import Command
 
 
 class Greet(Command):

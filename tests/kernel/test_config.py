@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 from worlds import SMALL
 
-from understudy.config import compose_raw, load_experiment, provenance, refuse_code, validate
 from understudy.errors import ConfigError
-from understudy.plugins import Plugins
+from understudy.setup.config import compose_raw, load_experiment, provenance, refuse_code, validate
+from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
 

@@ -7,11 +7,11 @@ import pytest
 import torch
 from worlds import PADDLE_TASK, assert_same_state
 
-from understudy.building import build_environment
-from understudy.config import load_experiment
-from understudy.environment import Environment, Step, Term, refuse_hopeless
 from understudy.errors import ConfigError, TrainingError
-from understudy.plugins import Plugins
+from understudy.running.environment import Environment, Step, Term, refuse_hopeless
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins
 from understudy.testing import check_environment, check_simulator
 from understudy.testing.fake import FAKE_TASK
 

@@ -7,16 +7,8 @@ from typing import Any, Literal
 import pytest
 
 from understudy.errors import ConfigError, PluginError
-from understudy.registry import (
-    REQUIRED,
-    Component,
-    Registrar,
-    Registry,
-    check_range,
-    coerce,
-    make_options,
-    options_of,
-)
+from understudy.options import REQUIRED, check_range, coerce, make_options, options_of
+from understudy.setup.registry import Component, Registrar, Registry
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from understudy.errors import RunError
-from understudy.evaluation import Evaluation
+from understudy.records.runs import Run
 from understudy.report import write_report
-from understudy.runs import Run
+from understudy.running.evaluation import Evaluation
 
 EVIL = "<script>alert(1)</script>\"'&"
 VOID = {"meta", "input", "link", "br"}

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from understudy import sweep as module
-from understudy.cli import main
+from understudy.command.cli import main
+from understudy.outer import sweep as module
 
 QUICK = [
     "experiment=spacetime/walk", "num_worlds=4", "learner.rollout_steps=4", "learner.minibatches=2",

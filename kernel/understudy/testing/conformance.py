@@ -6,12 +6,12 @@ import inspect
 
 import torch
 
-from understudy.building import build_environment
-from understudy.config import load_experiment, validate
-from understudy.environment import Environment
-from understudy.interfaces import Simulator
-from understudy.plugins import Plugins, installed
-from understudy.registry import Component
+from understudy.running.environment import Environment
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment, validate
+from understudy.setup.plugins import Plugins, installed
+from understudy.setup.registry import Component
+from understudy.task.interfaces import Simulator
 
 
 def check_component(component: Component) -> None:

@@ -10,7 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.interfaces import (
+from understudy.random import WorldStreams
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import Registrar
+from understudy.task.interfaces import (
     Actuation,
     Context,
     Encoder,
@@ -18,9 +21,6 @@ from understudy.interfaces import (
     Scene,
     Simulator,
 )
-from understudy.plugins import Plugins, hookimpl, load
-from understudy.random import WorldStreams
-from understudy.registry import Registrar
 
 
 class FakeScene(Scene):

@@ -1,7 +1,7 @@
 """Characters as MJCF models: joint rotations to ``qpos`` and back, shapes. Knows no particular one."""
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = ("mujoco", "motion")

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from understudy import rotations
 from understudy.errors import ConfigError, FileError, suggestion
-from understudy.registry import Registry
+from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip, Skeleton, sample
 from understudy_mujoco.scene import MjcfFile
 

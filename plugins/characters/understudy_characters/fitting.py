@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from understudy.errors import FileError, PluginError, suggestion
-from understudy.registry import Registry
+from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_motion.clip import Clip
 

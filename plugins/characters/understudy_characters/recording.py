@@ -7,12 +7,12 @@ from typing import Any
 
 import torch
 
-from understudy import runs
-from understudy.config import Experiment, validate
 from understudy.errors import ConfigError, FileError
-from understudy.interfaces import Context
-from understudy.plugins import installed
-from understudy.runs import Run
+from understudy.records import runs
+from understudy.records.runs import Run
+from understudy.setup.config import Experiment, validate
+from understudy.setup.plugins import installed
+from understudy.task.interfaces import Context
 from understudy_characters.character import Character
 from understudy_motion.clip import Clip
 from understudy_motion.readers.npz import Archive

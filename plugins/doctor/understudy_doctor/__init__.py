@@ -1,7 +1,7 @@
 """The clip doctor: what is wrong with a clip, and what repairs it."""
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = ("characters", "motion")

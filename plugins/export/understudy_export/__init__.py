@@ -1,7 +1,7 @@
 """Animation out: runs and clips as BVH, glTF and USD."""
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = ("characters", "motion")

@@ -1,7 +1,7 @@
 """Motion clips: reading, checking, sampling. Nothing here knows a particular character."""
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()

@@ -7,7 +7,7 @@ import math
 import typing
 from pathlib import Path
 
-from understudy.registry import Registry
+from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.reading import Axis, ReadOptions, Unit

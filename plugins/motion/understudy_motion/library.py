@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from understudy.errors import ConfigError, FileError, suggestion
-from understudy.registry import Registry, checked_options
+from understudy.options import checked_options
+from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
 from understudy_motion.reading import RECORD_SUFFIX, UNSAID, ReadOptions, read_clip, readers
 

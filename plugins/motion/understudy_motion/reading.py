@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from understudy.errors import ConfigError, FileError
-from understudy.registry import Registry
+from understudy.setup.registry import Registry
 from understudy_motion.clip import MAX_DISTANCE, Clip, Skeleton
 
 Unit = Literal["m", "cm", "mm", "inch", "foot"]

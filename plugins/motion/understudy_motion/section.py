@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from understudy.registry import Registry
+from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.reading import Axis, ReadOptions, Unit

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from understudy.errors import FileError
-from understudy.registry import Registry
+from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
 
 

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()

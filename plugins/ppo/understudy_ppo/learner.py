@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from understudy import distributed
 from understudy.errors import ConfigError, TrainingError
-from understudy.interfaces import Context, Learner, Policy, Rollout, State
+from understudy.options import check_range
 from understudy.random import generator
-from understudy.registry import check_range
+from understudy.task.interfaces import Context, Learner, Policy, Rollout, State
 from understudy_ppo.graphs import Captured
 from understudy_ppo.returns import lambda_advantages
 

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from understudy.errors import ConfigError, suggestion
-from understudy.interfaces import Context, Policy
 from understudy.nn import DiagonalGaussian, RunningNormaliser, Schedule, mlp
-from understudy.registry import check_range
+from understudy.options import check_range
+from understudy.task.interfaces import Context, Policy
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
 

@@ -1,7 +1,7 @@
 """Retargeting: the motion of any skeleton on any character."""
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = ("characters", "motion")

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from understudy.errors import ConfigError
-from understudy.interfaces import Command
-from understudy.plugins import installed
-from understudy.registry import Registry
+from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
+from understudy.task.interfaces import Command
 from understudy_characters.character import load_character
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip

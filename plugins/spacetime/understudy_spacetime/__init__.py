@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = ("characters", "humanoid", "motion", "mujoco", "ppo")

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from understudy.interfaces import Context, Fields, Shape
 from understudy.rotations import canonical, conjugate, from_heading, multiply, to_matrix
+from understudy.task.interfaces import Context, Fields, Shape
 from understudy_humanoid.parts import END_EFFECTORS
 
 

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy.interfaces import Context
 from understudy.rotations import angle_between
+from understudy.task.interfaces import Context
 from understudy_humanoid.scene import HumanoidScene
 
 Size = float | list[list[float]]

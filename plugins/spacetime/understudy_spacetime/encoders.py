@@ -7,8 +7,8 @@ import math
 import torch
 from torch import Tensor
 
-from understudy.interfaces import Context, Encoder, Shape
 from understudy.rotations import from_heading, inverse_rotate
+from understudy.task.interfaces import Context, Encoder, Shape
 from understudy_humanoid.scene import HumanoidScene
 from understudy_spacetime.alignment import turned
 

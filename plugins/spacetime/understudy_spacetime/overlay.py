@@ -15,9 +15,9 @@ from torch import Tensor
 
 from understudy import rotations
 from understudy.errors import ConfigError, FileError, suggestion
-from understudy.interfaces import Context
-from understudy.registry import checked_options, options_of
+from understudy.options import checked_options, options_of
 from understudy.rotations import angle_between
+from understudy.task.interfaces import Context
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_humanoid.kinematics import kinematics
 from understudy_humanoid.scene import HumanoidScene

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from torch import Tensor, nn
 
 from understudy.errors import ConfigError
-from understudy.interfaces import Context, Policy
 from understudy.nn import DiagonalGaussian
+from understudy.task.interfaces import Context, Policy
 from understudy_ppo.policy import MLPPolicy, observation_size
 
 

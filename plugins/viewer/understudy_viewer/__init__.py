@@ -1,7 +1,7 @@
 """The motion page: clips and runs in the browser."""
 
 from understudy import hookimpl
-from understudy.registry import Registrar
+from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = ("characters", "motion")

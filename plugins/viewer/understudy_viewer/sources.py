@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from understudy import runs
 from understudy.errors import UnderstudyError
-from understudy.registry import Registry
+from understudy.records import runs
+from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character
 from understudy_characters.overlay import Gauge, Region

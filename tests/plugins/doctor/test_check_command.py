@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from damage import between, raised, turned, walking
 
-from understudy import cli, plugins
+from understudy.command import cli
+from understudy.setup import plugins
 from understudy_doctor.findings import Severity
 from understudy_humanoid.character import build_spec
 from understudy_motion.clip import Clip
@@ -27,7 +28,7 @@ Z = (0.0, 0.0, 1.0)
 def _humanoid_is_a_character(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded = plugins.load()
     if "humanoid" not in loaded.registry.names("character"):
-        from understudy.registry import Registrar
+        from understudy.setup.registry import Registrar
 
         Registrar(loaded.registry, "tests").component("character", "humanoid", build_spec)
     monkeypatch.setattr(plugins, "installed", lambda: loaded)

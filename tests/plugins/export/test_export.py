@@ -13,10 +13,10 @@ from motion_files import WRITE, walker
 from moving_figures import angle_error, position_error
 from recorded_runs import croucher_plugins, make_run, record, track
 
-from understudy import plugins
-from understudy.cli import main
+from understudy.command.cli import main
 from understudy.errors import FileError
-from understudy.registry import Registry
+from understudy.setup import plugins
+from understudy.setup.registry import Registry
 from understudy_characters import recording
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn

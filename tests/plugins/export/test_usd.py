@@ -201,7 +201,7 @@ sys.modules["pxr"] = None
 from pathlib import Path
 from motion_files import walker
 from understudy.errors import FileError
-from understudy.plugins import installed
+from understudy.setup.plugins import installed
 from understudy_motion.writing import write_clip
 write_clip(walker(), Path("clip.glb"), installed().registry)
 try:

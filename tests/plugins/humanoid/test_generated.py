@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from understudy import rotations
 from understudy.errors import ConfigError
-from understudy.plugins import Plugins
-from understudy.registry import checked_options
+from understudy.options import checked_options
+from understudy.setup.plugins import Plugins
 from understudy_humanoid import generated
 from understudy_motion.clip import Clip, cycle_transform, velocities
 from understudy_motion.library import load

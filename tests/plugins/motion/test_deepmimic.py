@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from understudy import rotations
 from understudy.errors import FileError
-from understudy.plugins import installed
+from understudy.setup.plugins import installed
 from understudy_motion import library
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers import deepmimic

@@ -23,11 +23,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy import cli, plugins
+from understudy.command import cli
 from understudy.errors import FileError
-from understudy.registry import Component, Registrar, Registry
+from understudy.records.runs import Run
 from understudy.report import write_report
-from understudy.runs import Run
+from understudy.setup import plugins
+from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.fetch import cmu, command, download

@@ -12,7 +12,7 @@ import torch
 
 import understudy_motion
 from understudy.errors import ConfigError, FileError
-from understudy.registry import Component, Registrar, Registry
+from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic

@@ -10,7 +10,7 @@ from motion_files import WRITE
 
 import understudy_motion
 from understudy.errors import FileError
-from understudy.registry import Registrar, Registry
+from understudy.setup.registry import Registrar, Registry
 from understudy_motion import library, reading
 from understudy_motion.kinematics import forward_kinematics
 from understudy_motion.reading import HEAD_BYTES, UnknownFormatError, read_clip, readers

@@ -10,7 +10,7 @@ import torch
 
 import understudy_motion
 from understudy.errors import FileError
-from understudy.registry import Component, Registrar, Registry
+from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
 from understudy_motion.section import Motion, MotionOptions

@@ -11,7 +11,7 @@ from motion_files import walker
 
 import understudy_motion
 from understudy.errors import FileError
-from understudy.registry import Registrar, Registry
+from understudy.setup.registry import Registrar, Registry
 from understudy_motion.reading import read_clip
 from understudy_motion.writing import write_clip
 

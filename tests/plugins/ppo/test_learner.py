@@ -3,10 +3,10 @@ from __future__ import annotations
 import pytest
 from worlds import assert_same_state, make_training
 
-from understudy.plugins import Plugins
+from understudy.running.training import Training
+from understudy.setup.plugins import Plugins
 from understudy.testing import check_plugin
 from understudy.testing.fake import FAKE_TASK
-from understudy.training import Training
 
 TASK = (
     *FAKE_TASK,

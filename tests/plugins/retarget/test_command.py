@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from motion_files import walker
 
-from understudy import cli, plugins
+from understudy.command import cli
+from understudy.setup import plugins
 from understudy_motion.reading import read_clip
 from understudy_motion.writers.table import NpzWriter
 

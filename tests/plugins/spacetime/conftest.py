@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from understudy.interfaces import Context, Rollout
-from understudy.plugins import Plugins
+from understudy.setup.plugins import Plugins
+from understudy.task.interfaces import Context, Rollout
 from understudy_humanoid.scene import HumanoidScene
 from understudy_motion.section import Motion, MotionOptions
 

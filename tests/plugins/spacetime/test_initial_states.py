@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from understudy.interfaces import Context, Rollout
 from understudy.random import WorldStreams
+from understudy.task.interfaces import Context, Rollout
 from understudy_humanoid.scene import reference_motion
 from understudy_spacetime.initial_states import (
     Evolution,

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from understudy import rotations
-from understudy.building import build_environment
-from understudy.config import load_experiment
-from understudy.environment import Environment
 from understudy.errors import ConfigError, FileError
-from understudy.plugins import Plugins
+from understudy.running.environment import Environment
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import Plugins
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_spacetime.overlay import BoundsOverlay
 

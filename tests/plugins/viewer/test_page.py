@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from understudy import plugins
 from understudy.errors import ConfigError
+from understudy.setup import plugins
 from understudy_characters.character import Character
 from understudy_characters.overlay import Gauge, Region
 from understudy_humanoid.character import build_spec
@@ -187,7 +187,7 @@ def served(walk: Clip, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], 
     model, other = tmp_path / "biped.xml", tmp_path / "other.npz"
     model.write_text(build_spec().to_xml())
     write_clip(replace(walk, name=EVIL), other, plugins.load(only=["motion"]).registry)
-    command = [sys.executable, "-m", "understudy.cli", "motion", "view", "walk", str(other)]
+    command = [sys.executable, "-m", "understudy.command.cli", "motion", "view", "walk", str(other)]
     command += ["--character", str(model), "--no-browser", "--port", str(free_port(HOST, 0))]
     environment = {**os.environ, "UNDERSTUDY_PLUGINS": PLUGINS, "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)

@@ -12,10 +12,10 @@ import pytest
 import recorded_runs
 from recorded_runs import make_run, record, track
 
-from understudy import plugins
 from understudy.errors import ConfigError, FileError
-from understudy.plugins import Plugins, hookimpl
-from understudy.registry import Registrar, Registry
+from understudy.setup import plugins
+from understudy.setup.plugins import Plugins, hookimpl
+from understudy.setup.registry import Registrar, Registry
 from understudy.testing import fake
 from understudy_characters import recording
 from understudy_characters.fitting import fitting_character

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from understudy import cli, plugins
+from understudy.command import cli
 from understudy.errors import ConfigError
+from understudy.setup import plugins
 from understudy_viewer import command
 from understudy_viewer.stage import Stage
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy.interfaces import Context, InitialStates
+from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.registry import check_range
+from understudy.task.interfaces import Context, InitialStates
 from understudy_humanoid.scene import HumanoidScene
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import torch
 
-from understudy.config import Experiment, TermChoice
-from understudy.environment import Environment, Parts, Term
 from understudy.errors import ConfigError, PluginError
-from understudy.interfaces import Context, Learner, Policy, Scene, Simulator
 from understudy.random import private_rng
-from understudy.registry import Registry
+from understudy.running.environment import Environment, Parts, Term
+from understudy.setup.config import Experiment, TermChoice
+from understudy.setup.registry import Registry
+from understudy.task.interfaces import Context, Learner, Policy, Scene, Simulator
 
 
 @dataclass

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 import pluggy
 
 from understudy.errors import PluginError
-from understudy.registry import Registrar, Registry
+from understudy.setup.registry import Registrar, Registry
 
 if TYPE_CHECKING:
-    from understudy.interfaces import RunObserver
+    from understudy.task.interfaces import RunObserver
 
 GROUP = "understudy"
 hookspec = pluggy.HookspecMarker(GROUP)

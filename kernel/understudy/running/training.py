@@ -18,15 +18,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy import checkpoint, distributed
-from understudy.building import build_environment, build_learner, build_policy
-from understudy.config import Experiment
-from understudy.environment import refuse_hopeless
+from understudy import distributed
 from understudy.errors import PreemptedError, RunError
-from understudy.evaluation import Evaluation, Evaluator
-from understudy.interfaces import Rollout, RunObserver, State
 from understudy.random import WorldStreams
-from understudy.runs import Run, differences, versions
+from understudy.records import checkpoint
+from understudy.records.runs import Run, differences, versions
+from understudy.running.environment import refuse_hopeless
+from understudy.running.evaluation import Evaluation, Evaluator
+from understudy.setup.building import build_environment, build_learner, build_policy
+from understudy.setup.config import Experiment
+from understudy.task.interfaces import Rollout, RunObserver, State
 
 
 class Collector:

@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.building import Built, build_environment
-from understudy.config import Experiment
-from understudy.interfaces import Context, Policy
+from understudy.setup.building import Built, build_environment
+from understudy.setup.config import Experiment
+from understudy.task.interfaces import Context, Policy
 
 
 @dataclass(frozen=True)

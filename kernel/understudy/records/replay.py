@@ -8,11 +8,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from understudy import checkpoint
-from understudy.building import build_environment
-from understudy.config import validate
-from understudy.environment import sound
-from understudy.plugins import Plugins, installed
+from understudy.records import checkpoint
+from understudy.running.environment import sound
+from understudy.setup.building import build_environment
+from understudy.setup.config import validate
+from understudy.setup.plugins import Plugins, installed
 
 
 @dataclass(frozen=True)

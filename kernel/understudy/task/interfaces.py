@@ -25,7 +25,7 @@ from understudy.errors import ConfigError, UnderstudyError
 
 if TYPE_CHECKING:
     from understudy.random import WorldStreams
-    from understudy.runs import Run
+    from understudy.records.runs import Run
 
 State = Mapping[str, Any]
 """What ``state_dict`` returns: nested mappings of tensors, numbers, strings and lists thereof."""

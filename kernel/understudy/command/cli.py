@@ -77,7 +77,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
     """The commands that plugins register; of these only the one that is asked for is imported."""
-    from understudy.plugins import installed
+    from understudy.setup.plugins import installed
 
     registry = installed().registry
     groups: dict[str, Any] = {}
@@ -108,38 +108,38 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
 
 
 def _train(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.config import load_experiment
-    from understudy.workflow import train
+    from understudy.command.workflow import train
+    from understudy.setup.config import load_experiment
 
     return train(load_experiment(overrides), overrides)
 
 
 def _resume(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.workflow import resume
+    from understudy.command.workflow import resume
 
     return resume(options.run, overrides)
 
 
 def _evaluate(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.workflow import evaluate
+    from understudy.command.workflow import evaluate
 
     return evaluate(options.run, overrides)
 
 
 def _render(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.workflow import render
+    from understudy.command.workflow import render
 
     return render(options.run, overrides)
 
 
 def _sweep(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.sweep import sweep
+    from understudy.outer.sweep import sweep
 
     return sweep(overrides)
 
 
 def _plugins(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.plugins import installed
+    from understudy.setup.plugins import installed
 
     plugins = installed()
     components: dict[str, list[str]] = {}
@@ -166,7 +166,7 @@ def _plugins(options: argparse.Namespace, overrides: list[str]) -> int:
 
 
 def _tasks(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.plugins import installed
+    from understudy.setup.plugins import installed
 
     tasks = sorted(installed().registry.tasks.values(), key=lambda t: t.name)
     if options.json:
@@ -179,7 +179,7 @@ def _tasks(options: argparse.Namespace, overrides: list[str]) -> int:
 
 
 def _config(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.config import compose_raw, provenance
+    from understudy.setup.config import compose_raw, provenance
 
     raw = compose_raw(overrides)
     if options.json:

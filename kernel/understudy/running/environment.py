@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, TrainingError
-from understudy.interfaces import (
+from understudy.random import WorldStreams
+from understudy.task.interfaces import (
     Actuation,
     Encoder,
     Fields,
@@ -25,7 +26,6 @@ from understudy.interfaces import (
     Simulator,
     State,
 )
-from understudy.random import WorldStreams
 
 #: Fields that the environment itself provides; ``failed`` (bool) is set once this step's
 #: terminations are known, so only rewards may read it.

@@ -6,18 +6,14 @@ fill it. Components are looked up by name only; a configuration never names Pyth
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import importlib
-import inspect
-import math
-import types
-import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.errors import ConfigError, PluginError, suggestion
+from understudy.options import Option, options_of
 
 #: The kinds the kernel itself knows, with what fills them. Plugins may add kinds of their own.
 KERNEL_KINDS: dict[str, str] = {
@@ -75,165 +71,6 @@ class Component:
     @functools.cached_property
     def options(self) -> Mapping[str, Option]:
         return options_of(self.factory)
-
-
-@dataclass(frozen=True)
-class Option:
-    """One option of a component: its type, and its default (``REQUIRED`` if there is none)."""
-
-    name: str
-    annotation: Any
-    default: Any
-
-
-REQUIRED: Any = inspect.Parameter.empty
-
-
-def options_of(factory: Any) -> dict[str, Option]:
-    """The options of a factory.
-
-    A class's options are the fields of its ``Options`` dataclass; a function's (a term's) are its
-    keyword-only parameters.
-    """
-    function: Any = factory
-    schema: Any = (
-        factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
-    )
-    if schema is not None:
-        hints = typing.get_type_hints(schema)
-        result = {}
-        for item in dataclasses.fields(schema):
-            default: Any = item.default
-            if item.default_factory is not dataclasses.MISSING:
-                default = item.default_factory()
-            if default is dataclasses.MISSING:
-                default = REQUIRED
-            result[item.name] = Option(item.name, hints[item.name], default)
-        return result
-    if inspect.isclass(factory):
-        return {}
-    hints = typing.get_type_hints(function)
-    return {
-        name: Option(name, hints.get(name, Any), parameter.default)
-        for name, parameter in inspect.signature(function).parameters.items()
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-    }
-
-
-def coerce(value: Any, annotation: Any, where: str) -> Any:
-    """`value` as the annotated type, or a :class:`ConfigError` that names the key path `where`.
-
-    Knows the types that options use: bool, int, float, str, ``X | None``, ``Literal``, tuples and
-    lists, mappings, nested dataclasses, and Any. Integers are accepted as floats, never the
-    reverse; NaN and infinity are never accepted.
-    """
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if annotation is Any:
-        return value
-    if origin in (typing.Union, types.UnionType):
-        if value is None and type(None) in arguments:
-            return None
-        attempts = [item for item in arguments if item is not type(None)]
-        for item in attempts:
-            try:
-                return coerce(value, item, where)
-            except ConfigError:
-                if item is attempts[-1]:
-                    raise
-    if origin is typing.Literal:
-        if value in arguments:
-            return value
-        raise ConfigError(
-            f"{where}={value!r} is not possible.{suggestion(str(value), map(str, arguments))}"
-        )
-    if annotation is bool and isinstance(value, bool):
-        return value
-    if annotation is int and isinstance(value, int) and not isinstance(value, bool):
-        return value
-    if annotation is int and isinstance(value, float) and value.is_integer():
-        return int(value)  # 1e6 is how people write a million samples
-    if annotation is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        if not math.isfinite(value):
-            raise ConfigError(f"{where}={value} is not possible; give a finite number.")
-        return float(value)
-    if annotation is str and isinstance(value, str):
-        return value
-    if origin in (tuple, list) and isinstance(value, (list, tuple)):
-        if origin is tuple and arguments and arguments[-1] is not Ellipsis:
-            if len(value) != len(arguments):
-                raise ConfigError(f"{where} takes {len(arguments)} values, got {len(value)}.")
-            kinds = list(arguments)
-        else:
-            kinds = [arguments[0] if arguments else Any] * len(value)
-        return origin(
-            coerce(v, kind, f"{where}[{i}]")
-            for i, (v, kind) in enumerate(zip(value, kinds, strict=True))
-        )
-    if origin in (dict, Mapping) and isinstance(value, Mapping):
-        kind = arguments[1] if arguments else Any
-        return {str(k): coerce(v, kind, f"{where}.{k}") for k, v in value.items()}
-    if annotation in (dict, Mapping) and isinstance(value, Mapping):
-        return dict(value)
-    if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
-        return make_options(annotation, value, where)
-    expected = getattr(annotation, "__name__", str(annotation))
-    raise ConfigError(f"{where}={value!r} is not possible: it takes {expected}.")
-
-
-def make_options(schema: type, values: Any, where: str) -> Any:
-    """The dataclass `schema` filled from the mapping `values`; errors name the key path `where`."""
-    if isinstance(values, schema):
-        return values
-    if not isinstance(values, Mapping):
-        raise ConfigError(f"{where}={values!r} is not possible: it takes a mapping of options.")
-    arguments = checked_options(options_of(schema), values, where)
-    try:
-        return schema(**arguments)
-    except ValueError as error:  # a dataclass's own range checks; they begin with the option's name
-        raise ConfigError(f"{_below(where)}{error}") from error
-
-
-def check_range(
-    options: Any,
-    *names: str,
-    above: float | None = None,
-    least: float | None = None,
-    most: float | None = None,
-) -> None:
-    """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
-    above `above`, at `least` or more, and at `most` or less; a ValueError names the one that does not."""
-    for name in names:
-        value = getattr(options, name)
-        if value is None:
-            continue
-        for bound, holds, how in (
-            (above, above is None or value > above, "greater than"),
-            (least, least is None or value >= least, "at least"),
-            (most, most is None or value <= most, "at most"),
-        ):
-            if not holds:
-                raise ValueError(f"{name}={value!r} is not possible: it must be {how} {bound:g}.")
-
-
-def _below(where: str) -> str:
-    return f"{where}." if where else ""
-
-
-def checked_options(
-    options: Mapping[str, Option], values: Mapping[str, Any], where: str
-) -> dict[str, Any]:
-    """`values` coerced to the types of `options`; unknown and missing ones are errors."""
-    for key in values:
-        if key not in options:
-            owner = where or "The configuration"
-            raise ConfigError(f"{owner} has no option '{key}'.{suggestion(str(key), options)}")
-    result = {}
-    for name, option in options.items():
-        if name in values:
-            result[name] = coerce(values[name], option.annotation, f"{_below(where)}{name}")
-        elif option.default is REQUIRED:
-            raise ConfigError(f"{_below(where)}{name} is not set. Give it a value.")
-    return result
 
 
 @dataclass(frozen=True)

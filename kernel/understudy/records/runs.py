@@ -5,7 +5,7 @@
     run.json           composed config, overrides, versions, seed, sources and licences
     metrics.jsonl      one row an iteration
     tensorboard/       the same for TensorBoard
-    checkpoints/       see :mod:`understudy.checkpoint`
+    checkpoints/       see :mod:`understudy.records.checkpoint`
     faults/            what led to the first numerical failure, to be replayed
     evaluation.json    the last evaluation
     recording.npz, video.mp4, report.html
@@ -26,9 +26,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from understudy.checkpoint import write_atomically
-from understudy.config import Experiment, refuse_code
 from understudy.errors import RunError
+from understudy.records.checkpoint import write_atomically
+from understudy.setup.config import Experiment, refuse_code
 
 #: Version of the folder's layout.
 LAYOUT = 1

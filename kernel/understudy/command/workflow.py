@@ -14,18 +14,19 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from understudy import checkpoint, distributed, runs
-from understudy.building import build_policy
-from understudy.config import Experiment, compose_raw, replaced, validate
+from understudy import distributed
 from understudy.errors import RunError, UnderstudyError
-from understudy.evaluation import Evaluation, Evaluator
-from understudy.interfaces import Policy
 from understudy.pictures import write_video
-from understudy.plugins import installed
+from understudy.records import checkpoint, runs
+from understudy.records.runs import Run
 from understudy.report import write_report
-from understudy.runs import Run
+from understudy.running.evaluation import Evaluation, Evaluator
+from understudy.running.training import Outcome, Reporter, Training
+from understudy.setup.building import build_policy
+from understudy.setup.config import Experiment, compose_raw, replaced, validate
+from understudy.setup.plugins import installed
+from understudy.task.interfaces import Policy
 from understudy.tensorboard import TensorBoard
-from understudy.training import Outcome, Reporter, Training
 
 
 class Display:

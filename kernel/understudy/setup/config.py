@@ -27,17 +27,11 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from understudy.environment import Outcome
 from understudy.errors import ConfigError, suggestion
-from understudy.plugins import Plugins, installed
-from understudy.registry import (
-    Component,
-    Option,
-    Registry,
-    check_range,
-    checked_options,
-    make_options,
-)
+from understudy.options import Option, check_range, checked_options, make_options
+from understudy.running.environment import Outcome
+from understudy.setup.plugins import Plugins, installed
+from understudy.setup.registry import Component, Registry
 
 
 @dataclass(frozen=True)
@@ -348,8 +342,8 @@ class UnderstudySearchPath(SearchPathPlugin):
 def kernel_conf() -> Path:
     """The kernel's own config directory (``conf/`` at the top of the source tree)."""
     here = Path(__file__).resolve()
-    packaged = here.parent / "conf"
-    return packaged if packaged.is_dir() else here.parents[2] / "conf"
+    packaged = here.parents[1] / "conf"
+    return packaged if packaged.is_dir() else here.parents[3] / "conf"
 
 
 @contextlib.contextmanager

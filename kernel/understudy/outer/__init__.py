@@ -1,0 +1,1 @@
+"""Loops around whole trainings: trials, their journal, sweeps."""

@@ -1,0 +1,1 @@
+"""How a task runs in time: environment, evaluation, jobs."""

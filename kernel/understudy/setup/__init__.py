@@ -1,0 +1,1 @@
+"""From plugins and a configuration to built parts."""

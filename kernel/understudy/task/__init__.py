@@ -1,0 +1,1 @@
+"""What a task consists of: the interfaces of its parts."""
