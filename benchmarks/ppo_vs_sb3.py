@@ -22,7 +22,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from understudy.nn import Schedule
 from understudy.random import WorldStreams, private_rng
 from understudy.records.runs import versions
-from understudy.task.interfaces import Context, Rollout
+from understudy.task import Context, Rollout
 from understudy_ppo.learner import PPO
 from understudy_ppo.policy import MLPPolicy
 

@@ -13,7 +13,7 @@ from understudy.records import runs
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy.task.interfaces import Context
+from understudy.task import Context
 from understudy.testing import fake
 from understudy_mujoco.scene import MujocoScene
 

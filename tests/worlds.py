@@ -19,7 +19,7 @@ from understudy.running.training import Reporter, Training
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy.task.interfaces import Actuation, Context, Encoder, InitialStates
+from understudy.task import Actuation, Context, Encoder, InitialStates
 from understudy.testing import fake
 from understudy_mujoco.scene import MujocoScene
 

@@ -1,10 +1,10 @@
-"""The few network parts that policies share: an MLP, a running normaliser, a Gaussian."""
+"""The few network parts that policies share: an MLP, a running normaliser, action distributions."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.task.interfaces import Distribution
+from understudy.task import ActionSpace, Box, Distribution
 
 
 def mlp(
@@ -70,7 +70,7 @@ class RunningNormaliser(nn.Module):
 
 @dataclass(frozen=True)
 class DiagonalGaussian(Distribution):
-    """Independent normals with `mean` (…, A) and standard deviation `std` (A,)."""
+    """Independent normals with `mean` (…, A) and standard deviation `std`, (A,) or (…, A)."""
 
     mean: Tensor
     std: Tensor
@@ -83,12 +83,112 @@ class DiagonalGaussian(Distribution):
 
     def log_prob(self, action: Tensor) -> Tensor:
         z = (action - self.mean) / self.std
-        constant = self.std.log().sum() + 0.5 * math.log(2 * math.pi) * self.std.shape[-1]
+        constant = self.std.log().sum(-1) + 0.5 * math.log(2 * math.pi) * self.std.shape[-1]
         return -0.5 * z.square().sum(-1) - constant
 
     def entropy(self) -> Tensor:
         constant = 0.5 * (1.0 + math.log(2 * math.pi))
         return (self.std.log() + constant).sum(-1).expand(self.mean.shape[:-1])
+
+    def divergence(self, other: DiagonalGaussian) -> Tensor:
+        ratio = (self.std / other.std).square()
+        away = ((self.mean - other.mean) / other.std).square()
+        return 0.5 * (ratio + away - 1.0 - ratio.log()).sum(-1)
+
+    def detach(self) -> DiagonalGaussian:
+        return DiagonalGaussian(self.mean.detach(), self.std.detach())
+
+
+@dataclass(frozen=True)
+class Categorical(Distribution):
+    """One of K options with unnormalised log-probabilities `logits` (…, K); its action is (…, 1)."""
+
+    logits: Tensor
+
+    def sample(self, streams: WorldStreams) -> Tensor:
+        below = self.logits.softmax(-1).cumsum(-1) <= streams.uniform(1)
+        most = self.logits.shape[-1] - 1  # where rounding leaves the sum below 1
+        return below.sum(-1, keepdim=True).clamp(max=most).to(self.logits.dtype)
+
+    def mode(self) -> Tensor:
+        return self.logits.argmax(-1, keepdim=True).to(self.logits.dtype)
+
+    def log_prob(self, action: Tensor) -> Tensor:
+        return self.logits.log_softmax(-1).gather(-1, action.long()).squeeze(-1)
+
+    def entropy(self) -> Tensor:
+        log = self.logits.log_softmax(-1)
+        return -(log.exp() * log).sum(-1)
+
+    def divergence(self, other: Categorical) -> Tensor:
+        log = self.logits.log_softmax(-1)
+        return (log.exp() * (log - other.logits.log_softmax(-1))).sum(-1)
+
+    def detach(self) -> Categorical:
+        return Categorical(self.logits.detach())
+
+
+@dataclass(frozen=True)
+class Joint(Distribution):
+    """Independent distributions side by side, each of as many columns as in `widths`."""
+
+    parts: tuple[Distribution, ...]
+    widths: tuple[int, ...]
+
+    def _columns(self, action: Tensor) -> Iterator[tuple[Distribution, Tensor]]:
+        return zip(self.parts, action.split(list(self.widths), dim=-1), strict=True)
+
+    def sample(self, streams: WorldStreams) -> Tensor:
+        return torch.cat([part.sample(streams) for part in self.parts], dim=-1)
+
+    def mode(self) -> Tensor:
+        return torch.cat([part.mode() for part in self.parts], dim=-1)
+
+    def log_prob(self, action: Tensor) -> Tensor:
+        return _total(part.log_prob(columns) for part, columns in self._columns(action))
+
+    def entropy(self) -> Tensor:
+        return _total(part.entropy() for part in self.parts)
+
+    def divergence(self, other: Joint) -> Tensor:
+        pairs = zip(self.parts, other.parts, strict=True)
+        return _total(part.divergence(theirs) for part, theirs in pairs)
+
+    def detach(self) -> Joint:
+        return Joint(tuple(part.detach() for part in self.parts), self.widths)
+
+
+def _total(values: Iterable[Tensor]) -> Tensor:
+    return torch.stack(tuple(values)).sum(0)
+
+
+def head_size(space: ActionSpace) -> int:
+    """How many outputs of a network :func:`action_distribution` needs: the means of the boxes and
+    the logits of the choices."""
+    return sum(p.size if isinstance(p, Box) else p.count for p in space.parts.values())
+
+
+def box_columns(space: ActionSpace) -> int:
+    """How many columns of an action are real numbers."""
+    return sum(part.size for part in space.parts.values() if isinstance(part, Box))
+
+
+def action_distribution(space: ActionSpace, outputs: Tensor, std: Tensor) -> Distribution:
+    """The distribution over `space` of a network's `outputs` (…, head_size), with the standard
+    deviation `std` (box_columns,) of the boxes' numbers."""
+    parts = tuple(space.parts.values())
+    if len(parts) == 1 and isinstance(parts[0], Box):
+        return DiagonalGaussian(outputs, std)
+    pieces = outputs.split([p.size if isinstance(p, Box) else p.count for p in parts], dim=-1)
+    found: list[Distribution] = []
+    at = 0
+    for part, piece in zip(parts, pieces, strict=True):
+        if isinstance(part, Box):
+            found.append(DiagonalGaussian(piece, std[at : at + part.size]))
+            at += part.size
+        else:
+            found.append(Categorical(piece))
+    return Joint(tuple(found), tuple(part.columns for part in parts))
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from torch.utils.tensorboard.writer import SummaryWriter
 
+from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.task.interfaces import RunObserver
 
 
 class TensorBoard(RunObserver):

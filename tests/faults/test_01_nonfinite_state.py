@@ -13,7 +13,7 @@ from understudy.running.environment import Environment, Step
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins
-from understudy.task.interfaces import Rollout
+from understudy.task import Rollout
 from understudy.testing.fake import FAKE_TASK
 
 BAD = 5

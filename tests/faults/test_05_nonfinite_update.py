@@ -14,7 +14,7 @@ from understudy.running.training import Training
 from understudy.setup.building import build_environment, build_learner, build_policy
 from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins
-from understudy.task.interfaces import Rollout
+from understudy.task import Rollout
 from understudy.testing.fake import FAKE_TASK
 from understudy_ppo.learner import PPO
 

@@ -19,7 +19,7 @@ from understudy.records import checkpoint
 from understudy.records.runs import Run
 from understudy.running.training import Reporter
 from understudy.setup.plugins import Plugins
-from understudy.task.interfaces import RunObserver
+from understudy.records.observer import RunObserver
 from understudy.testing.fake import FAKE_TASK
 
 

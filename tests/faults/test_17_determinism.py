@@ -15,7 +15,7 @@ from understudy.running.training import Reporter, Training
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins, load
-from understudy.task.interfaces import RunObserver
+from understudy.records.observer import RunObserver
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 

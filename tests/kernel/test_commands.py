@@ -10,7 +10,7 @@ from understudy.command import cli
 from understudy.errors import FileError
 from understudy.setup import plugins
 from understudy.setup.registry import Registrar
-from understudy.task.interfaces import Command
+from understudy.command.command import Command
 
 
 class Greet(Command):

@@ -25,7 +25,7 @@ from understudy.running.training import Outcome, Reporter, Training
 from understudy.setup.building import build_policy
 from understudy.setup.config import Experiment, compose_raw, replaced, validate
 from understudy.setup.plugins import installed
-from understudy.task.interfaces import Policy
+from understudy.task import Policy
 from understudy.tensorboard import TensorBoard
 
 

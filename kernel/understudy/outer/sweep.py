@@ -19,12 +19,12 @@ from urllib.parse import quote
 
 from understudy import distributed
 from understudy.errors import ConfigError, RunError, TrainingError
+from understudy.outer.trials import Executor, OuterLoop, Result, Trial
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.running.training import Reporter, Training
 from understudy.setup.config import compose_raw, load_experiment, validate
 from understudy.setup.plugins import installed
-from understudy.task.interfaces import Executor, OuterLoop, Result, Trial
 
 
 def sweep(overrides: Sequence[str]) -> int:

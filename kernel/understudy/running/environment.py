@@ -17,15 +17,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, TrainingError
 from understudy.random import WorldStreams
-from understudy.task.interfaces import (
-    Actuation,
-    Encoder,
-    Fields,
-    InitialStates,
-    Shape,
-    Simulator,
-    State,
-)
+from understudy.task import Actuation, Encoder, Fields, InitialStates, Shape, Simulator, State
 
 #: Fields that the environment itself provides; ``failed`` (bool) is set once this step's
 #: terminations are known, so only rewards may read it.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Experiment
-from understudy.task.interfaces import Context, Policy
+from understudy.task import Context, Policy
 
 
 @dataclass(frozen=True)

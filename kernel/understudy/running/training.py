@@ -22,12 +22,13 @@ from understudy import distributed
 from understudy.errors import PreemptedError, RunError
 from understudy.random import WorldStreams
 from understudy.records import checkpoint
+from understudy.records.observer import RunObserver
 from understudy.records.runs import Run, differences, versions
 from understudy.running.environment import refuse_hopeless
 from understudy.running.evaluation import Evaluation, Evaluator
 from understudy.setup.building import build_environment, build_learner, build_policy
 from understudy.setup.config import Experiment
-from understudy.task.interfaces import Rollout, RunObserver, State
+from understudy.task import Rollout, State
 
 
 class Collector:

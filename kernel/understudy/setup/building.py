@@ -14,7 +14,7 @@ from understudy.random import private_rng
 from understudy.running.environment import Environment, Parts, Term
 from understudy.setup.config import Experiment, TermChoice
 from understudy.setup.registry import Registry
-from understudy.task.interfaces import Context, Learner, Policy, Scene, Simulator
+from understudy.task import Context, Learner, Policy, Scene, Simulator
 
 
 @dataclass

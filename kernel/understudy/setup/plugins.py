@@ -20,7 +20,7 @@ from understudy.errors import PluginError
 from understudy.setup.registry import Registrar, Registry
 
 if TYPE_CHECKING:
-    from understudy.task.interfaces import RunObserver
+    from understudy.records.observer import RunObserver
 
 GROUP = "understudy"
 hookspec = pluggy.HookspecMarker(GROUP)

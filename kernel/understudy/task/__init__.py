@@ -1,1 +1,40 @@
-"""What a task consists of: the interfaces of its parts."""
+"""What a task consists of: the interfaces of its parts, and what they are handed.
+
+Shapes: N worlds, T steps, D observation size, A action size, U control size. All tensors of a task
+live on one device; float32 unless said otherwise. Interfaces are abstract, implementations final:
+to change a part, wrap or replace it.
+
+A component's class takes ``(options, context)``: an instance of its nested ``Options`` dataclass and
+the :class:`Context` of what is being built. Terms (rewards, terminations, measures) are plain
+functions: their positional parameters name the state fields they read, one with a default being read
+only where the task has it; their keyword-only parameters are options.
+"""
+
+from understudy.task.actions import ActionSpace, Box, Choice, box
+from understudy.task.base import Context, Shape, State
+from understudy.task.learning import Learner, Rollout
+from understudy.task.parts import Actuation, Curriculum, Encoder, Fields, InitialStates, Memory
+from understudy.task.physics import Scene, Simulator
+from understudy.task.policy import Distribution, Policy
+
+__all__ = [
+    "ActionSpace",
+    "Actuation",
+    "Box",
+    "Choice",
+    "Context",
+    "Curriculum",
+    "Distribution",
+    "Encoder",
+    "Fields",
+    "InitialStates",
+    "Learner",
+    "Memory",
+    "Policy",
+    "Rollout",
+    "Scene",
+    "Shape",
+    "Simulator",
+    "State",
+    "box",
+]

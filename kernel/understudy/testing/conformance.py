@@ -11,7 +11,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment, validate
 from understudy.setup.plugins import Plugins, installed
 from understudy.setup.registry import Component
-from understudy.task.interfaces import Simulator
+from understudy.task import Simulator
 
 
 def check_component(component: Component) -> None:

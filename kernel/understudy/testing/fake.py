@@ -13,14 +13,7 @@ from torch import Tensor
 from understudy.random import WorldStreams
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy.task.interfaces import (
-    Actuation,
-    Context,
-    Encoder,
-    InitialStates,
-    Scene,
-    Simulator,
-)
+from understudy.task import Actuation, Context, Encoder, InitialStates, Scene, Simulator
 
 
 class FakeScene(Scene):

@@ -12,7 +12,7 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
-from understudy.task.interfaces import Context
+from understudy.task import Context
 from understudy_characters.character import Character
 from understudy_motion.clip import Clip
 from understudy_motion.readers.npz import Archive

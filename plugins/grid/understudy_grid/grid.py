@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.task.interfaces import OuterLoop, Result, Trial
+from understudy.outer.trials import OuterLoop, Result, Trial
 
 
 class Grid(OuterLoop):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from understudy.task.interfaces import Executor, Result, Trial
+from understudy.outer.trials import Executor, Result, Trial
 
 
 class InProcess(Executor):

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy.task.interfaces import Actuation, Context, Fields, Shape
+from understudy.task import Actuation, Context, Fields, Shape
 from understudy_humanoid.kinematics import ground_clearance, kinematics
 from understudy_humanoid.scene import HumanoidScene, reference_motion
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from understudy.errors import UnderstudyError
-from understudy.task.interfaces import Context
+from understudy.task import Context
 from understudy_humanoid.character import (
     REFERENCE_COLOUR,
     add_character,

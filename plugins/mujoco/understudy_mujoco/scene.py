@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 
 from understudy.errors import FileError
-from understudy.task.interfaces import Context, Scene
+from understudy.task import Context, Scene
 from understudy_mujoco.mjcf import read_mjcf
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.records.runs import cores
-from understudy.task.interfaces import Context, Shape, Simulator
+from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.scene import MujocoScene
 
 #: MjData fields that tasks may read, beside the state. Names and frames are MuJoCo's.

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.task.interfaces import Context, Shape, Simulator
+from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.scene import MujocoScene
 
 try:

@@ -13,7 +13,7 @@ from understudy import distributed
 from understudy.errors import ConfigError, TrainingError
 from understudy.options import check_range
 from understudy.random import generator
-from understudy.task.interfaces import Context, Learner, Policy, Rollout, State
+from understudy.task import Context, Learner, Policy, Rollout, State
 from understudy_ppo.graphs import Captured
 from understudy_ppo.returns import lambda_advantages
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from understudy.errors import ConfigError, suggestion
 from understudy.nn import DiagonalGaussian, RunningNormaliser, Schedule, mlp
 from understudy.options import check_range
-from understudy.task.interfaces import Context, Policy
+from understudy.task import Context, Policy
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
 

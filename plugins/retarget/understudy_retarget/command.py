@@ -12,7 +12,7 @@ from typing import Any
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy.task.interfaces import Command
+from understudy.command.command import Command
 from understudy_characters.character import load_character
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from understudy.rotations import canonical, conjugate, from_heading, multiply, to_matrix
-from understudy.task.interfaces import Context, Fields, Shape
+from understudy.task import Context, Fields, Shape
 from understudy_humanoid.parts import END_EFFECTORS
 
 

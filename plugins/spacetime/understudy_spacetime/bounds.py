@@ -14,7 +14,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.rotations import angle_between
-from understudy.task.interfaces import Context
+from understudy.task import Context
 from understudy_humanoid.scene import HumanoidScene
 
 Size = float | list[list[float]]

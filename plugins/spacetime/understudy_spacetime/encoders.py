@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from understudy.rotations import from_heading, inverse_rotate
-from understudy.task.interfaces import Context, Encoder, Shape
+from understudy.task import Context, Encoder, Shape
 from understudy_humanoid.scene import HumanoidScene
 from understudy_spacetime.alignment import turned
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams, generator
-from understudy.task.interfaces import Context, InitialStates, Rollout, Shape, State
+from understudy.task import Context, InitialStates, Rollout, Shape, State
 from understudy_humanoid.reference import ReferenceMotion
 from understudy_humanoid.scene import reference_motion
 

@@ -17,7 +17,7 @@ from understudy import rotations
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.options import checked_options, options_of
 from understudy.rotations import angle_between
-from understudy.task.interfaces import Context
+from understudy.task import Context
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_humanoid.kinematics import kinematics
 from understudy_humanoid.scene import HumanoidScene

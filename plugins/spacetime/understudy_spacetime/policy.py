@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from understudy.errors import ConfigError
 from understudy.nn import DiagonalGaussian
-from understudy.task.interfaces import Context, Policy
+from understudy.task import Context, Policy
 from understudy_ppo.policy import MLPPolicy, observation_size
 
 

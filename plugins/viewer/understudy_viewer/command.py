@@ -8,7 +8,7 @@ import webbrowser
 
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
-from understudy.task.interfaces import Command
+from understudy.command.command import Command
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip
 from understudy_viewer.sources import open_scene

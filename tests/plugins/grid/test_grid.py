@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from understudy.task.interfaces import Result, Trial
+from understudy.outer.trials import Result, Trial
 from understudy_grid.grid import Grid
 from understudy_grid.in_process import InProcess
 

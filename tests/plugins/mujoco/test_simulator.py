@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from understudy.errors import ConfigError
-from understudy.task.interfaces import Context, Scene
+from understudy.task import Context, Scene
 from understudy.testing import check_simulator
 from understudy.testing.fake import FakeScene
 from understudy_mujoco.scene import MujocoScene

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from understudy.setup.plugins import Plugins
-from understudy.task.interfaces import Context, Rollout
+from understudy.task import Context, Rollout
 from understudy_humanoid.scene import HumanoidScene
 from understudy_motion.section import Motion, MotionOptions
 

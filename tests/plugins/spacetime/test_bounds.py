@@ -8,7 +8,7 @@ from torch import Tensor
 
 from understudy import rotations
 from understudy.errors import ConfigError
-from understudy.task.interfaces import Context
+from understudy.task import Context
 from understudy_spacetime.bounds import (
     JointBound,
     com_bound,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from understudy.random import WorldStreams
-from understudy.task.interfaces import Context, Rollout
+from understudy.task import Context, Rollout
 from understudy_humanoid.scene import reference_motion
 from understudy_spacetime.initial_states import (
     Evolution,

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.task.interfaces import Context
+from understudy.task import Context
 from understudy_ppo.policy import MLPPolicy
 from understudy_spacetime.policy import FeedforwardFeedback
 

@@ -28,7 +28,7 @@ from understudy.errors import ConfigError, FileError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
-from understudy.task.interfaces import Command
+from understudy.command.command import Command
 from understudy_motion.fetch import cmu, download
 from understudy_motion.library import DATA_VARIABLE
 from understudy_motion.reading import (

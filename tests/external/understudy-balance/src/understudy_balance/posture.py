@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from understudy.task.interfaces import Context, Encoder
+from understudy.task import Context, Encoder
 from understudy_humanoid.scene import HumanoidScene
 
 

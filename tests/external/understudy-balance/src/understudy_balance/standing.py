@@ -7,7 +7,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.task.interfaces import Context, InitialStates
+from understudy.task import Context, InitialStates
 from understudy_humanoid.scene import HumanoidScene
 
 

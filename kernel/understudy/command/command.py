@@ -1,0 +1,20 @@
+"""Commands that plugins add."""
+
+from __future__ import annotations
+
+import argparse
+from abc import ABC, abstractmethod
+
+
+class Command(ABC):
+    """A command of the command line, registered as a ``command`` named by its words: the component
+    ``motion check`` is run as ``understudy motion check``. Its summary is its help."""
+
+    @abstractmethod
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the command's arguments."""
+
+    @abstractmethod
+    def run(self, options: argparse.Namespace) -> int:
+        """Carry it out; returns the exit status. What the user can cause is raised as an
+        :class:`UnderstudyError`."""

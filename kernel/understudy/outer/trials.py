@@ -1,0 +1,95 @@
+"""Loops around whole trainings, as data: what is asked for, what comes back, who runs it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run that an outer loop asks for; everything about it is data.
+
+    ``start`` begins it from parts of another run: ``{"run": PATH, "parts": [...]}``, or ``{"trial":
+    KEY, ...}`` for an earlier trial of the same loop.
+    """
+
+    key: str  #: its name, unique in the sweep
+    overrides: tuple[str, ...] = ()  #: of the configuration that all trials share
+    point: Mapping[str, float] = field(default_factory=dict)  #: where in the search space
+    fidelity: float | None = None  #: the difficulty in [0, 1] that it is trained and judged at
+    start: Mapping[str, Any] | None = None
+    initial_states: str | None = None  #: a bank of states to begin episodes in
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a trial gave so far (status ``running``) or in the end: ``ok``, or why it has no result."""
+
+    key: str
+    status: str
+    objective: float | None = None  #: ``evaluation.objective``, which searches maximise
+    measures: Mapping[str, float] = field(default_factory=dict)
+    cost: float = 0.0  #: samples consumed
+    run: str = ""  #: its run folder
+
+    @property
+    def final(self) -> bool:
+        return self.status != "running"
+
+
+class OuterLoop(ABC):
+    """Proposes trials and digests reports. Its state is what it was told: replaying that resumes it.
+
+    Built with ``(options, seed)``. Random draws for a trial depend on the seed and the trial's number
+    alone (``random.generator(seed, f"NAME/{number}")``), so that a resumed loop repeats itself.
+    """
+
+    #: Options that may grow without the loop becoming another one (more variants, more seeds).
+    extendable: tuple[str, ...] = ()
+
+    @abstractmethod
+    def ask(self, number: int) -> Trial | None:
+        """The trial of this `number` (0, 1, …), or None while nothing can be asked for: for good,
+        if all reports were told."""
+
+    @abstractmethod
+    def tell(self, report: Report) -> Literal["stop"] | None:
+        """Digest a report; after an intermediate one, "stop" ends that trial early."""
+
+    @abstractmethod
+    def summary(self) -> list[dict[str, Any]]:
+        """Rows of a table of what was found so far."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What the trials of a sweep share."""
+
+    overrides: tuple[str, ...]  #: the configuration that a trial's own overrides change
+    folder: str  #: where the trials' run folders are
+
+
+class Executor(ABC):
+    """Runs trials. Built with ``(options, work)``."""
+
+    @abstractmethod
+    def free(self) -> int:
+        """How many more trials could start now."""
+
+    @abstractmethod
+    def start(self, trial: Trial) -> None:
+        """Begin, or go on with, a trial."""
+
+    @abstractmethod
+    def wait(self) -> Report:
+        """The next report, intermediate or final, of any started trial."""
+
+    @abstractmethod
+    def stop(self, key: str) -> None:
+        """End a trial early; its final report comes by :meth:`wait`."""
+
+    def close(self) -> None:  # noqa: B027 - in-process ones hold nothing
+        """Stop what still runs and release it; trials keep their checkpoints."""

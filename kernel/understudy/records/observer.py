@@ -1,0 +1,23 @@
+"""Who watches a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from understudy.records.recording import Recording
+    from understudy.records.runs import Run
+
+
+class RunObserver:
+    """Watches a run; every method may be left out. Observers draw no random numbers."""
+
+    def started(self, run: Run) -> None: ...
+
+    def iteration(self, run: Run, row: Mapping[str, float]) -> None: ...
+
+    def finished(self, run: Run, outcome: str) -> None: ...
+
+    def recorded(self, run: Run, recording: Recording, tell: Callable[[str], None]) -> None:
+        """``evaluation.json`` and `recording` are in the folder; `tell` takes messages."""

@@ -1,0 +1,79 @@
+"""What every part is handed: the context of the task that it is built for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import torch
+
+from understudy.errors import ConfigError
+
+if TYPE_CHECKING:
+    from understudy.task.actions import ActionSpace
+    from understudy.task.physics import Scene, Simulator
+
+State = Mapping[str, Any]
+"""What ``state_dict`` returns: nested mappings of tensors, numbers, strings and lists thereof."""
+
+Shape = tuple[int, ...]
+"""A field's shape without its leading N: () for one number a world, (3,) for a vector."""
+
+T = TypeVar("T")
+
+
+@dataclass
+class Context:
+    """What a component can know of the task it is built for.
+
+    Filled in the order of building: sections, scene, simulator, then everything else. The action
+    space and ``observation_shapes`` are known when policy and learner are built.
+    """
+
+    seed: int
+    device: torch.device
+    num_worlds: int
+    control_dt: float  #: seconds of one control period
+    substeps: int  #: physics steps of one control period
+    decision: int = 1  #: control periods of one decision, unless a curriculum says otherwise
+    difficulty: float = 1.0  #: in [0, 1]: what evaluations run at and trainings lead to
+    evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
+    sections: Mapping[str, Any] = field(default_factory=dict)
+    scene: Scene | None = None
+    simulator: Simulator | None = None
+    action_space: ActionSpace | None = None
+    observation_shapes: Mapping[str, Shape] = field(default_factory=dict)
+
+    _shared: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def action_size(self) -> int:
+        """A, the number of columns of an action."""
+        return self.action_space.size if self.action_space is not None else 0
+
+    def once(self, key: str, build: Callable[[], T]) -> T:
+        """The object `key` that several parts share, built by whoever asks first."""
+        if key not in self._shared:
+            self._shared[key] = build()
+        return self._shared[key]
+
+    def need_scene(self, kind: type[T], who: str) -> T:
+        """The scene, which must be a `kind`; else an error naming `who` needs it."""
+        if not isinstance(self.scene, kind):
+            have = type(self.scene).__name__ if self.scene is not None else "no scene"
+            raise ConfigError(
+                f"{who} needs a scene of type {kind.__name__}, but the task has {have}. "
+                "Choose a scene and a simulator that belong together (scene=…, simulator=…)."
+            )
+        return self.scene
+
+    def need_section(self, name: str, kind: type[T], who: str) -> T:
+        """The object built from the config section `name`; else an error naming `who` needs it."""
+        value = self.sections.get(name)
+        if not isinstance(value, kind):
+            raise ConfigError(
+                f"{who} needs the config section '{name}', which this task does not set. "
+                f"Add it (for example {name}.name=…) or choose another part."
+            )
+        return value

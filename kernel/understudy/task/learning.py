@@ -1,0 +1,53 @@
+"""Rollouts and the learners that improve a policy from them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from understudy.task.base import State
+
+
+@dataclass
+class Rollout:
+    """T decisions of N worlds, time first. ``values`` and ``returns`` are the learner's to fill."""
+
+    observations: dict[str, Tensor]  #: each (T, N, …), before the action
+    last_observations: dict[str, Tensor]  #: each (N, …), after the last step
+    actions: Tensor  #: (T, N, A)
+    log_probs: Tensor  #: (T, N)
+    rewards: Tensor  #: (T, N)
+    terminated: Tensor  #: (T, N) bool: the episode ended here and nothing follows
+    truncated: Tensor  #: (T, N) bool: the episode was cut here; ``final_values`` continues it
+    failed: Tensor  #: (T, N) bool: terminated by a failure
+    final_values: Tensor  #: (T, N) value of the state after a truncated step, 0 elsewhere
+    episode_returns: Tensor  #: (T, N) sum of the episode's rewards up to and with this step
+    records: dict[str, Tensor]  #: fields that were asked for, before the action, (T, N, …)
+    values: Tensor | None = None  #: (T, N)
+    returns: Tensor | None = None  #: (T, N)
+
+
+class Learner(ABC):
+    """Improves a policy from rollouts. Built with ``(options, context, policy)``."""
+
+    #: T, the decisions per world and iteration.
+    rollout_steps: int
+    #: Called once with what led to the first non-finite step, so that it can be replayed.
+    on_fault: Callable[[Mapping[str, Tensor]], None] | None = None
+
+    @abstractmethod
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        """One improvement; sets the rollout's ``values`` and ``returns``; returns metrics.
+
+        A step whose loss or gradient is not finite must leave the weights as they were and count
+        in the metric ``skipped_steps``.
+        """
+
+    @abstractmethod
+    def state_dict(self) -> State: ...
+
+    @abstractmethod
+    def load_state_dict(self, state: State) -> None: ...

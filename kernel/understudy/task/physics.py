@@ -1,0 +1,103 @@
+"""What is simulated, and by what."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from understudy.errors import ConfigError, UnderstudyError, suggestion
+from understudy.task.base import Shape
+
+
+class Scene(ABC):
+    """What is simulated. Each family of simulators defines the scene type it accepts."""
+
+    #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has them.
+    recorded: tuple[str, ...] = ()
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """Facts for provenance: sizes, masses, names."""
+
+    def draw(self, tracks: Mapping[str, np.ndarray]) -> Iterator[np.ndarray]:
+        """Frames (H, W, 3) uint8 of the recorded `tracks`, each (T, …).
+
+        Raises
+        ------
+        UnderstudyError
+            if nothing can be drawn here (no OpenGL).
+        """
+        raise UnderstudyError(f"scene {type(self).__name__} cannot be drawn.")
+
+    def outlines(
+        self, tracks: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Stick figures of the recorded motion and of its reference, each (T, S, 2, 3) line
+        segments in metres (world frame, z up), or None."""
+        return None, None
+
+
+class Simulator(ABC):
+    """Owns the physics state of N worlds and advances all of them at once."""
+
+    #: Readable fields and their shapes without N.
+    fields: Mapping[str, Shape] = {}
+    #: Fields that :meth:`set_state` needs to define a state.
+    state_fields: tuple[str, ...]
+    #: U, the number of controls.
+    control_size: int
+    #: Parameters in which worlds may differ once :meth:`vary` has named them, and their shapes.
+    parameters: Mapping[str, Shape] = {}
+
+    def vary(self, names: Sequence[str]) -> None:
+        """Let worlds differ in these ``parameters``, which become readable fields; called once,
+        before the first state is set.
+
+        Raises
+        ------
+        ConfigError
+            for a parameter that the simulator does not know.
+        """
+        for name in names:
+            raise ConfigError(
+                f"This simulator has no parameter '{name}' in which worlds may differ."
+                + suggestion(name, self.parameters)
+            )
+
+    @abstractmethod
+    def read(self, name: str) -> Tensor:
+        """The field `name`, (N, …), valid until the next call that changes the state."""
+
+    @abstractmethod
+    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
+        """Put the worlds where `worlds` (N,) bool is true into `state`, at rest time: the
+        ``state_fields`` and any varied parameters in it, each (N, …)."""
+
+    @abstractmethod
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        """Advance every world by one control period, or by `substeps` physics steps, under
+        `control` (N, U)."""
+
+    @abstractmethod
+    def failed(self) -> Tensor:
+        """(N,) bool: worlds whose last step went wrong (non-finite, diverged, reset by the engine)."""
+
+    @abstractmethod
+    def snapshot(self) -> dict[str, Tensor]:
+        """A copy of everything that decides the future, each (N, …), in full precision."""
+
+    @abstractmethod
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        """Continue exactly from a :meth:`snapshot` of as many worlds; only those where `worlds`
+        (N,) bool is true, if given."""
+
+    def report(self) -> dict[str, int]:
+        """Counts of what went wrong since the start (engine warnings, overflows), by name."""
+        return {}
+
+    def close(self) -> None:  # noqa: B027 - most simulators hold nothing
+        """Release what the simulator holds."""
