@@ -93,7 +93,7 @@ class Above(InitialStates):
     def __init__(self, options: None, context: Context) -> None:
         pass
 
-    def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         u = streams.uniform(2)
         qpos = torch.zeros(u.shape[0], 8)
         qpos[:, 0], qpos[:, 2], qpos[:, 3] = 0.3, 0.1 + 0.2 * u[:, 0], 1.0

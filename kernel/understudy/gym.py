@@ -67,7 +67,7 @@ class UnderstudyVectorEnv(VectorEnv):
         )
         info: dict[str, Any] = {}
         if step.final_observations is not None:
-            ended = (step.terminated | step.truncated).cpu().numpy()
+            ended = step.ended.cpu().numpy()
             info = {"final_obs": _arrays(step.final_observations), "_final_obs": ended}
         return (
             _arrays(step.observations),

@@ -61,11 +61,16 @@ class WorldStreams:
     """Per-world random numbers on one device. State: each world's number of draws."""
 
     def __init__(self, seed: int, name: str, num_worlds: int, device: torch.device | str) -> None:
-        world = torch.arange(num_worlds, dtype=torch.int64, device=device)
-        world += distributed.rank() * num_worlds
-        base = torch.tensor(derive_seed(seed, name), dtype=torch.int64, device=device)
-        self._key = _mix(base + world * _GAMMA).unsqueeze(1)
         self._counter = torch.zeros((num_worlds, 1), dtype=torch.int64, device=device)
+        self._key = torch.empty_like(self._counter)
+        self.restart(seed, name)
+
+    def restart(self, seed: int, name: str) -> None:
+        """Become the stream `name` of `seed`, at its beginning, in place."""
+        world = torch.arange(len(self._key), dtype=torch.int64, device=self._key.device)
+        world += distributed.rank() * len(self._key)
+        self._key.copy_(_mix(world * _GAMMA + derive_seed(seed, name)).unsqueeze(1))
+        self._counter.zero_()
 
     def bits(self, size: int) -> Tensor:
         """(N, size) int64, uniform over all bit patterns."""

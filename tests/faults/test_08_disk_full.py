@@ -16,10 +16,10 @@ from worlds import CLI, SMALL, make_training, python, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
+from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.running.training import Reporter
 from understudy.setup.plugins import Plugins
-from understudy.records.observer import RunObserver
 from understudy.testing.fake import FAKE_TASK
 
 

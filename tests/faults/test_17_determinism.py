@@ -10,12 +10,12 @@ import torch
 from worlds import PADDLE_TASK, SMALL, assert_same_state, make_training
 
 from understudy.random import WorldStreams
+from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins, load
-from understudy.records.observer import RunObserver
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 

@@ -7,10 +7,10 @@ import argparse
 import pytest
 
 from understudy.command import cli
+from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.setup import plugins
 from understudy.setup.registry import Registrar
-from understudy.command.command import Command
 
 
 class Greet(Command):

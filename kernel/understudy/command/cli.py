@@ -68,7 +68,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     sub = command("tasks", _tasks, "list the tasks")
     sub.add_argument("--json", action="store_true")
     sub = command(
-        "config", _config, "print the composed configuration and where each value is from", True
+        "config", _config, "print every value of the configuration and where it is from", True
     )
     sub.add_argument("--json", action="store_true", help="plain JSON, without origins")
     _add_plugin_commands(commands, arguments)
@@ -179,17 +179,17 @@ def _tasks(options: argparse.Namespace, overrides: list[str]) -> int:
 
 
 def _config(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.setup.config import compose_raw, provenance
+    from understudy.setup.config import load_experiment, provenance
 
-    raw = compose_raw(overrides)
+    effective = load_experiment(overrides).effective()
     if options.json:
-        print(json.dumps(raw, indent=1))
+        print(json.dumps(effective, indent=1))
         return 0
     origins = provenance(overrides)
-    rows = list(_flat(raw, ""))
+    rows = list(_flat(effective, ""))
     width = min(72, max(len(f"{key}: {value}") for key, value in rows))
     for key, value in rows:
-        print(f"{f'{key}: {value}':<{width}}  # {origins.get(key, 'conf/config.yaml')}")
+        print(f"{f'{key}: {value}':<{width}}  # {origins.get(key, 'default')}")
     return 0
 
 

@@ -2,44 +2,38 @@
 
 from __future__ import annotations
 
-import io
+import contextlib
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-import torch
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as Bar
 
 from understudy import distributed
-from understudy.errors import RunError, UnderstudyError
-from understudy.pictures import write_video
+from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.records.runs import Run
-from understudy.report import write_report
-from understudy.running.evaluation import Evaluation, Evaluator
 from understudy.running.training import Outcome, Reporter, Training
-from understudy.setup.building import build_policy
+from understudy.setup.building import device_of
 from understudy.setup.config import Experiment, compose_raw, replaced, validate
 from understudy.setup.plugins import installed
-from understudy.task import Policy
-from understudy.tensorboard import TensorBoard
 
 
 class Display:
-    """Progress of a training: a live line on a terminal, a line now and then elsewhere."""
+    """Progress of a run: a live line on a terminal, a line now and then elsewhere."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._console = Console(stderr=True, highlight=False)
         self._budget = experiment.root.budget
-        self._live: Progress | None = None
+        self._live: Bar | None = None
         self._task: Any = None
         self._printed = 0.0
         if self._console.is_terminal:
-            self._live = Progress(
+            self._live = Bar(
                 TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
                 console=self._console, transient=True,
             )  # fmt: skip
@@ -56,6 +50,8 @@ class Display:
         ]
         if return_ is not None:
             parts += [f"return {return_:.1f}", f"episode {row['episode/episode_seconds']:.2f} s"]
+        if row.get("stage"):
+            parts.append(row["stage"])
         if left is not None:
             parts.append(f"at most {_clock(left)} left")
         text = " · ".join(parts)
@@ -94,88 +90,110 @@ def _clock(seconds: float) -> str:
 def train(experiment: Experiment, overrides: Sequence[str]) -> int:
     """Train a new run; prints ``run: PATH`` last."""
     distributed.start(experiment.root.device)
-    training = Training(experiment)
-    if distributed.rank() > 0:
-        return _follow(training)
-    run = runs.create(experiment, overrides, training.sources())
-    return _carry_out(training.attach(run), run)
-
-
-def _follow(training: Training) -> int:
-    """Train beside process 0, which alone writes and reports."""
-    try:
-        training.train()
-    finally:
-        training.close()
-        distributed.stop()
-    return 0
+    with _together(experiment):
+        training = Training(experiment).prepare()
+        if distributed.rank() == 0:
+            run = runs.create(experiment, overrides, training.job.sources())
+            training.attach(run)
+    return _carry_out(training)
 
 
 def resume(path: str, overrides: Sequence[str]) -> int:
     """Continue the run at `path` to its criterion or budget."""
     run = runs.open_run(path)
-    registry = installed().registry
+    given = run.info["overrides"]
     if overrides:
-        composed = compose_raw(replaced(run.info["overrides"], overrides))
-        composed["run"] = run.config["run"]
-        run.info["config"] = composed
-        run.info["overrides"] = replaced(run.info["overrides"], overrides)
-    experiment = validate(run.config, registry)
+        run.info["overrides"] = replaced(given, overrides)
+        experiment = validate(compose_raw(run.info["overrides"]), installed().registry)
+        run.info["config"] = experiment.effective() | {"run": run.config["run"]}
+    experiment = validate(run.config, installed().registry)
     distributed.start(experiment.root.device)
-    if distributed.rank() == 0:
-        run.lock()
     leading = distributed.rank() == 0
-    tell = Console(stderr=True, highlight=False)
-    reporter = Reporter(message=lambda text: tell.print(text, markup=False) if leading else None)
-    training = Training(experiment, reporter).attach(run)
-    training.resume()
+    with _together(experiment):
+        if leading:
+            run.lock()
+        tell = Console(stderr=True, highlight=False)
+        reporter = Reporter(
+            message=lambda text: tell.print(text, markup=False) if leading else None
+        )
+        training = Training(experiment, reporter).prepare().attach(run)
+        training.resume()
     if not leading:
-        return _follow(training.detach())
-    if overrides:  # what trains the weights from here on is what the folder says
+        training.detach()
+    elif overrides:  # what trains the weights from here on is what the folder says
         run.write_json("run.json", run.info)
-    return _carry_out(training, run)
+    return _carry_out(training)
 
 
-def _carry_out(training: Training, run: Run) -> int:
+@contextlib.contextmanager
+def _together(experiment: Experiment) -> Iterator[None]:
+    """Inside, a process that refuses to start makes all of them refuse, instead of waiting for it."""
+    failed = True
+    try:
+        yield
+        failed = False
+    finally:
+        if distributed.anyone(failed, device_of(experiment.root.device)) and not failed:
+            distributed.stop()
+            raise RunError("Another process could not start; its own message says why.")
+
+
+def _carry_out(training: Training) -> int:
+    run = training.run
+    if run is None:  # beside process 0, which alone writes and reports
+        try:
+            training.train()
+        finally:
+            training.close()
+            distributed.stop()
+        return 0
     display = Display(training.experiment)
-    training.reporter = Reporter(
-        display.iteration, display.message, [TensorBoard(), *installed().observers()]
-    )
+    reporter = Reporter(display.iteration, display.message, installed().observers())
+    training.reporter = reporter
     try:
         outcome = training.train()
+        distributed.stop()
+        display.close()
+        _tell_outcome(training, outcome, display.message)
+        _judge(training, run, reporter)
     finally:
         display.close()
         training.close()
         distributed.stop()
-    _finish(training, run, outcome, display)
     print(f"run: {run.path}")
     run.unlock()
     return 0
 
 
-def _finish(training: Training, run: Run, outcome: Outcome, display: Display) -> None:
+def _tell_outcome(training: Training, outcome: Outcome, tell: Callable[[str], None]) -> None:
     progress = outcome.progress
-    minutes = progress.seconds / 60
-    display.message(
-        f"Done by its {outcome.reason}: {progress.samples:,} samples in {minutes:.1f} min of training."
+    tell(
+        f"Done ({outcome.reason}): {progress.samples:,} samples in {progress.seconds / 60:.1f} min "
+        "of training."
     )
-    for name, count in training.environment.parts.simulator.report().items():
-        display.message(f"The simulator counted {count} × {name.replace('_', ' ')}.")
-    evaluator = Evaluator(training.experiment, training.built.context)
-    try:
-        _evaluate_and_draw(evaluator, training.policy, run, progress.samples, display.message)
-    finally:
-        evaluator.close()
+    for name, count in training.job.report().items():
+        tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
+
+
+def _judge(training: Training, run: Run, reporter: Reporter) -> None:
+    """The last evaluation while recording: ``evaluation.json``, ``recording.npz``, and whatever the
+    observers make of them."""
+    evaluation, recording = training.judge(training.experiment.root.run.video_seconds)
+    run.write_json("evaluation.json", evaluation.as_json(training.progress.samples))
+    if recording is not None:
+        recording.save(run.path / "recording.npz")
+        reporter.notify("recorded", run, recording, reporter.message)
+    reporter.message(f"On starts never used in training: {evaluation.sentence()}")
 
 
 def evaluate(path: str, overrides: Sequence[str]) -> int:
     """Evaluate the newest checkpoint of the run at `path`; writes ``evaluation.json``."""
-    run, evaluator, policy, samples = _load(path, overrides)
+    training, run, _ = _load(path, overrides)
     try:
-        evaluation = evaluator.run(policy)
+        evaluation, _ = training.judge()
     finally:
-        evaluator.close()
-    result = evaluation.as_json(samples)
+        training.close()
+    result = evaluation.as_json(training.progress.samples)
     run.write_json("evaluation.json", result)
     print(json.dumps(result, indent=1))
     return 0
@@ -183,85 +201,23 @@ def evaluate(path: str, overrides: Sequence[str]) -> int:
 
 def render(path: str, overrides: Sequence[str]) -> int:
     """Evaluate once more while recording, and draw video and report."""
-    run, evaluator, policy, samples = _load(path, overrides)
+    training, run, reporter = _load(path, overrides)
+    reporter.observers = installed().observers()
     try:
-        _evaluate_and_draw(
-            evaluator, policy, run, samples, lambda text: print(text, file=sys.stderr)
-        )
+        _judge(training, run, reporter)
     finally:
-        evaluator.close()
+        training.close()
     print(f"run: {run.path}")
     return 0
 
 
-def _load(path: str, overrides: Sequence[str]) -> tuple[Run, Evaluator, Policy, int]:
+def _load(path: str, overrides: Sequence[str]) -> tuple[Training, Run, Reporter]:
     run = runs.open_run(path)
+    config = run.config
     if overrides:
-        run.info["config"] = compose_raw(replaced(run.info["overrides"], overrides))
-    experiment = validate(run.config, installed().registry)
-    state, _, _ = checkpoint.load_newest(run.checkpoints, lambda text: print(text, file=sys.stderr))
-    evaluator = Evaluator(experiment)
-    policy = build_policy(experiment, evaluator.built.context)
-    try:
-        policy.load_state_dict(state["policy"])
-    except RuntimeError as error:
-        raise RunError(
-            f"The checkpoint of {path} does not fit this policy: {str(error).splitlines()[1].strip()}"
-        ) from error
-    policy.schedule(state["progress"]["samples"])
-    return run, evaluator, policy, state["progress"]["samples"]
-
-
-def _evaluate_and_draw(
-    evaluator: Evaluator, policy: Policy, run: Run, samples: int, tell: Any
-) -> Evaluation:
-    """Evaluate while recording, then write ``evaluation.json``, ``recording.npz``, ``video.mp4`` and
-    ``report.html``."""
-    environment, scene = evaluator.built.environment, evaluator.built.scene
-    fields = [name for name in scene.recorded if name in environment.table.shapes]
-    limit = round(evaluator.experiment.root.run.video_seconds / environment.control_dt)
-    recording: dict[str, list[torch.Tensor]] = {name: [] for name in fields}
-    counted: list[torch.Tensor] = []
-
-    def record(running: torch.Tensor) -> None:
-        if fields and len(recording[fields[0]]) < limit:
-            for name in fields:
-                recording[name].append(environment.table[name][_SHOWN].clone())
-            counted.append(running[_SHOWN].clone())
-
-    evaluation = evaluator.run(policy, on_step=record)
-    run.write_json("evaluation.json", evaluation.as_json(samples))
-    tracks = {k: torch.stack(v).cpu().numpy() for k, v in recording.items() if v}
-    learned = reference = None
-    if tracks:
-        first = int(torch.stack(counted).sum())
-        _save_recording(run, tracks, environment.control_dt, first_episode=first)
-        learned, reference = scene.outlines(tracks)
-        (run.path / "video.mp4").unlink(missing_ok=True)
-        try:
-            began = time.perf_counter()
-            write_video(run.path / "video.mp4", scene.draw(tracks), 1.0 / environment.control_dt)
-            tell(f"Video drawn in {time.perf_counter() - began:.0f} s.")
-        except UnderstudyError as error:
-            tell(f"No video: {error} The report shows stick figures instead.")
-    write_report(run, learned, reference, environment.control_dt)
-    tell(
-        f"{evaluation.success_rate:.0%} of {evaluation.episodes} episodes of {evaluation.seconds:g} s "
-        f"succeeded; {evaluation.within_all_bounds:.0%} violated no bound. See {run.path / 'report.html'}."
-    )
-    return evaluation
-
-
-#: The world that is recorded and drawn.
-_SHOWN = 0
-
-
-def _save_recording(
-    run: Run, tracks: Mapping[str, np.ndarray], control_dt: float, *, first_episode: int
-) -> None:
-    """Write ``recording.npz``: the `tracks` (T, …), ``control_dt`` in s between their frames, and
-    ``first_episode``, how many of the frames came before the world's first ending."""
-    arrays: dict[str, Any] = {"control_dt": control_dt, "first_episode": first_episode, **tracks}
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    checkpoint.write_atomically(run.path / "recording.npz", file.getvalue())
+        config = compose_raw(replaced(run.info["overrides"], overrides))
+    reporter = Reporter(message=lambda text: print(text, file=sys.stderr))
+    state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
+    training = Training(validate(config, installed().registry), reporter)
+    training.load_learned(state)
+    return training, run, reporter

@@ -56,6 +56,17 @@ class OuterLoop(ABC):
         if all reports were told."""
 
     @abstractmethod
+    def recall(self, trial: Trial) -> bool:
+        """Note a trial that was asked for before this process began; whether it is still wanted if it
+        is not finished.
+
+        Raises
+        ------
+        ConfigError
+            if the loop knows another trial by that key.
+        """
+
+    @abstractmethod
     def tell(self, report: Report) -> Literal["stop"] | None:
         """Digest a report; after an intermediate one, "stop" ends that trial early."""
 

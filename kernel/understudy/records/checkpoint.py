@@ -23,7 +23,7 @@ from torch import Tensor
 from understudy.errors import RunError
 
 #: Version of the layout written here. Older ones are migrated, newer ones refused.
-FORMAT = 1
+FORMAT = 2
 
 #: Changes an older layout into the next one: ``{from_version: function(state, meta)}``.
 MIGRATIONS: dict[int, Any] = {}

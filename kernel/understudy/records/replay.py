@@ -25,7 +25,7 @@ class ReplayedStep:
 
 
 def replay_step(path: Path | str, plugins: Plugins | None = None) -> ReplayedStep:
-    """Repeat the step that a run's ``faults/step.json`` holds, in as many worlds as failed in it.
+    """Repeat the decision that a run's ``faults/step.json`` holds, in as many worlds as failed in it.
 
     Raises
     ------
@@ -35,11 +35,16 @@ def replay_step(path: Path | str, plugins: Plugins | None = None) -> ReplayedSte
     state, meta = checkpoint.load(Path(path))
     experiment = validate(meta["config"], (plugins or installed()).registry)
     environment = build_environment(experiment, num_worlds=len(state["worlds"])).environment
-    simulator, control = environment.parts.simulator, state["control"]
+    simulator = environment.parts.simulator
     try:
+        environment.reset()  # which lets worlds differ in what they differed in
         simulator.restore(state["snapshot"])
-        good = sound(control)
-        simulator.step(torch.where(good.unsqueeze(1), control, 0.0))
+        good = torch.ones(len(state["worlds"]), dtype=torch.bool)
+        for control in state["controls"]:
+            good &= sound(control)
+            simulator.step(
+                torch.where(sound(control).unsqueeze(1), control, 0.0), state["substeps"]
+            )
         return ReplayedStep(state["worlds"], simulator.failed() | ~good, simulator.snapshot())
     finally:
         environment.close()

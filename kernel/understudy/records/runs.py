@@ -31,7 +31,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment, refuse_code
 
 #: Version of the folder's layout.
-LAYOUT = 1
+LAYOUT = 2
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 
@@ -139,7 +139,9 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         if the folder holds a run already or cannot be written.
     """
     root = experiment.root
-    path = Path(root.run.dir) if root.run.dir else _free_folder(root.task or "run")
+    path = (
+        Path(root.run.dir) if root.run.dir else _free_folder(_name(overrides) or root.task or "run")
+    )
     if (path / "run.json").exists():
         raise RunError(
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
@@ -150,7 +152,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     )
     info = {
         "layout": LAYOUT,
-        "config": dict(experiment.raw),
+        "config": experiment.effective(),
         "overrides": list(overrides),
         "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": versions(),
@@ -180,8 +182,14 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     return run
 
 
-def _free_folder(task: str) -> Path:
-    stem = re.sub(r"[^A-Za-z0-9]+", "-", task).strip("-")
+def _name(overrides: Sequence[str]) -> str:
+    """The experiment that the command line names."""
+    found = [o.partition("=")[2] for o in overrides if o.lstrip("+").startswith("experiment=")]
+    return found[-1] if found else ""
+
+
+def _free_folder(name: str) -> Path:
+    stem = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")
     for number in range(1, 100_000):
         path = Path("runs") / f"{stem}-{number:03d}"
         if not path.exists():
@@ -215,9 +223,19 @@ def open_run(path: str | Path) -> Run:
             f"{path} was written by a newer understudy (layout {layout}; this one reads {LAYOUT}). "
             "Install that version or a newer one."
         )
+    if layout < LAYOUT:
+        raise RunError(
+            f"{path} was written by understudy {_written_by(info)}, whose tasks and states mean other "
+            f"things (layout {layout}; this one reads {LAYOUT}). Use that version for it, or train anew."
+        )
     if not isinstance(config, dict):
         raise RunError(f"{file} is damaged: its config is no mapping.")
     return Run(path, info)
+
+
+def _written_by(info: Mapping[str, Any]) -> str:
+    found = info.get("versions")
+    return str(found.get("understudy", "0.1.0")) if isinstance(found, Mapping) else "0.1.0"
 
 
 def differences(old: Any, new: Any, where: str = "") -> list[str]:

@@ -1,131 +1,107 @@
 """The batched environment: assembles a task from named parts and steps N worlds of it.
 
 Everything is masked tensor arithmetic over all worlds; there is no Python loop over worlds and, on
-an accelerator, nothing is fetched to the host inside :meth:`Environment.step`.
+an accelerator, nothing is fetched to the host inside :meth:`Environment.step`. Tensors that live
+longer than a step are changed in place, so that a step can be recorded and replayed.
 """
 
 from __future__ import annotations
 
 import functools
-import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, TrainingError
+from understudy.errors import ConfigError
 from understudy.random import WorldStreams
-from understudy.task import Actuation, Encoder, Fields, InitialStates, Shape, Simulator, State
+from understudy.running.recorded import Recorded
+from understudy.running.statistics import EpisodeStatistics
+from understudy.running.table import FieldTable
+from understudy.task import (
+    Actuation,
+    Curriculum,
+    Encoder,
+    Fields,
+    InitialStates,
+    Memory,
+    Shape,
+    Simulator,
+    State,
+)
+from understudy.task.terms import Bound, Reduction, Term
 
-#: Fields that the environment itself provides; ``failed`` (bool) is set once this step's
-#: terminations are known, so only rewards may read it.
-OWN_FIELDS: dict[str, Shape] = {"episode_time": (), "episode_step": (), "failed": ()}
+#: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
+#: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
+#: term or one that only reports) are set once this step's terminations are known, so only rewards
+#: and measures may read them.
+OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
+    (
+        "episode_time",
+        "episode_step",
+        "episode_limit",
+        "difficulty",
+        "failed",
+        "succeeded",
+        "violated",
+    ),
+    (),
+)
+_PREVIOUS = "previous_"
 
 #: Numbers of this size and beyond count as non-finite, as they do for MuJoCo.
 LARGEST = 1e10
 
-#: What a termination term that fires does to the episode; ``report`` only reports it.
-Outcome = Literal["failure", "truncation", "success", "report"]
-
-
-@dataclass(frozen=True)
-class Term:
-    """A reward or termination term: a pure function of fields, with its options bound."""
-
-    name: str
-    function: Callable[..., Tensor]
-    options: Mapping[str, Any] = field(default_factory=dict)
-    weight: float = 1.0
-    outcome: Outcome = "failure"
-
-    @functools.cached_property
-    def reads(self) -> tuple[str, ...]:
-        """The fields it is called with: its positional parameters, in order."""
-        return tuple(
-            p.name
-            for p in inspect.signature(self.function).parameters.values()
-            if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)
-        )
-
 
 @dataclass
 class Parts:
-    """The built parts of a task."""
+    """The built parts of a task, each with the fields that it reads."""
 
     simulator: Simulator
-    fields: Sequence[tuple[str, Fields]]
-    encoders: Mapping[str, Encoder]
-    actuation: Actuation
+    actuation: Bound[Actuation]
     initial_states: InitialStates
+    encoders: Mapping[str, Bound[Encoder]]
     rewards: Sequence[Term]
-    terminations: Sequence[Term]
+    terminations: Sequence[Term] = ()
+    measures: Sequence[Term] = ()
+    fields: Sequence[Bound[Fields]] = ()
+    memories: Mapping[str, Bound[Memory]] = field(default_factory=dict)
+    curriculum: Curriculum | None = None
     combine: Literal["sum", "product"] = "product"
 
 
 @dataclass
 class Step:
-    """What one step of all worlds gave. Rows of ended episodes already begin the next one in
-    ``observations``; ``final_observations`` (None if no episode was truncated) has their last."""
+    """What one decision of all worlds gave. It is overwritten by the next one."""
 
+    #: Of the states reached; after :meth:`Environment.step` ended worlds begin the next episode.
     observations: dict[str, Tensor]
     rewards: Tensor  #: (N,) float32
     terminated: Tensor  #: (N,) bool: failed or succeeded, nothing follows
     failed: Tensor  #: (N,) bool: terminated by a failure
     truncated: Tensor  #: (N,) bool
-    final_observations: dict[str, Tensor] | None
-    endings: dict[str, Tensor]  #: by termination term: (N,) bool, violated in this step
+    unsound: Tensor  #: (N,) bool: failed because numbers went wrong
+    returns: Tensor  #: (N,) the episodes' returns up to and with this step
+    endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
+    #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
+    final_observations: dict[str, Tensor] | None = None
+
+    @property
+    def ended(self) -> Tensor:
+        """(N,) bool"""
+        return self.terminated | self.truncated
 
 
-class FieldTable:
-    """Values of state fields at the present state, each computed when first asked for."""
+@dataclass(frozen=True)
+class Fault:
+    """What led to the first numbers that went wrong, to be repeated."""
 
-    def __init__(
-        self,
-        simulator: Simulator,
-        providers: Sequence[tuple[str, Fields]],
-        own: Mapping[str, Shape],
-    ) -> None:
-        self._simulator = simulator
-        self._provider: dict[str, Fields] = {}
-        self._values: dict[str, Tensor] = {}
-        self.shapes: dict[str, Shape] = {**simulator.fields, **own}
-        self.source: dict[str, str] = {
-            **dict.fromkeys(simulator.fields, "simulator"),
-            **dict.fromkeys(own, "environment"),
-        }
-        for name, provider in providers:
-            for item, shape in provider.provides.items():
-                if item in self.shapes:
-                    raise ConfigError(
-                        f"fields.{name} provides the field '{item}', which {self.source[item]} "
-                        "provides already. Remove one of them (~fields.NAME)."
-                    )
-                self.shapes[item], self._provider[item] = shape, provider
-                self.source[item] = f"fields.{name}"
-
-    def clear(self, own: Mapping[str, Tensor]) -> None:
-        """Forget all values: the state has changed. `own` are the environment's fields now."""
-        self._values = dict(own)
-
-    def __getitem__(self, name: str) -> Tensor:
-        value = self._values.get(name)
-        if value is None:
-            provider = self._provider.get(name)
-            if provider is None:
-                value = self._values[name] = self._simulator.read(name)
-            else:
-                self._values.update(provider.compute(**{k: self[k] for k in provider.reads}))
-                value = self._values[name]
-        return value
-
-    def set(self, name: str, value: Tensor) -> None:
-        """Set a field of the environment's own."""
-        self._values[name] = value
-
-    def pick(self, names: Sequence[str]) -> dict[str, Tensor]:
-        return {name: self[name] for name in names}
+    snapshot: dict[str, Tensor]  #: of the simulator before the decision
+    controls: Tensor  #: (K, N, U), in order
+    substeps: int | None  #: physics steps under each of them; None: a control period
+    worlds: Tensor  #: (N,) bool: those that went wrong
 
 
 def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -145,7 +121,8 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
             torch.set_num_threads(1)
         products.allow_tf32 = False
         try:
-            return method(self, *args, **options)
+            with torch.no_grad():
+                return method(self, *args, **options)
         finally:
             products.allow_tf32 = reduced
             if alone:
@@ -163,10 +140,13 @@ class Environment:
         what the task consists of.
     num_worlds, device, seed
         N; where the tensors live; the root of the environment's random streams.
-    control_dt : float
-        seconds per step.
+    control_dt, substeps, decision
+        seconds and physics steps of a control period; control periods of a decision.
     episode_seconds : float
-        episodes are truncated at this length.
+        episodes are truncated at this length, unless the curriculum provides ``episode_limit``
+        (which it does not when `evaluating`).
+    difficulty : float
+        the field ``difficulty``, unless the curriculum provides it.
     known_fields : mapping from field name to the components that provide it, for errors.
 
     Raises
@@ -184,132 +164,312 @@ class Environment:
         seed: int,
         control_dt: float,
         episode_seconds: float,
+        substeps: int = 1,
+        decision: int = 1,
+        difficulty: float = 1.0,
+        evaluating: bool = False,
         known_fields: Callable[[str], Sequence[str]] = lambda name: (),
     ) -> None:
         self.parts = parts
-        self.num_worlds, self.device, self.control_dt = num_worlds, device, control_dt
-        self.max_steps = max(1, round(episode_seconds / control_dt))
-        self._streams = WorldStreams(seed, "initial_states", num_worlds, device)
-        initial = parts.initial_states
-        self.table = FieldTable(
-            parts.simulator, parts.fields, {**OWN_FIELDS, **initial.episode_fields}
-        )
-        self._check_fields(known_fields)
-        self.episode_step = torch.zeros(num_worlds, dtype=torch.int64, device=device)
-        self._episode_fields = {
-            name: torch.zeros((num_worlds, *shape), device=device)
-            for name, shape in initial.episode_fields.items()
+        self.num_worlds, self.device, self.seed = num_worlds, device, seed
+        self.control_dt, self._substeps, self._decision = control_dt, substeps, decision
+        self.episode_seconds = episode_seconds
+        curriculum = parts.curriculum
+        set_by_curriculum = dict(curriculum.provides) if curriculum else {}
+        self._fixed_limit = evaluating
+        parameters = parts.simulator.parameters
+        varied = [n for n in (*parts.initial_states.varies, *set_by_curriculum) if n in parameters]
+        unknown = [n for n in parts.initial_states.varies if n not in parameters]
+        if varied or unknown:  # the simulator names what it does not know
+            parts.simulator.vary([*varied, *unknown])
+        self._varied = varied
+
+        def zeros(shape: Shape, dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.zeros((num_worlds, *shape), dtype=dtype, device=device)
+
+        #: Constants of the running episodes, (N, …).
+        self._constants = {
+            name: zeros(shape)
+            for name, shape in {
+                "difficulty": (),
+                "episode_limit": (),
+                **{n: s for n, s in set_by_curriculum.items() if n not in parameters},
+                **parts.initial_states.episode_fields,
+            }.items()
         }
-        self._nowhere = torch.zeros(num_worlds, dtype=torch.bool, device=device)
+        self._constants["difficulty"].fill_(difficulty)
+        self._constants["episode_limit"].fill_(episode_seconds)
+        #: What the environment keeps for actuation and memories, (N, …), by field.
+        self._kept: dict[str, Tensor] = {}
+        self.action = zeros((parts.actuation.part.action_space.size,))
+        own = {**OWN_FIELDS, "action": tuple(self.action.shape[1:])}
+        self.table = FieldTable(parts.simulator, parts.fields, own)
+        extra = {n: s for n, s in set_by_curriculum.items() if n not in (*OWN_FIELDS, *parameters)}
+        self.table.add(extra, "the curriculum")
+        self.table.add(parts.initial_states.episode_fields, "initial_states")
+        for part in (parts.actuation, *parts.memories.values()):
+            kept = {part.provides[name]: shape for name, shape in part.part.keeps.items()}
+            self.table.add(kept, part.where)
+            self._kept |= {name: zeros(shape) for name, shape in kept.items()}
+        self._resolve_fields(known_fields)
+        self.episode_step = zeros((), torch.int64)
+        self._nowhere = zeros((), torch.bool)
+        self._unsound = zeros((), torch.bool)
+        self._streams = WorldStreams(seed, "initial_states", num_worlds, device)
+        self._memory_streams = {
+            name: WorldStreams(seed, f"memory/{name}", num_worlds, device)
+            for name, memory in parts.memories.items()
+            if memory.part.uniforms
+        }
         self.observations: dict[str, Tensor] = {}
-        self.statistics = EpisodeStatistics(
-            [t.name for t in parts.terminations], num_worlds, device
-        )
+        self.statistics = EpisodeStatistics(parts.terminations, num_worlds, device)
         #: Worlds quarantined since the start because their numbers went wrong.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
-        #: Called once, with (snapshot before the step, controls, world mask), at the first failure.
-        self.on_quarantine: Callable[[dict[str, Tensor], Tensor, Tensor], None] | None = None
+        #: Called once, at the first numbers that went wrong.
+        self.on_quarantine: Callable[[Fault], None] | None = None
+        self._controls: list[Tensor] = []
+        self.recorded_step = Recorded(self._step, self)
 
     @property
     def action_size(self) -> int:
-        return self.parts.actuation.action_size
+        return self.parts.actuation.part.action_space.size
 
     @property
     def observation_shapes(self) -> dict[str, Shape]:
-        return {name: encoder.shape for name, encoder in self.parts.encoders.items()}
+        return {name: encoder.part.shape for name, encoder in self.parts.encoders.items()}
 
-    def _check_fields(self, known_fields: Callable[[str], Sequence[str]]) -> None:
-        parts = self.parts
-        wanted: list[tuple[str, Sequence[str]]] = [
-            *((f"fields.{name}", provider.reads) for name, provider in parts.fields),
-            *((f"encoder.{name}", encoder.reads) for name, encoder in parts.encoders.items()),
-            ("actuation", parts.actuation.reads),
-            ("initial_states", parts.initial_states.records),
-            *((f"reward.terms.{term.name}", term.reads) for term in parts.rewards),
-            *((f"termination.terms.{term.name}", term.reads) for term in parts.terminations),
-        ]
+    @property
+    def decision(self) -> int:
+        """Control periods that one action lasts."""
+        chosen = self.parts.curriculum.decision() if self.parts.curriculum else None
+        return chosen or self._decision
+
+    def _resolve_fields(self, givers: Callable[[str], Sequence[str]]) -> None:
+        """Check that every field that is read exists, leave out optional ones that do not, and make
+        the ``previous_`` ones that are."""
+        parts, table = self.parts, self.table
+
+        def exists(name: str) -> bool:
+            return name.removeprefix(_PREVIOUS) in table.shapes
+
+        def resolved(term: Term) -> Term:
+            absent = [p for p in term.optional if not exists(term.reads[p])]
+            return Term(**{**vars(term), "reads": {
+                p: f for p, f in term.reads.items() if p not in absent
+            }}) if absent else term  # fmt: skip
+
+        parts.rewards, parts.terminations, parts.measures = (
+            [resolved(term) for term in terms]
+            for terms in (parts.rewards, parts.terminations, parts.measures)
+        )
+        wanted = list(self._readers())
+        previous = {
+            name for _, names in wanted for name in names
+            if name.startswith(_PREVIOUS) and name not in table.shapes and exists(name)
+        }  # fmt: skip
+        table.add(
+            {name: table.shapes[name.removeprefix(_PREVIOUS)] for name in sorted(previous)},
+            "the environment",
+        )
+        self._previous: dict[str, Tensor | None] = dict.fromkeys(sorted(previous))
         for who, names in wanted:
-            for name in names:
-                if name not in self.table.shapes:
-                    givers = known_fields(name)
-                    hint = f" It would come from {' or '.join(givers)}." if givers else ""
-                    raise ConfigError(
-                        f"{who} needs the state field '{name}', which nothing in this task "
-                        f"provides.{hint}"
-                    )
-        missing = [name for name in parts.initial_states.episode_fields if name in OWN_FIELDS]
-        if missing:
-            raise ConfigError(
-                f"initial_states provides '{missing[0]}', which the environment owns."
-            )
+            table.need(who, names, givers)
+        for name in parts.initial_states.reads:
+            if name not in self._constants or name in parts.initial_states.episode_fields:
+                raise ConfigError(
+                    f"initial_states needs '{name}' of the curriculum, which does not provide it. "
+                    "Choose another curriculum (curriculum=…) or other initial states."
+                )
+
+    def _readers(self) -> Iterator[tuple[str, Sequence[str]]]:
+        """Every part that reads fields, by its place in the configuration, and which ones."""
+        parts = self.parts
+        for part in (
+            *parts.fields, *parts.encoders.values(), parts.actuation, *parts.memories.values()
+        ):  # fmt: skip
+            yield part.where, tuple(part.reads.values())
+        for where, terms in (
+            ("reward.terms", parts.rewards),
+            ("termination.terms", parts.terminations),
+            ("measure", parts.measures),
+        ):
+            for term in terms:
+                yield f"{where}.{term.name}", tuple(term.reads.values())
+        yield "initial_states", parts.initial_states.records
+        yield "curriculum", parts.curriculum.records if parts.curriculum else ()
 
     # ------------------------------------------------------------------ running
 
-    @torch.no_grad()
     @_as_physics
-    def reset(self, seed: int | None = None) -> dict[str, Tensor]:
+    def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
         """Begin a new episode in every world; returns the observations.
 
-        With `seed`, the random streams begin anew too, so what follows repeats exactly.
+        With `seed`, the random streams begin anew too, so what follows repeats exactly; `draw` names
+        other streams of that seed, so that an evaluation begins where no training ever did.
         """
         if seed is not None:
-            self._streams = WorldStreams(seed, "initial_states", self.num_worlds, self.device)
+            end = f"/{draw}" if draw else ""
+            self._streams.restart(seed, f"initial_states{end}")
+            for name, streams in self._memory_streams.items():
+                streams.restart(seed, f"memory/{name}{end}")
         everywhere = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
         self._begin(everywhere)
         self._check_shapes()
-        self.statistics.forget_running()
+        self.statistics.forget(everywhere)
         self.observations = self._first()
         return self.observations
 
-    @torch.no_grad()
-    @_as_physics
     def step(self, action: Tensor) -> Step:
-        """Apply `action` (N, A), advance one control period, judge, and begin ended worlds anew."""
-        parts, table = self.parts, self.table
-        control = parts.actuation.control(action, **table.pick(parts.actuation.reads))
-        unsound = ~sound(control)
-        snapshot = parts.simulator.snapshot() if self.on_quarantine else None
-        parts.simulator.step(torch.where(unsound.unsqueeze(1), 0.0, control))
-        self.episode_step += 1
-        self._refresh()
+        """Apply `action` (N, A) for one decision, judge, and begin ended worlds anew."""
+        return self.recorded_step(action)
 
-        endings = {term.name: self._evaluate(term) for term in parts.terminations}
-        outcomes = {
-            "failure": unsound,
-            "truncation": self.episode_step >= self.max_steps,
-            "success": torch.zeros_like(unsound),
-        }
-        for term in parts.terminations:
-            if term.outcome != "report":
-                outcomes[term.outcome] = outcomes[term.outcome] | endings[term.name]
-        table.set("failed", outcomes["failure"])
-        rewards = self._reward()
-        unsound = unsound | parts.simulator.failed() | ~sound(rewards)
-        reached = self._encode()
-        for value in reached.values():
-            unsound = unsound | ~sound(value)
-        terminated = outcomes["failure"] | outcomes["success"] | unsound
-        truncated = outcomes["truncation"] & ~terminated
-        ended = terminated | truncated
-        rewards = torch.where(unsound, 0.0, rewards)
-        self.statistics.digest(rewards, ended, truncated, unsound, endings, self.episode_step)
-
-        final: dict[str, Tensor] | None = None
-        if self.device.type == "cpu" and not bool(ended.any()):
-            self.observations = reached
-        else:
-            self._quarantine(unsound, snapshot, control)
-            self._begin(ended)
-            self.observations = self._first()
-            final = {  # an unsound world's numbers must reach nothing, so it shows its next episode
-                name: torch.where(_rows(unsound, value), self.observations[name], value)
+    def _step(self, action: Tensor) -> Step:
+        step = self.advance(action)
+        ended = step.ended
+        if self.device.type != "cpu" or bool(ended.any()):
+            reached = {name: value.clone() for name, value in step.observations.items()}
+            step.observations = self.begin(ended)
+            step.final_observations = {  # an unsound world's numbers must reach nothing
+                name: torch.where(rows(step.unsound, value), step.observations[name], value)
                 for name, value in reached.items()
             }
-        failed = outcomes["failure"] | unsound
-        return Step(self.observations, rewards, terminated, failed, truncated, final, endings)
+        return step
+
+    @_as_physics
+    def advance(self, action: Tensor) -> Step:
+        """Apply `action` (N, A) for one decision and judge the states reached. They stay as they are,
+        to be read, recorded or harvested, until :meth:`begin`."""
+        parts, table = self.parts, self.table
+        self._remember()
+        self.action.copy_(action)
+        table.put("action", self.action)
+        self._unsound.zero_()
+        self._controls.clear()
+        before = parts.simulator.snapshot() if self.on_quarantine else None
+        self._simulate()
+
+        endings = {term.name: self._evaluate(term) for term in parts.terminations}
+        seconds = table["episode_time"]
+        outcomes: dict[str, Tensor] = {
+            "failure": self._unsound,
+            "truncation": seconds >= self._constants["episode_limit"] - 0.5 * self.control_dt,
+            "success": self._nowhere,
+        }
+        violated = self._unsound
+        for term in parts.terminations:
+            if term.outcome in ("failure", "report"):
+                violated = violated | endings[term.name]
+            if term.outcome != "report":
+                outcomes[term.outcome] = outcomes[term.outcome] | endings[term.name]
+        failed = outcomes["failure"]
+        succeeded = outcomes["success"] & ~failed
+        for name, value in (("failed", failed), ("succeeded", succeeded), ("violated", violated)):
+            table.put(name, value)
+        rewards = self._reward()
+        reached = self._encode()
+        unsound = self._unsound | parts.simulator.failed() | ~sound(rewards)
+        for value in reached.values():
+            unsound = unsound | ~sound(value)
+        failed, succeeded = failed | unsound, succeeded & ~unsound
+        for name, value in (
+            ("failed", failed), ("succeeded", succeeded), ("violated", violated | unsound)
+        ):  # fmt: skip
+            table.put(name, value)
+        terminated = failed | succeeded
+        truncated = outcomes["truncation"] & ~terminated
+        rewards = torch.where(unsound, 0.0, rewards)
+        self.statistics.digest(
+            rewards, seconds, endings, succeeded=succeeded, truncated=truncated,
+            unsound=unsound, ended=terminated | truncated,
+        )  # fmt: skip
+        self._quarantine(unsound, before)
+        self.observations = reached
+        returns = self.statistics.returns.clone()
+        return Step(reached, rewards, terminated, failed, truncated, unsound, returns, endings)
+
+    @_as_physics
+    def begin(self, worlds: Tensor) -> dict[str, Tensor]:
+        """Begin new episodes where `worlds` (N,) is true; returns the observations of all."""
+        self.statistics.forget(worlds)
+        self._begin(worlds)
+        self.observations = self._first()
+        return self.observations
+
+    @_as_physics
+    def measure(self) -> dict[str, Tensor]:
+        """Each measure of the states reached, (N,) float32."""
+        return {term.name: self._evaluate(term).float() for term in self.parts.measures}
+
+    @property
+    def reductions(self) -> dict[str, Reduction]:
+        """By measure: how its values over an episode become one number."""
+        return {term.name: term.reduce for term in self.parts.measures}
+
+    # ------------------------------------------------------------------ within a step
+
+    def _simulate(self) -> None:
+        """One decision: control periods, of one or more sub-steps between controls."""
+        actuation, simulator = self.parts.actuation.part, self.parts.simulator
+        pieces = self._substeps if actuation.every == "substep" else 1
+        length = 1 if actuation.every == "substep" else None
+        control: Tensor | None = None
+        for _ in range(self.decision):
+            for _ in range(pieces):
+                if control is None or actuation.every != "decision":
+                    control = self._control()
+                if self.on_quarantine is not None:
+                    self._controls.append(control.clone())
+                simulator.step(control, length)
+                self.refresh()
+            self.episode_step += 1
+            self.refresh()
+            for name, memory in self.parts.memories.items():
+                kept = {own: self._kept[field] for own, field in memory.provides.items()}
+                self._keep(memory, memory.part.advance(kept, **self._taken(name, memory)))
+
+    def _control(self) -> Tensor:
+        """(N, U), zero in worlds whose control is not finite."""
+        bound, table = self.parts.actuation, self.table
+        if bound.part.keeps:
+            self._keep(bound, bound.part.advance(self.action, **table.pick(bound.reads)))
+        control = bound.part.control(self.action, **table.pick(bound.reads))
+        good = sound(control)
+        self._unsound |= ~good
+        return torch.where(good.unsqueeze(1), control, 0.0)
+
+    def _taken(self, name: str, memory: Bound[Memory]) -> dict[str, Tensor]:
+        """What a memory is called with: fields, and random numbers."""
+        given = self.table.pick(memory.reads)
+        if memory.part.uniforms:
+            given["uniforms"] = self._memory_streams[name].uniform(memory.part.uniforms)
+        return given
+
+    def _keep(
+        self, part: Bound[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
+    ) -> None:
+        """Keep `values`, by the part's own names, in all worlds or where `worlds` (N,) is true."""
+        for name, field_name in part.provides.items():
+            if name not in values:
+                raise ConfigError(f"{part.where} promises '{name}' and does not return it.")
+            kept, value = self._kept[field_name], values[name]
+            self._check(f"'{name}' of {part.where}", value, tuple(kept.shape[1:]))
+            kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
+            self.table.put(field_name, kept)
+
+    def _remember(self, worlds: Tensor | None = None) -> None:
+        """Keep the fields that are read as ``previous_``, as they are now."""
+        for name, kept in self._previous.items():
+            value = self.table[name.removeprefix(_PREVIOUS)]
+            if kept is None:
+                kept = self._previous[name] = value.clone()
+            elif worlds is None:
+                kept.copy_(value)
+            else:
+                kept.copy_(torch.where(rows(worlds, kept), value, kept))
+            self.table.put(name, kept)
 
     def _evaluate(self, term: Term) -> Tensor:
-        return term.function(*(self.table[name] for name in term.reads), **term.options)
+        return term.function(**self.table.pick(term.reads), **term.options)
 
     def _reward(self) -> Tensor:
         total: Tensor | None = None
@@ -327,78 +487,137 @@ class Environment:
 
     def _encode(self) -> dict[str, Tensor]:
         return {
-            name: encoder.encode(**self.table.pick(encoder.reads))
+            name: encoder.part.encode(**self.table.pick(encoder.reads))
             for name, encoder in self.parts.encoders.items()
         }
 
     def _first(self) -> dict[str, Tensor]:
         """The observations after :meth:`_begin`; zero in worlds that began unsound and fail next."""
         return {
-            name: torch.where(_rows(sound(value), value), value, 0.0)
+            name: torch.where(rows(sound(value), value), value, 0.0)
             for name, value in self._encode().items()
         }
 
     def _begin(self, worlds: Tensor) -> None:
-        before = self._streams.state_dict()
-        initial = self.parts.initial_states.sample(self._streams)
-        self._streams.give_back(~worlds, before)  # what a world draws depends on no other world
-        self.parts.simulator.set_state(
-            worlds, {name: initial[name] for name in self.parts.simulator.state_fields}
+        parts, before = self.parts, self._streams.state_dict()
+        given = dict(parts.curriculum.begin(self._streams)) if parts.curriculum else {}
+        self._hold(worlds, given)
+        initial = parts.initial_states.sample(
+            self._streams, **{name: self._constants[name] for name in parts.initial_states.reads}
         )
-        for name, value in self._episode_fields.items():
-            value.copy_(torch.where(_rows(worlds, value), initial[name], value))
+        self._streams.give_back(~worlds, before)  # what a world draws depends on no other world
+        given |= initial
+        self._check_initial(given)
+        self._hold(worlds, initial)
+        simulator = parts.simulator
+        simulator.set_state(worlds, {n: given[n] for n in (*simulator.state_fields, *self._varied)})
+        if parts.initial_states.settle:
+            others = simulator.snapshot()
+            idle = torch.zeros((self.num_worlds, simulator.control_size), device=self.device)
+            for _ in range(parts.initial_states.settle):
+                simulator.step(idle)
+            simulator.restore(others, ~worlds)
         self.episode_step.masked_fill_(worlds, 0)
-        self._refresh()
+        self.action.masked_fill_(worlds.unsqueeze(1), 0.0)
+        self.refresh()
+        actuation = parts.actuation
+        if actuation.part.keeps:
+            begun = actuation.part.begin(**self.table.pick(actuation.reads))
+            self._keep(actuation, begun, worlds)
+        for name, memory in parts.memories.items():
+            streams = self._memory_streams.get(name)
+            drawn = streams.state_dict() if streams else {}
+            self._keep(memory, memory.part.begin(**self._taken(name, memory)), worlds)
+            if streams:
+                streams.give_back(~worlds, drawn)
+        self._remember(worlds)
 
-    def _refresh(self) -> None:
-        self.table.clear(
+    def _hold(self, worlds: Tensor, values: Mapping[str, Tensor]) -> None:
+        """Set the constants of beginning episodes."""
+        for name, constant in self._constants.items():
+            if name in values and not (self._fixed_limit and name == "episode_limit"):
+                constant.copy_(torch.where(rows(worlds, constant), values[name], constant))
+
+    def refresh(self) -> None:
+        """Forget every value but the environment's own: the state has changed."""
+        self.table.moved(
             {
                 "episode_step": self.episode_step,
                 "episode_time": self.episode_step * self.control_dt,
                 "failed": self._nowhere,
-                **self._episode_fields,
+                "succeeded": self._nowhere,
+                "violated": self._nowhere,
+                "action": self.action,
+                **self._constants,
+                **self._kept,
+                **{name: kept for name, kept in self._previous.items() if kept is not None},
             }
         )
 
-    def _quarantine(
-        self, unsound: Tensor, snapshot: dict[str, Tensor] | None, control: Tensor
-    ) -> None:
+    def _quarantine(self, unsound: Tensor, before: dict[str, Tensor] | None) -> None:
         self.quarantined += unsound.sum()
         if self.on_quarantine is not None and bool(unsound.any()):
-            assert snapshot is not None
-            self.on_quarantine(snapshot, control, unsound)
+            assert before is not None
+            every = self.parts.actuation.part.every
+            controls = torch.stack(self._controls)
+            self.on_quarantine(Fault(before, controls, 1 if every == "substep" else None, unsound))
             self.on_quarantine = None
 
-    def _check_shapes(self) -> None:
-        """Every field's and term's shape, once, at the border."""
-        n = self.num_worlds
+    # ------------------------------------------------------------------ checks at the border
 
-        def check(who: str, value: Tensor, shape: Shape) -> None:
-            if tuple(value.shape) != (n, *shape):
-                raise ConfigError(
-                    f"{who} has shape {tuple(value.shape)}; it must be {(n, *shape)}, one row per world."
-                )
-
-        for name, provider in self.parts.fields:
-            given = provider.compute(**self.table.pick(provider.reads))
-            for item, shape in provider.provides.items():
-                if item not in given:
-                    raise ConfigError(
-                        f"fields.{name} promises the field '{item}' and does not return it."
-                    )
-                check(f"the field '{item}' of fields.{name}", given[item], shape)
-        for name, encoder in self.parts.encoders.items():
-            check(
-                f"encoder.{name}", encoder.encode(**self.table.pick(encoder.reads)), encoder.shape
+    def _check(self, who: str, value: Tensor, shape: Shape) -> None:
+        if tuple(value.shape) != (self.num_worlds, *shape):
+            raise ConfigError(
+                f"{who} has shape {tuple(value.shape)}; it must be {(self.num_worlds, *shape)}, "
+                "one row per world."
             )
+
+    def _check_initial(self, given: Mapping[str, Tensor]) -> None:
+        """What initial states and curriculum return: all that was promised, and nothing else."""
+        parts, simulator = self.parts, self.parts.simulator
+        promised = {
+            **{name: simulator.fields[name] for name in simulator.state_fields},
+            **{name: simulator.parameters[name] for name in self._varied},
+            **parts.initial_states.episode_fields,
+            **(parts.curriculum.provides if parts.curriculum else {}),
+        }
+        for name in promised.keys() - given.keys():
+            raise ConfigError(f"initial_states promises '{name}' and does not return it.")
+        for name in given.keys() - promised.keys():
+            raise ConfigError(
+                f"initial_states returns '{name}', which is no state of this simulator and not "
+                f"among its episode_fields. It takes: {', '.join(sorted(promised))}."
+            )
+        for name, shape in promised.items():
+            self._check(f"'{name}' of initial_states", given[name], shape)
+
+    def _check_shapes(self) -> None:
+        """Every field's and term's shape, once."""
+        parts, table = self.parts, self.table
+
+        for provider in parts.fields:
+            given = provider.part.compute(**table.pick(provider.reads))
+            for name, shape in provider.part.provides.items():
+                if name not in given:
+                    raise ConfigError(
+                        f"{provider.where} promises the field '{name}' and does not return it."
+                    )
+                self._check(f"the field '{name}' of {provider.where}", given[name], shape)
+        actuation = parts.actuation
+        control = actuation.part.control(self.action, **table.pick(actuation.reads))
+        self._check("the control of actuation", control, (parts.simulator.control_size,))
+        for encoder in parts.encoders.values():
+            value = encoder.part.encode(**table.pick(encoder.reads))
+            self._check(encoder.where, value, encoder.part.shape)
         for kind, terms in (
-            ("reward", self.parts.rewards),
-            ("termination", self.parts.terminations),
+            ("reward.terms", parts.rewards),
+            ("termination.terms", parts.terminations),
+            ("measure", parts.measures),
         ):
             for term in terms:
                 value = self._evaluate(term)
-                check(f"{kind}.terms.{term.name}", value, ())
-                if kind == "termination" and value.dtype != torch.bool:
+                self._check(f"{kind}.{term.name}", value, ())
+                if kind == "termination.terms" and value.dtype != torch.bool:
                     raise ConfigError(
                         f"termination.terms.{term.name} returns {value.dtype}; it must return bool."
                     )
@@ -408,34 +627,50 @@ class Environment:
 
     def state_dict(self) -> State:
         """Everything that decides the future of the worlds, exactly."""
+        parts = self.parts
         return {
-            "simulator": self.parts.simulator.snapshot(),
-            "initial_states": self.parts.initial_states.state_dict(),
+            "simulator": parts.simulator.snapshot(),
+            "initial_states": parts.initial_states.state_dict(),
+            "curriculum": parts.curriculum.state_dict() if parts.curriculum else {},
             "streams": self._streams.state_dict(),
-            "episode_step": self.episode_step.clone(),
-            "episode_fields": {k: v.clone() for k, v in self._episode_fields.items()},
+            "memory_streams": {k: s.state_dict() for k, s in self._memory_streams.items()},
+            "tensors": {k: v.clone() for k, v in self._tensors().items()},
             "observations": {k: v.clone() for k, v in self.observations.items()},
             "statistics": self.statistics.state_dict(),
-            "quarantined": self.quarantined.clone(),
+        }
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """The environment's own lasting tensors, by a name each."""
+        return {
+            "action": self.action,
+            "episode_step": self.episode_step,
+            "quarantined": self.quarantined,
+            **{f"constant/{k}": v for k, v in self._constants.items()},
+            **{f"kept/{k}": v for k, v in self._kept.items()},
+            **{k: v for k, v in self._previous.items() if v is not None},
         }
 
     def load_state_dict(self, state: State) -> None:
-        self.parts.simulator.restore(state["simulator"])
-        self.parts.initial_states.load_state_dict(state.get("initial_states", {}))
+        """Continue from a :meth:`state_dict`; only after a :meth:`reset`."""
+        parts = self.parts
+        parts.simulator.restore(state["simulator"])
+        parts.initial_states.load_state_dict(state["initial_states"])
+        if parts.curriculum:
+            parts.curriculum.load_state_dict(state["curriculum"])
         self._streams.load_state_dict(state["streams"])
-        self.episode_step.copy_(state["episode_step"])
-        for name, value in self._episode_fields.items():
-            value.copy_(state["episode_fields"][name])
+        for name, streams in self._memory_streams.items():
+            streams.load_state_dict(state["memory_streams"][name])
+        for name, value in self._tensors().items():
+            value.copy_(state["tensors"][name])
         self.observations = {k: v.clone().to(self.device) for k, v in state["observations"].items()}
         self.statistics.load_state_dict(state["statistics"])
-        self.quarantined.copy_(state["quarantined"])
-        self._refresh()
+        self.refresh()
 
     def close(self) -> None:
         self.parts.simulator.close()
 
 
-def _rows(mask: Tensor, like: Tensor) -> Tensor:
+def rows(mask: Tensor, like: Tensor) -> Tensor:
     """`mask` (N,) shaped to broadcast over the rows of `like` (N, …)."""
     return mask.view(-1, *([1] * (like.dim() - 1)))
 
@@ -445,84 +680,3 @@ def sound(value: Tensor) -> Tensor:
     return (
         (value.abs() < LARGEST).flatten(1).all(dim=1) if value.dim() > 1 else value.abs() < LARGEST
     )
-
-
-class EpisodeStatistics:
-    """Lengths, returns and reasons of ended episodes, summed on the device."""
-
-    def __init__(self, terms: Sequence[str], num_worlds: int, device: torch.device) -> None:
-        self.terms = list(terms)
-        self._return = torch.zeros(num_worlds, device=device)
-        names = [
-            "episodes",
-            "steps",
-            "return",
-            "truncated",
-            "unsound",
-            *(f"ended_by/{t}" for t in terms),
-        ]
-        self._names = names
-        self._sums = torch.zeros(len(names), dtype=torch.float64, device=device)
-
-    def forget_running(self) -> None:
-        self._return.zero_()
-
-    def digest(
-        self,
-        rewards: Tensor,
-        ended: Tensor,
-        truncated: Tensor,
-        unsound: Tensor,
-        endings: Mapping[str, Tensor],
-        steps: Tensor,
-    ) -> None:
-        """Digest one step, before ended worlds begin anew; `steps` (N,) counts the episodes'."""
-        self._return.add_(rewards)
-        columns = [
-            ended,
-            steps * ended,
-            self._return * ended,
-            truncated,
-            unsound,
-            *(endings[t] & ended for t in self.terms),
-        ]
-        self._sums += torch.stack([c.to(torch.float32) for c in columns]).sum(1)
-        self._return.masked_fill_(ended, 0.0)
-
-    def collect(self, control_dt: float) -> dict[str, float]:
-        """Means since the last call, in seconds and shares; resets the sums. One host transfer."""
-        sums = dict(zip(self._names, self._sums.tolist(), strict=True))
-        self._sums.zero_()
-        episodes = sums["episodes"]
-        row: dict[str, float] = {"episodes": episodes, "unsound": sums["unsound"]}
-        if episodes:
-            row["episode_seconds"] = sums["steps"] / episodes * control_dt
-            row["return"] = sums["return"] / episodes
-            row["truncated"] = sums["truncated"] / episodes
-            for term in self.terms:
-                row[f"ended_by/{term}"] = sums[f"ended_by/{term}"] / episodes
-        return row
-
-    def state_dict(self) -> State:
-        return {"return": self._return.clone(), "sums": self._sums.clone()}
-
-    def load_state_dict(self, state: State) -> None:
-        self._return.copy_(state["return"])
-        self._sums.copy_(state["sums"])
-
-
-def refuse_hopeless(unsound: float, steps: int, num_worlds: int) -> None:
-    """Stop a training in which most worlds fail numerically all the time.
-
-    Raises
-    ------
-    TrainingError
-        if more than a quarter of all world-steps of an iteration were quarantined.
-    """
-    share = unsound / max(1, steps * num_worlds)
-    if share > 0.25:
-        raise TrainingError(
-            f"{share:.0%} of all steps ended in non-finite or diverged states. The usual causes are "
-            "a time step too large for the gains, initial states in deep penetration, or an action "
-            "scale far too large."
-        )

@@ -1,18 +1,50 @@
-"""Evaluation: how often the deterministic policy lasts an episode, and what it violates meanwhile."""
+"""Evaluation: deterministic episodes from starts that training never saw, judged by measures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
+from understudy.running.environment import Step
+from understudy.running.recorded import Recorded
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Experiment
 from understudy.task import Context, Policy
+from understudy.task.terms import Reduction
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One measure over the episodes of an evaluation."""
+
+    reduce: str  #: how an episode's values became one
+    mean: float
+    spread: float  #: standard deviation over episodes
+    low: float  #: of the 95 % interval of the mean
+    high: float
+
+    @classmethod
+    def of(cls, reduce: str, values: Tensor) -> Measured:
+        """From one value an episode, (E,); episodes that went wrong in their first step have none."""
+        values = values[values.isfinite()].double()
+        if not len(values):
+            return cls(reduce, 0.0, 0.0, 0.0, 0.0)
+        mean, n = float(values.mean()), len(values)
+        spread = float(values.std()) if n > 1 else 0.0
+        reach = 1.96 * spread / math.sqrt(n)
+        return cls(reduce, mean, spread, mean - reach, mean + reach)
+
+    def as_json(self) -> dict[str, Any]:
+        interval = [self.low, self.high]
+        return {
+            "reduce": self.reduce, "mean": self.mean, "spread": self.spread, "mean_95": interval
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -20,26 +52,61 @@ class Evaluation:
     """What an evaluation found. Shares are of episodes."""
 
     episodes: int
-    success_rate: float
-    mean_episode_seconds: float
-    violated: Mapping[str, float]  #: by termination term
-    within_all_bounds: float  #: share of episodes that violated none of the terms
-    seconds: float
-    complete: bool  #: False if it was stopped once success was out of reach
+    success: str = ""  #: what a success is, in words
+    success_rate: float | None = None  #: None where nothing is defined as success
+    mean_episode_seconds: float | None = None
+    violated: Mapping[str, float] = field(default_factory=dict)  #: by termination term
+    measures: Mapping[str, Measured] = field(default_factory=dict)
+    objective: str = "success_rate"  #: what searches maximise: this, or a measure
+    seconds: float | None = None  #: the episodes' length
+    complete: bool = True  #: False if it was stopped once success was out of reach
+
+    @property
+    def objective_value(self) -> float | None:
+        if self.objective == "success_rate":
+            return self.success_rate
+        return self.measures[self.objective].mean
+
+    def row(self) -> dict[str, float]:
+        """The figures for a row of metrics."""
+        found = {f"evaluation/{name}": m.mean for name, m in self.measures.items()}
+        if self.success_rate is not None:
+            found["evaluation/success_rate"] = self.success_rate
+        return found
 
     def as_json(self, samples: int) -> dict[str, Any]:
-        low, high = wilson_interval(self.success_rate, self.episodes)
-        return {
+        found: dict[str, Any] = {
             "episodes": self.episodes,
-            "success_rate": self.success_rate,
-            "success_rate_95": [low, high],
-            "mean_episode_seconds": self.mean_episode_seconds,
             "episode_seconds": self.seconds,
-            "within_all_bounds": self.within_all_bounds,
-            "violated": dict(self.violated),
             "samples": samples,
             "policy": "deterministic",
+            "starts": "never used in training",
+            "mean_episode_seconds": self.mean_episode_seconds,
+            "violated": dict(self.violated),
+            "measures": {name: m.as_json() for name, m in self.measures.items()},
+            "objective": {"name": self.objective, "value": self.objective_value},
         }
+        if self.success_rate is not None:
+            low, high = wilson_interval(self.success_rate, self.episodes)
+            found |= {
+                "success": self.success,
+                "success_rate": self.success_rate,
+                "success_rate_95": [low, high],
+            }
+        return found
+
+    def sentence(self) -> str:
+        """The result in words."""
+        figures = [
+            f"{name} {m.mean:.3g}" for name, m in self.measures.items() if name != "return"
+        ]  # fmt: skip
+        if self.success_rate is None:
+            return "; ".join(figures) + "."
+        early = "" if self.complete else " (stopped early: out of reach)"
+        text = (
+            f"{self.success_rate:.0%} of {self.episodes} episodes succeeded{early} ({self.success})"
+        )
+        return "; ".join([text, *figures]) + "."
 
 
 def wilson_interval(rate: float, n: int, z: float = 1.96) -> tuple[float, float]:
@@ -52,73 +119,245 @@ def wilson_interval(rate: float, n: int, z: float = 1.96) -> tuple[float, float]
     return max(0.0, (centre - spread) / scale), min(1.0, (centre + spread) / scale)
 
 
+@dataclass(frozen=True)
+class Success:
+    """What counts as a success, from ``evaluation.success``: surviving, a term, or a measure."""
+
+    text: str
+    term: str | None = None
+    measure: str | None = None
+    at_least: float = -math.inf
+    at_most: float = math.inf
+
+    def of(
+        self, failed: Tensor, reached: Mapping[str, Tensor], measures: Mapping[str, Tensor]
+    ) -> Tensor:
+        """(N,) bool, of ended episodes: whether they failed, which terms fired, their measures."""
+        if self.measure is not None:
+            value = measures[self.measure]
+            return (value >= self.at_least) & (value <= self.at_most)
+        return reached[self.term] if self.term is not None else ~failed
+
+
+def success_of(experiment: Experiment) -> Success | None:
+    """What ``evaluation.success`` says; unset, it is the success terms, else survival, else nothing."""
+    options = experiment.root.evaluation
+    outcomes = {t.name: t.extras["outcome"] for t in experiment.many("termination.terms")}
+    chosen = options.success
+    if chosen is None:
+        chosen = next((n for n, outcome in outcomes.items() if outcome == "success"), None)
+        if chosen is None and not experiment.failures:
+            return None
+        chosen = chosen or "survived"
+    if isinstance(chosen, str) and chosen != "survived":
+        if outcomes.get(chosen) != "success":
+            raise ConfigError(
+                f"evaluation.success={chosen} names no termination term with outcome=success. Name "
+                "one, 'survived', or {measure: NAME, at_least: NUMBER}."
+            )
+        return Success(f"{chosen} within {options.seconds:g} s", term=chosen)
+    if isinstance(chosen, str):
+        if not experiment.failures:
+            raise ConfigError(
+                "evaluation.success=survived cannot be judged: no termination term is a failure. Add "
+                "one, or choose a measure (evaluation.success={measure: NAME, at_least: NUMBER})."
+            )
+        return Success(f"survived {options.seconds:g} s without {', '.join(experiment.failures)}")
+    experiment.need_measure(chosen.measure, "evaluation.success.measure")
+    limits = [
+        f"{word} {value:g}"
+        for word, value in (("at least", chosen.at_least), ("at most", chosen.at_most))
+        if value is not None
+    ]
+    return Success(
+        f"{chosen.measure} {' and '.join(limits)}",
+        measure=chosen.measure,
+        at_least=-math.inf if chosen.at_least is None else chosen.at_least,
+        at_most=math.inf if chosen.at_most is None else chosen.at_most,
+    )
+
+
+class Reducer:
+    """Reduces a measure's values over the steps of an episode, in place."""
+
+    def __init__(self, reduce: Reduction, num_worlds: int, device: torch.device) -> None:
+        self.reduce: Reduction = reduce
+        self._value = torch.zeros(num_worlds, device=device)
+        self._steps = torch.zeros(num_worlds, device=device)
+
+    def start(self) -> None:
+        self._value.fill_({"min": math.inf, "max": -math.inf}.get(self.reduce, 0.0))
+        self._steps.zero_()
+
+    def digest(self, value: Tensor, running: Tensor) -> None:
+        """One step's `value` (N,) of the episodes that are `running` (N,)."""
+        combined = {
+            "last": lambda: value,
+            "min": lambda: torch.minimum(self._value, value),
+            "max": lambda: torch.maximum(self._value, value),
+            "any": lambda: torch.maximum(self._value, (value != 0).float()),
+            "sum": lambda: self._value + value,
+            "mean": lambda: self._value + value,
+        }[self.reduce]()
+        self._value.copy_(torch.where(running, combined, self._value))
+        self._steps += running
+
+    def result(self) -> Tensor:
+        """(N,)"""
+        return self._value / self._steps.clamp(min=1) if self.reduce == "mean" else self._value
+
+
 class Evaluator:
-    """One environment with one world per episode, kept between evaluations of the same training."""
+    """One environment, kept between evaluations of the same training.
+
+    Only failures, successes and truncations end an evaluation's episodes; failure terms that
+    ``evaluation.failures`` does not name are reported.
+    """
 
     def __init__(self, experiment: Experiment, context: Context | None = None) -> None:
         options = experiment.root.evaluation
         self.experiment, self.options, self._seed = experiment, options, experiment.root.seed
+        self.success = success_of(experiment)
         self.built: Built = build_environment(
             experiment,
             num_worlds=options.episodes,
             episode_seconds=options.seconds,
             scene=context.scene if context else None,
             sections=dict(context.sections) if context else None,
-            ending=options.failures,
+            evaluating=True,
         )
+        environment = self.built.environment
+        n, device = environment.num_worlds, environment.device
+
+        def flags() -> Tensor:
+            return torch.zeros(n, dtype=torch.bool, device=device)
+
+        self._running, self._failed = flags(), flags()
+        self._fired = {t.name: flags() for t in environment.parts.terminations}
+        self._seconds = torch.zeros(n, device=device)
+        self._returns = Reducer("sum", n, device)
+        self._reducers = {
+            name: Reducer(reduce, n, device) for name, reduce in environment.reductions.items()
+        }
+        self._step = Recorded(self._judge, environment)
+
+    def _judge(self, action: Tensor) -> Step:
+        """One step of all worlds, digested where their first episode is still running."""
+        environment, running = self.built.environment, self._running
+        step = environment.advance(action)
+        self._seconds.copy_(torch.where(running, environment.table["episode_time"], self._seconds))
+        for name, fired in step.endings.items():
+            self._fired[name] |= fired & running
+        counted = running & ~step.unsound  # its measures may be no numbers
+        for name, value in environment.measure().items():
+            self._reducers[name].digest(value, counted)
+        self._returns.digest(step.rewards, running)
+        self._failed |= step.failed & running
+        ended = step.ended
+        self._running &= ~ended
+        if environment.device.type != "cpu" or bool(ended.any()):
+            step.observations = environment.begin(ended)
+        return step
 
     @torch.no_grad()
     def run(
         self,
         policy: Policy,
+        draw: str,
+        episodes: int,
         *,
         give_up_below: float | None = None,
         on_step: Callable[[Tensor], None] | None = None,
     ) -> Evaluation:
-        """Run all episodes at once; each world counts until its first ending.
+        """Run `episodes`, as many at once as there are worlds; each world counts until its first ending.
 
-        The same policy gives the same result every time. With `give_up_below`, stops as soon as
-        that success rate is out of reach. Before each step, `on_step` is told which worlds (N,)
-        still count.
+        Starts are drawn from the random streams named `draw`, which no training uses: the same
+        policy and draw give the same result every time. With `give_up_below`, stops as soon as that
+        success rate is out of reach. Before each step, `on_step` is told which worlds (N,) count.
         """
-        environment = self.built.environment
-        n, device = environment.num_worlds, environment.device
-        running = torch.ones(n, dtype=torch.bool, device=device)
-        failed = torch.zeros(n, dtype=torch.bool, device=device)
-        lasted = torch.zeros(n, device=device)
-        violated = {
-            t.name: torch.zeros(n, dtype=torch.bool, device=device)
-            for t in environment.parts.terminations
-        }
-        observations = environment.reset(self._seed)
+        found: list[dict[str, Tensor]] = []
+        lost = done = 0
         complete = True
-        for step in range(environment.max_steps):
-            if on_step is not None:
-                on_step(running)
-            result = environment.step(policy.distribution(observations).mode())
-            observations = result.observations
-            lasted += running
-            for name, fired in result.endings.items():
-                violated[name] |= fired & running
-            failed |= result.failed & running
-            running &= ~(result.terminated | result.truncated)
-            if step % 30 != 29 or give_up_below is None:
-                continue
-            if (n - int(failed.sum())) / n < give_up_below:
-                complete = False
-                break
-        unbroken = ~failed
-        for fired in violated.values():
-            unbroken &= ~fired
+        while done < episodes and complete:
+            count = min(self.built.environment.num_worlds, episodes - done)
+            allowed = math.inf if give_up_below is None else episodes * (1 - give_up_below) - lost
+            batch = self._batch(policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_step)
+            complete = bool(batch.pop("complete"))
+            lost += count - int(batch["success"].sum()) if self.success else 0
+            done += count
+            found.append(batch)
+            on_step = None
+        joined = {name: torch.cat([batch[name] for batch in found]) for name in found[0]}
+        reductions = {"return": "sum", **self.built.environment.reductions}
+        rate = None if self.success is None else (done - lost) / done
         return Evaluation(
-            episodes=n,
-            success_rate=(n - int(failed.sum())) / n,
-            mean_episode_seconds=float(lasted.mean()) * environment.control_dt,
-            violated={k: float(v.float().mean()) for k, v in violated.items()},
-            within_all_bounds=float(unbroken.float().mean()),
+            episodes=done,
+            success=self.success.text if self.success else "",
+            success_rate=rate,
+            mean_episode_seconds=float(joined["seconds"].mean()),
+            violated={t: float(joined[f"fired/{t}"].float().mean()) for t in self._fired},
+            measures={
+                name: Measured.of(reduce, joined[f"measure/{name}"])
+                for name, reduce in reductions.items()
+            },
+            objective=self.options.objective,
             seconds=self.options.seconds,
             complete=complete,
         )
+
+    def _batch(
+        self,
+        policy: Policy,
+        draw: str,
+        count: int,
+        allowed: float,
+        on_step: Callable[[Tensor], None] | None,
+    ) -> dict[str, Tensor]:
+        """What was found of each of `count` episodes; given up when more than `allowed` are lost."""
+        environment = self.built.environment
+        observations = environment.reset(self._seed, draw)
+        self._running.fill_(True)
+        self._running[count:] = False
+        self._seconds.zero_()
+        self._failed.zero_()
+        for fired in self._fired.values():
+            fired.zero_()
+        for reducer in (self._returns, *self._reducers.values()):
+            reducer.start()
+        decision_seconds = environment.decision * environment.control_dt
+        steps = max(1, math.ceil(self.options.seconds / decision_seconds - 1e-6))
+        complete = True
+        for step in range(steps):
+            if on_step is not None:
+                on_step(self._running)
+            action = policy.distribution(observations).mode()
+            observations = self._step(action).observations
+            if step % 30 == 29 and allowed < count and not self._within(allowed, count):
+                complete = False
+                break
+        measures = {name: r.result() for name, r in self._reducers.items()}
+        success = (
+            self.success.of(self._failed, self._fired, measures)
+            if self.success
+            else torch.ones_like(self._failed)
+        )
+        found = {
+            "success": success,
+            "seconds": self._seconds,
+            "measure/return": self._returns.result(),
+            **{f"measure/{name}": value for name, value in measures.items()},
+            **{f"fired/{name}": fired for name, fired in self._fired.items()},
+        }
+        rows = {name: value[:count].clone() for name, value in found.items()}
+        return {**rows, "complete": torch.tensor(complete)}
+
+    def _within(self, allowed: float, count: int) -> bool:
+        """Whether the success rate can still be reached; a measure is only known in the end."""
+        if self.success is None or self.success.measure is not None:
+            return True
+        over = ~self._running
+        won = self._fired[self.success.term] if self.success.term else ~self._failed
+        return int((over & ~won)[:count].sum()) <= allowed
 
     def close(self) -> None:
         self.built.environment.close()

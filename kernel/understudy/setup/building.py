@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +11,11 @@ import torch
 
 from understudy.errors import ConfigError, PluginError
 from understudy.random import private_rng
-from understudy.running.environment import Environment, Parts, Term
-from understudy.setup.config import Experiment, TermChoice
+from understudy.running.environment import Environment, Parts
+from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context, Learner, Policy, Scene, Simulator
+from understudy.task.terms import Bound, Term, make_term, renamed
 
 
 @dataclass
@@ -40,106 +41,137 @@ def device_of(name: str) -> torch.device:
     return device
 
 
+def build_sections(experiment: Experiment) -> dict[str, Any]:
+    """What the config sections of plugins become."""
+    registry = experiment.registry
+    return {
+        name: registry.sections[name].make(options, registry)
+        for name, options in experiment.sections.items()
+    }
+
+
 def build_environment(
     experiment: Experiment,
     *,
     num_worlds: int | None = None,
     episode_seconds: float | None = None,
-    seed: int | None = None,
     scene: Scene | None = None,
     sections: dict[str, Any] | None = None,
-    ending: Collection[str] | None = None,
+    evaluating: bool = False,
 ) -> Built:
     """Build the environment of `experiment`; the keyword arguments replace its own values.
 
-    With `ending`, only the termination terms named in it end an episode; others are reported.
+    When `evaluating`, the curriculum stands at the target difficulty, and failure terms that
+    ``evaluation.failures`` does not name are only reported.
     """
-    root = experiment.root
-    device = device_of(root.device)
+    root, registry = experiment.root, experiment.registry
     context = Context(
-        seed=root.seed if seed is None else seed,
-        device=device,
+        seed=root.seed,
+        device=device_of(root.device),
         num_worlds=root.num_worlds if num_worlds is None else num_worlds,
         control_dt=1.0 / root.control.frequency,
         substeps=root.control.substeps,
+        decision=root.control.decision,
+        difficulty=root.difficulty,
+        evaluating=evaluating,
+        registry=registry,
+        sections=sections or build_sections(experiment),
     )
-    registry = experiment.registry
-    context.sections = sections or {
-        name: registry.sections[name].make(options, registry)
-        for name, options in experiment.sections.items()
-    }
-    context.scene = scene or experiment.scene.build(context)
-    simulator: Simulator = experiment.simulator.build(context)
+    context.scene = scene or experiment.need("scene").build(context)
+    simulator: Simulator = experiment.need("simulator").build(context)
     context.simulator = simulator
+
+    def bound(chosen: Chosen) -> Bound[Any]:
+        part = chosen.build(context)
+        given = getattr(part, "keeps" if chosen.component.kind != "fields" else "provides", {})
+        return Bound(
+            chosen.where,
+            part,
+            renamed(chosen.where, "reads", part.reads, chosen.extras["reads"]),
+            renamed(chosen.where, "provides", tuple(given), chosen.extras.get("provides", {})),
+        )
+
+    def terms(slot: str) -> list[Term]:
+        return [build_term(chosen, context) for chosen in experiment.many(slot)]
+
+    for slot, what in (("reward.terms", "reward term"), ("encoder", "encoder")):
+        if not experiment.many(slot):
+            raise ConfigError(f"{slot} is empty: a task needs at least one {what}.")
+    terminations = terms("termination.terms")
+    if evaluating:
+        reported = {t.name for t in terminations if t.outcome == "failure"} - {*experiment.failures}
+        terminations = [
+            replace(t, outcome="report") if t.name in reported else t for t in terminations
+        ]
+    curriculum = experiment.one("curriculum")
     parts = Parts(
         simulator=simulator,
-        fields=[(name, choice.build(context)) for name, choice in experiment.fields.items()],
-        encoders={name: choice.build(context) for name, choice in experiment.encoders.items()},
-        actuation=experiment.actuation.build(context),
-        initial_states=experiment.initial_states.build(context),
-        rewards=[build_term(t, context) for t in experiment.rewards],
-        terminations=[
-            build_term(
-                t if ending is None or t.name in ending else replace(t, outcome="report"), context
-            )
-            for t in experiment.terminations
-        ],
+        actuation=bound(experiment.need("actuation")),
+        initial_states=experiment.need("initial_states").build(context),
+        encoders={c.name: bound(c) for c in experiment.many("encoder")},
+        rewards=terms("reward.terms"),
+        terminations=terminations,
+        measures=terms("measure"),
+        fields=[bound(c) for c in experiment.many("fields")],
+        memories={c.name: bound(c) for c in experiment.many("memory")},
+        curriculum=curriculum.build(context) if curriculum else None,
         combine=root.reward.combine,
     )
     environment = Environment(
         parts,
         num_worlds=context.num_worlds,
-        device=device,
+        device=context.device,
         seed=context.seed,
         control_dt=context.control_dt,
+        substeps=context.substeps,
+        decision=context.decision,
         episode_seconds=root.episode.seconds if episode_seconds is None else episode_seconds,
-        known_fields=lambda name: providers_of(name, registry),
+        difficulty=root.difficulty,
+        evaluating=evaluating,
+        known_fields=lambda name: list(providers_of(name, registry)),
     )
-    context = replace(
-        context,
-        action_size=environment.action_size,
-        observation_shapes=environment.observation_shapes,
-    )
+    context.action_space = parts.actuation.part.action_space
+    context.observation_shapes = environment.observation_shapes
     assert context.scene is not None
     return Built(environment, context, context.scene)
 
 
-def build_term(choice: TermChoice, context: Context) -> Term:
+def build_term(chosen: Chosen, context: Context) -> Term:
     """The term's function with its options bound; a class is built first and then called."""
-    function: Any = choice.component.factory
-    options = choice.options
-    if isinstance(choice.component.factory, type):
-        schema = getattr(function, "Options", None)
-        function, options = function(schema(**options) if schema else None, context), {}
-    return Term(choice.name, function, options, choice.weight, choice.outcome)
+    function, options = chosen.component.factory, chosen.options
+    if isinstance(function, type):
+        function, options = chosen.build(context), None
+    counts = {k: v for k, v in chosen.extras.items() if k != "reads"}
+    return make_term(
+        chosen.where, chosen.name, function, options or {}, reads=chosen.extras["reads"], **counts
+    )
 
 
-def providers_of(field: str, registry: Registry) -> list[str]:
+#: By kind: the attribute of its components' classes that says which fields they give.
+_GIVES = {
+    "fields": "provides",
+    "memory": "keeps",
+    "actuation": "keeps",
+    "initial_states": "episode_fields",
+    "curriculum": "provides",
+    "simulator": "fields",
+}
+
+
+def providers_of(field: str, registry: Registry) -> Iterator[str]:
     """The registered components that say they provide the state field `field`."""
-    found = []
     for (kind, name), component in registry.components.items():
-        if kind in ("fields", "initial_states", "simulator"):
-            attribute = {
-                "fields": "provides",
-                "initial_states": "episode_fields",
-                "simulator": "fields",
-            }
+        if kind in _GIVES:
             with contextlib.suppress(PluginError):  # one that cannot be used here is no advice
-                if field in (getattr(component.factory, attribute[kind], None) or {}):
-                    found.append(f"{kind} '{name}'")
-    return found
+                if field in (getattr(component.factory, _GIVES[kind], None) or {}):
+                    yield f"{kind} '{name}'"
 
 
 def build_policy(experiment: Experiment, context: Context) -> Policy:
     """The policy, its weights drawn from the seed alone."""
-    if experiment.policy is None:
-        raise ConfigError("policy is not set. Choose one (policy=…).")
     with private_rng(context.seed, "policy"):
-        return experiment.policy.build(context).to(context.device)
+        return experiment.need("policy").build(context).to(context.device)
 
 
 def build_learner(experiment: Experiment, context: Context, policy: Policy) -> Learner:
-    if experiment.learner is None:
-        raise ConfigError("learner is not set. Choose one (learner=…).")
-    choice = experiment.learner
-    return choice.component.factory(choice.options, context, policy)
+    return experiment.need("learner").build(context, policy)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,21 +30,23 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import Option, check_range, checked_options, make_options
-from understudy.running.environment import Outcome
 from understudy.setup.plugins import Plugins, installed
-from understudy.setup.registry import Component, Registry
+from understudy.setup.registry import Component, Registry, Slot
+from understudy.task.terms import Outcome, Reduction
 
 
 @dataclass(frozen=True)
 class ControlOptions:
     """Control and physics rates; 30 Hz control, 600 Hz physics by default (thesis, section 3.5)."""
 
-    frequency: float = 30.0  #: control steps per second
-    substeps: int = 20  #: physics steps per control step
+    frequency: float = 30.0  #: control periods per second
+    substeps: int = 20  #: physics steps per control period
+    decision: int = 1  #: control periods that one decision of the policy lasts
 
     def __post_init__(self) -> None:
         check_range(self, "frequency", above=0, most=1e5)
         check_range(self, "substeps", least=1, most=100_000)
+        check_range(self, "decision", least=1, most=10_000)
 
 
 @dataclass(frozen=True)
@@ -66,22 +69,42 @@ class BudgetOptions:
 
 
 @dataclass(frozen=True)
-class EvaluationOptions:
-    """How a policy is judged: deterministic, on fresh initial states, until a failure term fires."""
+class MeasureThreshold:
+    """Success by a measure: its value over the episode lies within these limits."""
 
-    episodes: int = 64
-    seconds: float = 20.0
-    #: Termination terms that count as failures; the others are only reported.
-    failures: tuple[str, ...] = ()
-    #: Share of successful episodes at which a training is done; null trains to the budget.
+    measure: str
+    at_least: float | None = None
+    at_most: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.at_least is None and self.at_most is None:
+            raise ValueError("at_least and at_most are both unset: give one of them.")
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """How a policy is judged: deterministic, from starts that training never saw."""
+
+    episodes: int = 64  #: of one draw of starts, all at once
+    final_episodes: int = 128  #: of the draw that confirms a criterion, and of the last one
+    seconds: float = 20.0  #: episodes are cut at this length
+    #: ``survived`` (no failure until the end), a termination term with outcome=success, or
+    #: ``{measure: NAME, at_least: x}``; null is the task's success term, else survival.
+    success: str | MeasureThreshold | None = None
+    #: Failure terms that end an evaluation's episode, the others being only reported; null is all.
+    failures: tuple[str, ...] | None = None
+    #: What searches maximise: ``success_rate``, ``return``, or a measure (its mean).
+    objective: str = "success_rate"
+    #: Success rate at which a training is done, on one draw of starts and then, confirmed, on a
+    #: second; null trains to the budget.
     criterion: float | None = None
-    #: An evaluation starts when this share of training episodes' time was survived …
+    #: An evaluation starts when training episodes would last this share of its seconds …
     gate: float = 0.3
     #: … and this many samples were consumed since the last one.
     every_samples: int = 100_000
 
     def __post_init__(self) -> None:
-        check_range(self, "episodes", least=1)
+        check_range(self, "episodes", "final_episodes", least=1)
         check_range(self, "seconds", above=0)
         check_range(self, "criterion", above=0, most=1)
         check_range(self, "gate", least=0, most=1)
@@ -100,31 +123,44 @@ class CheckpointOptions:
 
 @dataclass(frozen=True)
 class RunOptions:
-    dir: str | None = None  #: run folder; null makes ``runs/<task>-<n>``
+    dir: str | None = None  #: run folder; null makes ``runs/<experiment>-<n>``
     video_seconds: float = 8.0
 
     def __post_init__(self) -> None:
         check_range(self, "video_seconds", least=0)
 
 
+#: What a run can take over from another one.
+Part = Literal["actor", "critic", "normaliser", "initial_states", "curriculum"]
+
+
 @dataclass(frozen=True)
-class TermSet:
+class StartOptions:
+    """Begin with parts of another run's newest checkpoint."""
+
+    run: str  #: its folder
+    parts: tuple[Part, ...] = ("actor", "critic", "normaliser")
+
+
+@dataclass(frozen=True)
+class RewardOptions:
     terms: Mapping[str, Any] = field(default_factory=dict)
     combine: Literal["sum", "product"] = "product"
 
 
 @dataclass(frozen=True)
-class TerminationSet:
+class TerminationOptions:
     terms: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Root:
-    """The top level of a configuration. Plugins' sections stand beside these."""
+    """The top level of a configuration, beside the slots and plugins' sections."""
 
     seed: int = 0
     device: str = "cpu"
     num_worlds: int = 256
+    difficulty: float = 1.0  #: in [0, 1]: what evaluations run at, and trainings lead to
     task: str | None = None
     control: ControlOptions = field(default_factory=ControlOptions)
     episode: EpisodeOptions = field(default_factory=EpisodeOptions)
@@ -132,45 +168,37 @@ class Root:
     evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
     checkpoint: CheckpointOptions = field(default_factory=CheckpointOptions)
     run: RunOptions = field(default_factory=RunOptions)
-    scene: Any = None
-    simulator: Any = None
-    fields: Mapping[str, Any] = field(default_factory=dict)
-    encoder: Mapping[str, Any] = field(default_factory=dict)
-    actuation: Any = None
-    reward: TermSet = field(default_factory=TermSet)
-    termination: TerminationSet = field(default_factory=TerminationSet)
-    initial_states: Any = None
-    policy: Any = None
-    learner: Any = None
-    outer_loop: Any = None
-    executor: Any = None
+    start: StartOptions | None = None
+    reward: RewardOptions = field(default_factory=RewardOptions)
+    termination: TerminationOptions = field(default_factory=TerminationOptions)
 
     def __post_init__(self) -> None:
         check_range(self, "num_worlds", least=1)
         check_range(self, "seed", least=0, most=2**63 - 1)
+        check_range(self, "difficulty", least=0, most=1)
 
 
 @dataclass(frozen=True)
-class Choice:
+class Chosen:
     """A component chosen by the configuration, with its validated options."""
 
+    name: str  #: among several of its slot; else the slot's
     component: Component
-    options: Any
-    where: str
+    options: Any  #: an ``Options`` instance, a function's keyword arguments, or None
+    where: str  #: its key path
+    extras: Mapping[str, Any] = field(default_factory=dict)  #: what its kind takes besides
 
-    def build(self, context: Any) -> Any:
-        return self.component.factory(self.options, context)
+    def build(self, *context: Any) -> Any:
+        """The component of these options; `context` is what its kind is built with."""
+        return self.component.factory(self.options, *context)
 
-
-@dataclass(frozen=True)
-class TermChoice:
-    """A term chosen by the configuration: a function, its options, and how it counts."""
-
-    name: str
-    component: Component
-    options: Mapping[str, Any]
-    weight: float = 1.0
-    outcome: Outcome = "failure"
+    def effective(self) -> dict[str, Any]:
+        """As configuration, every default filled in."""
+        options: dict[str, Any] = self.options or {}
+        if dataclasses.is_dataclass(self.options) and not isinstance(self.options, type):
+            options = dataclasses.asdict(self.options)
+        extras = {k: v for k, v in self.extras.items() if v != {}}
+        return {"name": self.component.name, **options, **extras}
 
 
 @dataclass(frozen=True)
@@ -178,35 +206,99 @@ class Experiment:
     """A validated configuration: every component found, every option of the right type."""
 
     root: Root
-    raw: Mapping[str, Any]
-    scene: Choice
-    simulator: Choice
-    fields: Mapping[str, Choice]
-    encoders: Mapping[str, Choice]
-    actuation: Choice
-    initial_states: Choice
-    rewards: tuple[TermChoice, ...]
-    terminations: tuple[TermChoice, ...]
-    policy: Choice | None
-    learner: Choice | None
-    outer_loop: Choice | None
-    executor: Choice | None
+    choices: Mapping[str, tuple[Chosen, ...]]  #: by slot
     sections: Mapping[str, Any]
     registry: Registry
 
+    def one(self, slot: str) -> Chosen | None:
+        """What fills `slot`, which takes one component."""
+        return next(iter(self.choices[slot]), None)
+
+    def many(self, slot: str) -> tuple[Chosen, ...]:
+        """What fills `slot`, by name in the order of the configuration."""
+        return self.choices[slot]
+
+    def need(self, slot: str) -> Chosen:
+        """What fills `slot`; an error says that it must be set."""
+        chosen = self.one(slot)
+        if chosen is None:
+            kind = self.registry.slots[slot].kind
+            raise ConfigError(
+                f"{slot} is not set. Choose an experiment (experiment=…) or a {kind} ({slot}=…)."
+                + suggestion("", self.registry.names(kind))
+            )
+        return chosen
+
     def components(self) -> Iterator[Component]:
         """Every component in use."""
-        for value in vars(self).values():
-            if isinstance(value, Choice):
-                yield value.component
-            elif isinstance(value, Mapping):
-                yield from (v.component for v in value.values() if isinstance(v, Choice))
-            elif isinstance(value, tuple):
-                yield from (v.component for v in value)
+        for chosen in self.choices.values():
+            yield from (c.component for c in chosen)
+
+    @functools.cached_property
+    def failures(self) -> tuple[str, ...]:
+        """The termination terms that fail an evaluation's episode."""
+        terms = self.many("termination.terms")
+        named = self.root.evaluation.failures
+        if named is None:
+            return tuple(t.name for t in terms if t.extras["outcome"] == "failure")
+        names = {t.name for t in terms}
+        for failure in named:
+            if failure not in names:
+                raise ConfigError(
+                    f"evaluation.failures names '{failure}', which is no termination term of this "
+                    f"task.{suggestion(failure, names)}"
+                )
+        return named
+
+    def need_measure(self, name: str, where: str) -> None:
+        """Raise :class:`ConfigError` if there is no measure `name`, which `where` asks for."""
+        names = [m.name for m in self.many("measure")]
+        if name not in (*names, "return"):
+            raise ConfigError(
+                f"{where} names '{name}', which is no measure of this task."
+                + suggestion(name, [*names, "return"])
+            )
+
+    def effective(self) -> dict[str, Any]:
+        """The configuration as plain data, every default filled in; validates to the same."""
+        found = _plain_data(dataclasses.asdict(self.root))
+        for slot in self.registry.slots.values():
+            chosen = self.choices[slot.name]
+            value: Any = {c.name: c.effective() for c in chosen}
+            if not slot.many:
+                value = chosen[0].effective() if chosen else None
+            _put(found, slot.name, _plain_data(value))
+        for name, options in self.sections.items():
+            found[name] = _plain_data(dataclasses.asdict(options))
+        return found
 
 
-SINGLE_SLOTS = ("scene", "simulator", "actuation", "initial_states")
-OPTIONAL_SLOTS = ("policy", "learner", "outer_loop", "executor")
+def _plain_data(value: Any) -> Any:
+    """Tuples as lists: what JSON and YAML have."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain_data(v) for k, v in value.items()}
+    return [_plain_data(v) for v in value] if isinstance(value, (list, tuple)) else value
+
+
+def _put(tree: dict[str, Any], path: str, value: Any) -> None:
+    *above, last = path.split(".")
+    for key in above:
+        tree = tree[key]
+    tree[last] = value
+
+
+#: What components of a kind take beside their own options: renamed fields, and how terms count.
+_READS = {"reads": Option("reads", dict[str, str], {})}
+_PROVIDES = {"provides": Option("provides", dict[str, str], {})}
+EXTRAS: dict[str, dict[str, Option]] = {
+    "fields": {**_READS, **_PROVIDES},
+    "memory": {**_READS, **_PROVIDES},
+    "encoder": _READS,
+    "actuation": {**_READS, **_PROVIDES},
+    "reward": {**_READS, "weight": Option("weight", float, 1.0)},
+    "termination": {**_READS, "outcome": Option("outcome", Outcome, "failure")},
+    "measure": {**_READS, "reduce": Option("reduce", Reduction, "last")},
+}
 
 
 def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
@@ -218,74 +310,23 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         for an unknown key or component, a missing or wrong value; the message has the key path.
     """
     refuse_code(raw)
-    known = {f.name for f in dataclasses.fields(Root)}
+    own = {f.name for f in dataclasses.fields(Root)}
+    slots = {slot.name for slot in registry.slots.values()}
+    known = own | {s for s in slots if "." not in s} | set(registry.sections)
     for key in raw:
-        if key not in known and key not in registry.sections:
+        if key not in known:
             raise ConfigError(
-                f"There is no configuration key '{key}'.{suggestion(str(key), known | set(registry.sections))}"
+                f"There is no configuration key '{key}'.{suggestion(str(key), known)}"
             )
-    root = make_options(Root, {k: v for k, v in raw.items() if k in known}, "")
-
-    def choice(kind: str, value: Any, where: str, required: bool = True) -> Any:
-        if value is None:
-            if not required:
-                return None
-            raise ConfigError(
-                f"{where} is not set, so there is no task. Choose an experiment (experiment=…) or a "
-                f"{kind} ({where}=…).{suggestion('', registry.names(kind))}"
-            )
-        name, options = _named(value, where)
-        component = registry.find(kind, name, where)
-        schema = getattr(component.factory, "Options", None)
-        if schema is not None:
-            return Choice(component, make_options(schema, options, where), where)
-        checked_options({}, options, where)
-        return Choice(component, None, where)
-
-    def term(kind: str, name: str, value: Any) -> TermChoice:
-        where = f"{kind}.terms.{name}"
-        component_name, options = _named(value, where)
-        extra: dict[str, Option] = {
-            "reward": {"weight": Option("weight", float, 1.0)},
-            "termination": {"outcome": Option("outcome", Outcome, "failure")},
-        }[kind]
-        component = registry.find(kind, component_name, where)
-        checked = checked_options({**component.options, **extra}, options, where)
-        own = {k: v for k, v in checked.items() if k not in extra}
-        counts = {k: v for k, v in checked.items() if k in extra}
-        return TermChoice(name, component, own, **counts)
-
-    single = {slot: choice(slot, getattr(root, slot), slot) for slot in SINGLE_SLOTS}
-    optional = {slot: choice(slot, getattr(root, slot), slot, False) for slot in OPTIONAL_SLOTS}
-    if not any(root.reward.terms.values()):
-        raise ConfigError("reward.terms is empty: a task needs at least one reward term.")
-    if not any(root.encoder.values()):
-        raise ConfigError("encoder is empty: a task needs at least one encoder.")
-    terminations = tuple(
-        term("termination", k, v) for k, v in root.termination.terms.items() if v is not None
-    )
-    names = {t.name for t in terminations}
-    for failure in root.evaluation.failures:
-        if failure not in names:
-            raise ConfigError(
-                f"evaluation.failures names '{failure}', which is no termination term of this "
-                f"task.{suggestion(failure, names)}"
-            )
-    return Experiment(
+    filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in _GROUPS)}
+    root = make_options(Root, filled, "")
+    choices = {
+        slot.name: tuple(_chosen(slot, _at(raw, slot.name), registry))
+        for slot in registry.slots.values()
+    }
+    experiment = Experiment(
         root=root,
-        raw=raw,
-        **single,
-        **optional,
-        fields={
-            k: choice("fields", v, f"fields.{k}") for k, v in root.fields.items() if v is not None
-        },
-        encoders={
-            k: choice("encoder", v, f"encoder.{k}")
-            for k, v in root.encoder.items()
-            if v is not None
-        },
-        rewards=tuple(term("reward", k, v) for k, v in root.reward.terms.items() if v is not None),
-        terminations=terminations,
+        choices=choices,
         sections={
             name: make_options(section.schema(), raw[name], name)
             for name, section in registry.sections.items()
@@ -293,6 +334,54 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         },
         registry=registry,
     )
+    if root.evaluation.objective != "success_rate":
+        experiment.need_measure(root.evaluation.objective, "evaluation.objective")
+    _ = experiment.failures
+    return experiment
+
+
+#: Groups of the root that an override of null empties.
+_GROUPS = ("reward", "termination")
+
+
+def _at(raw: Any, path: str) -> Any:
+    """What stands at the key path `path`, or None."""
+    for key in path.split("."):
+        raw = raw.get(key) if isinstance(raw, Mapping) else None
+    return raw
+
+
+def _chosen(slot: Slot, value: Any, registry: Registry) -> Iterator[Chosen]:
+    """The components that the configuration chooses for `slot`."""
+    if value is None:
+        return
+    if not slot.many:
+        yield _choice(slot, slot.name, value, slot.name, registry)
+        return
+    if not isinstance(value, Mapping):
+        raise ConfigError(
+            f"{slot.name} must be {{NAME: {{name: COMPONENT, …}}, …}}, not {value!r}."
+        )
+    for name, item in value.items():
+        if item is not None:
+            yield _choice(slot, str(name), item, f"{slot.name}.{name}", registry)
+
+
+def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -> Chosen:
+    component_name, options = _named(value, where)
+    component = registry.find(slot.kind, component_name, where)
+    extra = EXTRAS.get(slot.kind, {})
+    given = {k: v for k, v in options.items() if k in extra}
+    extras = checked_options(extra, given, where)
+    extras = {k: extras.get(k, option.default) for k, option in extra.items()}
+    own = {k: v for k, v in options.items() if k not in extra}
+    schema = getattr(component.factory, "Options", None)
+    checked: Any
+    if schema is not None:
+        checked = make_options(schema, own, where)
+    else:  # a function's options are its keyword-only parameters; a class without Options has none
+        checked = checked_options(component.options, own, where) or None
+    return Chosen(name, component, checked, where, extras)
 
 
 def _named(value: Any, where: str) -> tuple[str, dict[str, Any]]:
@@ -381,7 +470,7 @@ def _plain(error: Exception, plugins: Plugins) -> str:
         return f"{getattr(error, 'full_key', None) or text} is not set. Give it a value."
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
-        known = {f.name for f in dataclasses.fields(Root)} | set(plugins.registry.sections)
+        known = _VALUES | set(plugins.registry.slots) | set(plugins.registry.sections)
         return f"There is no configuration key '{stray[1]}'.{suggestion(stray[1], known)}"
     return text or type(error).__name__
 
@@ -391,11 +480,16 @@ def _sources(plugins: Plugins) -> list[Path]:
     return [kernel_conf(), *(directory for _, directory in plugins.config_directories())]
 
 
+#: Root keys that are values, not groups of options.
+_VALUES = frozenset(f.name for f in dataclasses.fields(Root)) - {"task", "reward", "termination"}
+
+
 def _settable(override: str) -> str:
     """Let ``a.b=value`` set an option that no file mentions; validation knows which ones exist."""
     key, equals, value = override.partition("=")
     plain = bool(equals and key) and key[0] not in "+~"
-    return f"++{override}" if plain and ("." in key or value.startswith("{")) else override
+    sets = "." in key or value.startswith("{") or key in _VALUES
+    return f"++{override}" if plain and sets else override
 
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:

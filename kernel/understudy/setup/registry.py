@@ -15,20 +15,38 @@ from typing import Any
 from understudy.errors import ConfigError, PluginError, suggestion
 from understudy.options import Option, options_of
 
-#: The kinds the kernel itself knows, with what fills them. Plugins may add kinds of their own.
+
+@dataclass(frozen=True)
+class Slot:
+    """A place in the configuration that a component fills, or several, each under a name."""
+
+    name: str  #: its key path
+    kind: str  #: of component
+    summary: str
+    many: bool = False
+
+
+#: The slots that the kernel itself knows. Plugins may add slots, and kinds, of their own.
+KERNEL_SLOTS: tuple[Slot, ...] = (
+    Slot("job", "job", "what a run iterates; unset, reinforcement learning"),
+    Slot("scene", "scene", "what is simulated"),
+    Slot("simulator", "simulator", "owns the physics state of N worlds"),
+    Slot("fields", "fields", "derives state fields from other state fields", many=True),
+    Slot("memory", "memory", "tensors per world that carry the past", many=True),
+    Slot("encoder", "encoder", "turns state fields into one named observation", many=True),
+    Slot("actuation", "actuation", "turns actions into controls"),
+    Slot("reward.terms", "reward", "one value per world and step", many=True),
+    Slot("termination.terms", "termination", "ends a world's episode", many=True),
+    Slot("measure", "measure", "one value per world and step, reduced over episodes", many=True),
+    Slot("initial_states", "initial_states", "where episodes begin"),
+    Slot("curriculum", "curriculum", "changes what the next episodes begin with"),
+    Slot("policy", "policy", "observation to action distribution and value"),
+    Slot("learner", "learner", "improves a policy from rollouts"),
+    Slot("outer_loop", "outer_loop", "proposes trials and digests reports"),
+    Slot("executor", "executor", "runs trials"),
+)
 KERNEL_KINDS: dict[str, str] = {
-    "scene": "what is simulated",
-    "simulator": "owns the physics state of N worlds",
-    "fields": "derives state fields from other state fields",
-    "encoder": "turns state fields into one named observation",
-    "actuation": "turns actions into controls",
-    "reward": "one value per world and step",
-    "termination": "ends a world's episode as a failure",
-    "initial_states": "where episodes begin",
-    "policy": "observation to action distribution and value",
-    "learner": "improves a policy from rollouts",
-    "outer_loop": "proposes trials and digests results",
-    "executor": "runs trials",
+    **{slot.kind: slot.summary for slot in KERNEL_SLOTS},
     "command": "a command of the command line",
 }
 
@@ -118,6 +136,9 @@ class Registry:
     """All components, tasks, sections and citations of the loaded plugins."""
 
     kinds: dict[str, str] = field(default_factory=lambda: dict(KERNEL_KINDS))
+    slots: dict[str, Slot] = field(default_factory=lambda: {s.name: s for s in KERNEL_SLOTS})
+    #: By "kind NAME" or "slot NAME" that a plugin added: the plugin.
+    owners: dict[str, str] = field(default_factory=dict)
     components: dict[tuple[str, str], Component] = field(default_factory=dict)
     tasks: dict[str, TaskEntry] = field(default_factory=dict)
     sections: dict[str, Section] = field(default_factory=dict)
@@ -172,6 +193,10 @@ class Registry:
         for table in tables:
             for key in [k for k, entry in table.items() if entry.plugin == plugin]:
                 del table[key]
+        for name in [n for n, owner in self.owners.items() if owner == plugin]:
+            del self.owners[name]
+            self.kinds.pop(name.removeprefix("kind "), None)
+            self.slots.pop(name.removeprefix("slot "), None)
 
 
 @dataclass(frozen=True)
@@ -220,6 +245,17 @@ class Registrar:
                 f"Plugin '{self.plugin}' adds the kind '{name}', which exists already."
             )
         self.registry.kinds[name] = summary
+        self.registry.owners[f"kind {name}"] = self.plugin
+
+    def slot(self, name: str, kind: str, summary: str, *, many: bool = False) -> None:
+        """Add a top-level slot `name` of the plugin's own, filled by components of `kind`; jobs
+        build what fills it (``experiment.need(name).build(…)``)."""
+        if name in self.registry.slots or "." in name:
+            raise PluginError(
+                f"Plugin '{self.plugin}' adds the slot '{name}', which exists already or has a dot."
+            )
+        self.registry.slots[name] = Slot(name, kind, summary, many)
+        self.registry.owners[f"slot {name}"] = self.plugin
 
     def citation(self, key: str, text: str) -> None:
         """Record how to cite what the plugin implements; kept with every run that uses the plugin."""

@@ -11,6 +11,7 @@ import torch
 from understudy.errors import ConfigError
 
 if TYPE_CHECKING:
+    from understudy.setup.registry import Registry
     from understudy.task.actions import ActionSpace
     from understudy.task.physics import Scene, Simulator
 
@@ -39,6 +40,7 @@ class Context:
     decision: int = 1  #: control periods of one decision, unless a curriculum says otherwise
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at and trainings lead to
     evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
+    registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)
     scene: Scene | None = None
     simulator: Simulator | None = None

@@ -13,7 +13,7 @@ from torch import Tensor
 from understudy.random import WorldStreams
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy.task import Actuation, Context, Encoder, InitialStates, Scene, Simulator
+from understudy.task import Actuation, Context, Encoder, InitialStates, Scene, Simulator, box
 
 
 class FakeScene(Scene):
@@ -46,8 +46,8 @@ class FakeSimulator(Simulator):
         new = torch.cat([state["qpos"], state["qvel"]], dim=1).double()
         self._state = torch.where(worlds.unsqueeze(1), new, self._state)
 
-    def step(self, control: Tensor) -> None:
-        for _ in range(self._substeps):
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        for _ in range(substeps or self._substeps):
             velocity = self._state[:, 1] + self._dt * control[:, 0].double()
             self._state = torch.stack([self._state[:, 0] + self._dt * velocity, velocity], dim=1)
 
@@ -57,8 +57,13 @@ class FakeSimulator(Simulator):
     def snapshot(self) -> dict[str, Tensor]:
         return {"state": self._state.clone()}
 
-    def restore(self, snapshot: Mapping[str, Tensor]) -> None:
-        self._state = snapshot["state"].clone()
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        keep = (
+            torch.zeros(len(self._state), 1, dtype=torch.bool)
+            if worlds is None
+            else ~worlds[:, None]
+        )
+        self._state = torch.where(keep, self._state, snapshot["state"])
 
 
 class PointEncoder(Encoder):
@@ -77,7 +82,7 @@ class PointEncoder(Encoder):
 class Force(Actuation):
     """The action is the force."""
 
-    action_size = 1
+    action_space = box(1)
 
     def __init__(self, options: None, context: Context) -> None:
         pass
@@ -96,7 +101,7 @@ class Somewhere(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         self._spread = options.spread
 
-    def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         qpos = (streams.uniform(1) * 2 - 1) * self._spread
         return {"qpos": qpos, "qvel": torch.zeros_like(qpos)}
 
@@ -131,7 +136,6 @@ FAKE_TASK = (
     "+reward.terms.near={name: fake.near_origin}",
     "+termination.terms.far={name: fake.far_away}",
     "+initial_states={name: fake.somewhere}",
-    "+evaluation.failures=[far]",
 )
 
 

@@ -7,11 +7,11 @@ import json
 import typing
 from pathlib import Path
 
+from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy.command.command import Command
 from understudy_characters.character import Character, load_character
 from understudy_doctor.character_checks import missing_joints
 from understudy_doctor.examination import Examination, examine

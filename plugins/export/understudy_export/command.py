@@ -9,10 +9,10 @@ from pathlib import Path
 
 import torch
 
+from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy.command.command import Command
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import recorded_clips, run_character

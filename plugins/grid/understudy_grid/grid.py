@@ -8,11 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.outer.trials import OuterLoop, Result, Trial
+from understudy.errors import ConfigError
+from understudy.outer.trials import OuterLoop, Report, Trial
 
 
 class Grid(OuterLoop):
     """Every variant with every seed. A variant is a name and the overrides that make it."""
+
+    extendable = ("variants", "seeds")
 
     @dataclass(frozen=True)
     class Options:
@@ -23,27 +26,42 @@ class Grid(OuterLoop):
             if not self.variants or not self.seeds:
                 raise ValueError("variants and seeds must not be empty.")
 
-    def __init__(self, options: Options, context: None = None) -> None:
-        self._pending = [
-            Trial(f"{name}/seed{seed}", (*overrides, f"seed={seed}"))
+    def __init__(self, options: Options, seed: int = 0) -> None:
+        self._trials = {
+            f"{name}/seed{seed}": Trial(f"{name}/seed{seed}", (*overrides, f"seed={seed}"))
             for (name, overrides), seed in itertools.product(
                 options.variants.items(), options.seeds
             )
-        ]
+        }
         self._variants = list(options.variants)
-        self._results: dict[str, Result] = {}
+        self._asked: set[str] = set()
+        self._results: dict[str, Report] = {}
 
-    def ask(self) -> Trial | None:
-        return next((t for t in self._pending if t.key not in self._results), None)
+    def ask(self, number: int) -> Trial | None:
+        trial = next((t for k, t in self._trials.items() if k not in self._asked), None)
+        if trial is not None:
+            self._asked.add(trial.key)
+        return trial
 
-    def tell(self, result: Result) -> None:
-        self._results[result.key] = result
+    def recall(self, trial: Trial) -> bool:
+        self._asked.add(trial.key)
+        known = self._trials.get(trial.key)
+        if known is not None and known != trial:
+            raise ConfigError(
+                f"The variant of trial '{trial.key}' had other overrides when this sweep began: "
+                f"{', '.join(trial.overrides)}. Give the new one another name."
+            )
+        return known is not None
+
+    def tell(self, report: Report) -> None:
+        if report.final:
+            self._results[report.key] = report
 
     def summary(self) -> list[dict[str, Any]]:
-        """Per variant: seeds finished, and mean and spread of success rate and samples."""
+        """Per variant: seeds finished, and mean and spread of the objective and samples."""
         rows = []
         for name in self._variants:
-            found = [r for k, r in self._results.items() if k.split("/seed")[0] == name]
+            found = [r for k, r in self._results.items() if k.rpartition("/seed")[0] == name]
             done = [r for r in found if r.objective is not None]
             values = [r.objective for r in done if r.objective is not None]
             samples = [r.cost for r in done]
@@ -52,8 +70,8 @@ class Grid(OuterLoop):
                     "variant": name,
                     "seeds": len(done),
                     "failed": len(found) - len(done),
-                    "success_rate": statistics.fmean(values) if values else None,
-                    "success_rate_min": min(values, default=None),
+                    "objective": statistics.fmean(values) if values else None,
+                    "objective_min": min(values, default=None),
                     "samples": statistics.fmean(samples) if samples else None,
                     "samples_max": max(samples, default=None),
                 }

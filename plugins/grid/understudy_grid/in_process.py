@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Generator
 
-from understudy.outer.trials import Executor, Result, Trial
+from understudy.outer.sweep import run_trial
+from understudy.outer.trials import Executor, Report, Trial, Work
 
 
 class InProcess(Executor):
     """No parallelism, no isolation: a trial that crashes the process stops the sweep."""
 
-    def __init__(self, options: None = None, context: None = None) -> None:
-        pass
+    def __init__(self, options: None, work: Work) -> None:
+        self._work = work
+        self._reports: Generator[Report, bool | None, None] | None = None
+        self._answer: bool | None = None  #: None before the first report
 
-    def run(self, trials: Sequence[Trial], train: Callable[[Trial], Result]) -> Iterator[Result]:
-        for trial in trials:
-            yield train(trial)
+    def free(self) -> int:
+        return int(self._reports is None)
+
+    def start(self, trial: Trial) -> None:
+        self._reports, self._answer = run_trial(trial, self._work), None
+
+    def wait(self) -> Report:
+        assert self._reports is not None
+        report = self._reports.send(self._answer)
+        self._answer = False
+        if report.final:
+            self._reports = None
+        return report
+
+    def stop(self, key: str) -> None:
+        self._answer = True
+
+    def close(self) -> None:
+        if self._reports is not None:
+            self._reports.close()

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy.task import Actuation, Context, Fields, Shape
+from understudy.task import Actuation, Context, Fields, Shape, box
 from understudy_humanoid.kinematics import ground_clearance, kinematics
 from understudy_humanoid.scene import HumanoidScene, reference_motion
 
@@ -69,7 +69,7 @@ class Reference(Fields):
 class JointTargets(Actuation):
     """The action is the PD target of every joint: exponential maps and angles in rad, (N, 28)."""
 
-    action_size = ACTUATORS
+    action_space = box(ACTUATORS)
 
     def __init__(self, options: None, context: Context) -> None:
         context.need_scene(HumanoidScene, "actuation 'humanoid.joint_targets'")

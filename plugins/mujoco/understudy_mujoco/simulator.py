@@ -91,9 +91,9 @@ class MujocoSimulator(Simulator):
         self.batch.forward(ids, stage=_READY)
         self._seen[ids] = self._warnings()[ids]
 
-    def step(self, control: Tensor) -> None:
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
         self._views["ctrl"][:] = control.numpy()
-        self.batch.step(nstep=self._substeps, stage=_READY)
+        self.batch.step(nstep=substeps or self._substeps, stage=_READY)
 
     def failed(self) -> Tensor:
         warnings = self._warnings()
@@ -106,8 +106,9 @@ class MujocoSimulator(Simulator):
     def snapshot(self) -> dict[str, Tensor]:
         return {"state": torch.from_numpy(self._rows.copy())}
 
-    def restore(self, snapshot: Mapping[str, Tensor]) -> None:
-        self._rows[:] = snapshot["state"].numpy()
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        rows = slice(None) if worlds is None else worlds.numpy()
+        self._rows[rows] = snapshot["state"].numpy()[rows]
         self.batch.forward(stage=_READY)
         self._seen[:] = self._warnings()
 

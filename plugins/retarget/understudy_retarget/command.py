@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy.command.command import Command
 from understudy_characters.character import load_character
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip

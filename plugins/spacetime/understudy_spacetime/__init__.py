@@ -36,6 +36,12 @@ def understudy_register(register: Registrar) -> None:
     )
     add("reward", "spacetime.survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
     add(
+        "measure",
+        "spacetime.within_all_bounds",
+        f"{_HERE}.rewards:within_all_bounds",
+        "whether no bound, and nothing else, is violated",
+    )
+    add(
         "encoder",
         "spacetime.state",
         f"{_HERE}.encoders:StateEncoder",

@@ -63,7 +63,7 @@ class Uniform(InitialStates):
     def __init__(self, options: None, context: Context) -> None:
         self._reference = reference_motion(context)
 
-    def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         time = streams.uniform(1).squeeze(1) * self._reference.duration
         return _reference_states(self._reference, time)
 
@@ -101,7 +101,7 @@ class Importance(InitialStates):
             torch.full((options.segments,), 1.0 / options.segments, device=context.device)
         )
 
-    def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         segment, within = _draw_segment(self._cumulative, streams)
         phase = (segment + within) / self._options.segments
         return _reference_states(self._reference, phase * self._reference.duration)
@@ -177,7 +177,7 @@ class Evolution(InitialStates):
         states = _reference_states(self._reference, phase * self._reference.duration)
         self._buffer = {k: v.view(n, m, *v.shape[1:]).clone() for k, v in states.items()}
 
-    def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         segment, _ = _draw_segment(self._cumulative, streams)
         draws = streams.uniform(3)
         slot = (draws[:, 0] * self._options.size).long()

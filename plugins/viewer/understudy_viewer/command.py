@@ -6,9 +6,9 @@ import argparse
 import importlib.util
 import webbrowser
 
+from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
-from understudy.command.command import Command
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip
 from understudy_viewer.sources import open_scene

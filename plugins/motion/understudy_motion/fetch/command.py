@@ -24,11 +24,11 @@ from rich import filesize
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
+from understudy.command.command import Command
 from understudy.errors import ConfigError, FileError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
-from understudy.command.command import Command
 from understudy_motion.fetch import cmu, download
 from understudy_motion.library import DATA_VARIABLE
 from understudy_motion.reading import (

@@ -27,5 +27,5 @@ class Standing(InitialStates):
         self._qpos = pose.repeat(context.num_worlds, 1)
         self._nv, self._noise = model.nv, options.noise
 
-    def sample(self, streams: WorldStreams) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         return {"qpos": self._qpos, "qvel": self._noise * (2 * streams.uniform(self._nv) - 1)}

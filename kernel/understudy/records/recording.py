@@ -1,0 +1,35 @@
+"""What an evaluation showed of one world, for pictures and exports."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from understudy.records.checkpoint import write_atomically
+from understudy.task import Scene
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Fields of one world, step by step."""
+
+    tracks: Mapping[str, np.ndarray]  #: by field, each (T, …)
+    control_dt: float  #: seconds between frames
+    first_episode: int  #: frames before the world's first ending
+    scene: Scene
+
+    def save(self, path: Path) -> None:
+        """Write it as a NumPy archive of plain arrays."""
+        arrays: dict[str, Any] = {
+            "control_dt": self.control_dt,
+            "first_episode": self.first_episode,
+            **self.tracks,
+        }
+        file = io.BytesIO()
+        np.savez(file, **arrays)
+        write_atomically(path, file.getvalue())

@@ -1,0 +1,69 @@
+"""Collects rollouts of fixed length; episodes run on across rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from understudy.random import WorldStreams
+from understudy.running.environment import Environment
+from understudy.task import Policy, Rollout
+
+
+class Collector:
+    """Steps an environment with a policy, and records what a learner needs and the fields `records`."""
+
+    def __init__(
+        self, environment: Environment, policy: Policy, seed: int, records: Sequence[str] = ()
+    ) -> None:
+        self.environment, self.policy = environment, policy
+        self._records = tuple(dict.fromkeys(records))
+        self.streams = WorldStreams(seed, "actions", environment.num_worlds, environment.device)
+
+    @torch.no_grad()
+    def collect(self, steps: int) -> Rollout:
+        environment, policy = self.environment, self.policy
+        n, device = environment.num_worlds, environment.device
+
+        def empty(like: Tensor | None = None, dtype: torch.dtype = torch.float32) -> Tensor:
+            shape, kind = ((), dtype) if like is None else (like.shape[1:], like.dtype)
+            return torch.empty((steps, n, *shape), dtype=kind, device=device)
+
+        rollout = Rollout(
+            observations={k: empty(v) for k, v in environment.observations.items()},
+            last_observations={},
+            actions=empty(environment.action),
+            log_probs=empty(),
+            rewards=empty(),
+            terminated=empty(dtype=torch.bool),
+            truncated=empty(dtype=torch.bool),
+            failed=empty(dtype=torch.bool),
+            final_values=empty().zero_(),
+            episode_returns=empty(),
+            records={name: empty(environment.table[name]) for name in self._records},
+        )
+        for t in range(steps):
+            observations = environment.observations
+            for name, value in observations.items():
+                rollout.observations[name][t] = value
+            for name in self._records:
+                rollout.records[name][t] = environment.table[name]
+            distribution = policy.distribution(observations)
+            action = distribution.sample(self.streams)
+            rollout.actions[t] = action
+            rollout.log_probs[t] = distribution.log_prob(action)
+            step = environment.step(action)
+            rollout.rewards[t] = step.rewards
+            rollout.terminated[t] = step.terminated
+            rollout.truncated[t] = step.truncated
+            rollout.failed[t] = step.failed
+            rollout.episode_returns[t] = step.returns
+            if step.final_observations is not None and (
+                device.type != "cpu" or bool(step.truncated.any())
+            ):
+                values = policy.value(step.final_observations)
+                rollout.final_values[t] = torch.where(step.truncated, values, 0.0)
+        rollout.last_observations = {k: v.clone() for k, v in environment.observations.items()}
+        return rollout

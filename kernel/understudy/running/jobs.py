@@ -1,0 +1,97 @@
+"""What a run iterates. All jobs have budget, checkpoints, progress, resume, sweeps and provenance."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from understudy.task import State
+
+if TYPE_CHECKING:
+    from understudy.records.recording import Recording
+    from understudy.records.runs import Run
+    from understudy.running.evaluation import Evaluation
+
+
+class Job(ABC):
+    """Reinforcement learning, an auto-encoder, a planner's networks, a harvest of states.
+
+    A component of kind ``job``, built with ``(options, experiment)``; it builds the slots that it
+    needs itself, in :meth:`prepare`. Between iterations its whole state is in :meth:`state_dict`.
+    """
+
+    device: torch.device
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Build and check what iterations need; called once, before anything is written. Evaluating
+        what another process learned does without."""
+
+    def watch(self, on_fault: Callable[[str, State], None] | None) -> None:  # noqa: B027
+        """Hand the first numbers that go wrong, as (name, state), to `on_fault` for replay."""
+
+    @abstractmethod
+    def iterate(self, samples: int) -> dict[str, Any]:
+        """One iteration, with `samples` consumed before it: its metrics, among them ``consumed``,
+        how many samples it took."""
+
+    def finished(self) -> bool:
+        """Whether there is nothing left to do, whatever the budget."""
+        return False
+
+    def stage(self) -> str:
+        """Where it stands, in a few words for the progress line."""
+        return ""
+
+    def promising(self) -> bool:
+        """Whether an evaluation now may meet the criterion."""
+        return True
+
+    @abstractmethod
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        """Judge what was learned on data of the name `draw`, which iterations never use."""
+
+    def record(
+        self, draw: str, episodes: int, seconds: float
+    ) -> tuple[Evaluation, Recording | None]:
+        """As :meth:`evaluate`, recording up to `seconds` where there is something to see."""
+        return self.evaluate(draw, episodes), None
+
+    def products(self, run: Run) -> None:  # noqa: B027 - most leave only their checkpoint
+        """Write what other runs take from this one (a bank of states, say) into the folder."""
+
+    def sources(self) -> Mapping[str, Any]:
+        """Where its data came from, with licences."""
+        return {}
+
+    def report(self) -> Mapping[str, int]:
+        """Counts of what went wrong since the start, by name."""
+        return {}
+
+    @abstractmethod
+    def state_dict(self) -> State: ...
+
+    @abstractmethod
+    def load_state_dict(self, state: State) -> None:
+        """Continue from `state`.
+
+        Raises
+        ------
+        RunError
+            if it belongs to another model, task or number of worlds; names the first difference.
+        """
+
+    @abstractmethod
+    def load_learned(self, state: State, samples: int) -> None:
+        """Take what is judged (a policy) from `state`, made after `samples`, without preparing."""
+
+    def forget_worlds(self) -> None:  # noqa: B027
+        """Begin new episodes: for processes beside process 0, whose worlds the checkpoint has."""
+
+    def close(self) -> None:  # noqa: B027
+        """Release what it holds."""

@@ -1,0 +1,233 @@
+"""Reinforcement learning as a job: collect, learn, adapt where episodes begin."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy import distributed
+from understudy.errors import RunError
+from understudy.records.recording import Recording
+from understudy.running.collector import Collector
+from understudy.running.environment import Environment, Fault
+from understudy.running.evaluation import Evaluation, Evaluator
+from understudy.running.jobs import Job
+from understudy.running.statistics import refuse_hopeless
+from understudy.running.warm_start import take_over
+from understudy.setup.building import (
+    Built,
+    build_environment,
+    build_learner,
+    build_policy,
+    device_of,
+)
+from understudy.setup.config import Experiment
+from understudy.task import Learner, Policy, State
+
+#: The world that is recorded and drawn.
+_SHOWN = 0
+
+
+class Reinforcement(Job):
+    """The job of a run whose configuration names none."""
+
+    environment: Environment
+    policy: Policy
+    learner: Learner
+    collector: Collector
+
+    def __init__(self, options: None, experiment: Experiment) -> None:
+        self.experiment = experiment
+        self.device = device_of(experiment.root.device)
+        self.built: Built | None = None
+        self._evaluator: Evaluator | None = None
+        #: Share of the last rollout's steps in which an episode failed.
+        self._failing = 1.0
+        self._started: Mapping[str, Any] = {}
+
+    def prepare(self) -> None:
+        experiment = self.experiment
+        self.built = built = build_environment(experiment)
+        self.environment = built.environment
+        self.environment.reset()  # which also checks every term
+        self.policy = build_policy(experiment, built.context)
+        self.learner = build_learner(experiment, built.context, self.policy)
+        initial, curriculum = self._adapting()
+        records = (*initial.records, *(curriculum.records if curriculum else ()))
+        seed = experiment.root.seed
+        self.collector = Collector(self.environment, self.policy, seed, records)
+        if experiment.root.start is not None:
+            self._started = take_over(experiment.root.start, self.policy, initial, curriculum)
+
+    def _adapting(self) -> tuple[Any, Any]:
+        return self.environment.parts.initial_states, self.environment.parts.curriculum
+
+    def watch(self, on_fault: Callable[[str, State], None] | None) -> None:
+        self.environment.on_quarantine = self.learner.on_fault = None
+        if on_fault is None:
+            return
+
+        def step(fault: Fault) -> None:
+            rows = fault.worlds.nonzero().squeeze(1)
+            state = {
+                "snapshot": {k: v[rows] for k, v in fault.snapshot.items()},
+                "controls": fault.controls[:, rows],
+                "substeps": fault.substeps,
+                "worlds": rows,
+            }
+            on_fault("step", state)
+
+        def update(minibatch: Mapping[str, Tensor]) -> None:
+            policy = dict(self.policy.state_dict())
+            on_fault("update", {"minibatch": dict(minibatch), "policy": policy})
+
+        if self.device.type == "cpu":  # on a GPU, looking would cost a wait in each step
+            self.environment.on_quarantine = step
+        self.learner.on_fault = update
+
+    def iterate(self, samples: int) -> dict[str, Any]:
+        began = time.perf_counter()
+        self.policy.schedule(samples)
+        rollout = self.collector.collect(self.learner.rollout_steps)
+        collected = time.perf_counter()
+        metrics = self.learner.update(rollout)
+        self.policy.observe(rollout.observations)  # after it, so that old log-probabilities hold
+        initial, curriculum = self._adapting()
+        metrics |= {f"initial_states/{k}": v for k, v in initial.update(rollout).items()}
+        if curriculum is not None:
+            found = curriculum.update(rollout)
+            metrics |= {
+                k if k.startswith("mark/") else f"curriculum/{k}": v for k, v in found.items()
+            }
+        self._failing = float(rollout.failed.float().mean())
+        episodes = self.environment.statistics.collect()
+        refuse_hopeless(episodes["unsound"], rollout.rewards.shape[0], self.environment.num_worlds)
+        collecting = (collected - began) / (time.perf_counter() - began)
+        return {
+            "collect_share": collecting,
+            "consumed": rollout.rewards.numel() * distributed.size(),
+            "reward": float(rollout.rewards.mean()),
+            **{f"episode/{k}": v for k, v in episodes.items()},
+            **{f"simulator/{k}": v for k, v in self.report().items()},
+            **metrics,
+        }
+
+    def stage(self) -> str:
+        curriculum = self.environment.parts.curriculum
+        return curriculum.stage() if curriculum else ""
+
+    def promising(self) -> bool:
+        """Whether episodes last long enough without a failure for success to be plausible."""
+        options, environment = self.experiment.root.evaluation, self.environment
+        lasting = environment.decision * environment.control_dt / max(self._failing, 1e-9)
+        return lasting >= options.gate * options.seconds
+
+    @property
+    def evaluator(self) -> Evaluator:
+        if self._evaluator is None:
+            context = self.built.context if self.built else None
+            self._evaluator = Evaluator(self.experiment, context)
+        return self._evaluator
+
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        return self.evaluator.run(self.policy, draw, episodes, give_up_below=give_up_below)
+
+    def record(
+        self, draw: str, episodes: int, seconds: float
+    ) -> tuple[Evaluation, Recording | None]:
+        built = self.evaluator.built
+        environment, scene = built.environment, built.scene
+        dt = environment.decision * environment.control_dt
+        names = [name for name in scene.recorded if name in environment.table.shapes]
+        frames: dict[str, list[Tensor]] = {name: [] for name in names}
+        counted: list[Tensor] = []
+
+        def see(running: Tensor) -> None:
+            if names and len(counted) < round(seconds / dt):
+                for name in names:
+                    frames[name].append(environment.table[name][_SHOWN].clone())
+                counted.append(running[_SHOWN].clone())
+
+        evaluation = self.evaluator.run(self.policy, draw, episodes, on_step=see)
+        if not counted:
+            return evaluation, None
+        tracks = {k: torch.stack(v).cpu().numpy() for k, v in frames.items()}
+        return evaluation, Recording(tracks, dt, int(torch.stack(counted).sum()), scene)
+
+    def sources(self) -> Mapping[str, Any]:
+        found = {
+            name: section.provenance()
+            for name, section in (self.built.context.sections if self.built else {}).items()
+            if hasattr(section, "provenance")
+        }
+        return found | ({"start": self._started} if self._started else {})
+
+    def report(self) -> Mapping[str, int]:
+        return self.environment.parts.simulator.report()
+
+    # ------------------------------------------------------------------ state
+
+    def state_dict(self) -> State:
+        return {
+            "policy": dict(self.policy.state_dict()),
+            "learner": self.learner.state_dict(),
+            "environment": self.environment.state_dict(),
+            "collector": self.collector.streams.state_dict(),
+            "failing": self._failing,
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        for misfit in self._misfits(state):
+            raise RunError(
+                f"The checkpoint does not fit this configuration: {misfit}. Resume with the "
+                "configuration it was made with."
+            )
+        self.policy.load_state_dict(state["policy"])
+        self.learner.load_state_dict(state["learner"])
+        self.environment.load_state_dict(state["environment"])
+        self.collector.streams.load_state_dict(state["collector"])
+        self._failing = state["failing"]
+
+    def load_learned(self, state: State, samples: int) -> None:
+        self.policy = build_policy(self.experiment, self.evaluator.built.context)
+        own = dict(self.policy.state_dict())
+        for misfit in misshapen(own, state.get("policy"), "policy"):
+            raise RunError(f"The checkpoint does not fit this policy: {misfit}.")
+        self.policy.load_state_dict(state["policy"])
+        self.policy.schedule(samples)
+
+    def _misfits(self, state: State) -> Iterator[str]:
+        own, given = self.environment.state_dict(), state["environment"]
+        worlds = given["tensors"]["episode_step"].shape[0]
+        if worlds != self.environment.num_worlds:
+            yield f"it has {worlds} worlds, and num_worlds={self.environment.num_worlds}"
+        yield from misshapen(dict(self.policy.state_dict()), state["policy"], "policy")
+        for name in ("initial_states", "curriculum", "tensors"):
+            yield from misshapen(own[name], given[name], name)
+
+    def forget_worlds(self) -> None:
+        self.environment.reset()
+
+    def close(self) -> None:
+        if self.built is not None:
+            self.built.environment.close()
+        if self._evaluator is not None:
+            self._evaluator.close()
+
+
+def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:
+    """The places at which tensors of two nested states differ in shape."""
+    if isinstance(own, Tensor):
+        if not isinstance(other, Tensor) or own.shape != other.shape:
+            have = tuple(other.shape) if isinstance(other, Tensor) else "nothing"
+            yield f"'{where}' is {tuple(own.shape)} here and {have} there"
+    elif isinstance(own, Mapping):
+        for name, value in own.items():
+            given = other.get(name) if isinstance(other, Mapping) else None
+            yield from misshapen(value, given, f"{where}/{name}")

@@ -1,0 +1,101 @@
+"""What is counted of episodes while they run: returns, lengths, why they ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from understudy.errors import TrainingError
+from understudy.task import State
+from understudy.task.terms import Term
+
+
+class EpisodeStatistics:
+    """Lengths, returns and reasons of ended episodes, summed on the device."""
+
+    def __init__(self, terminations: Sequence[Term], num_worlds: int, device: torch.device) -> None:
+        #: Terms that end episodes; the others only report.
+        self.terms = [t.name for t in terminations if t.outcome != "report"]
+        #: (N,) the running episodes' returns so far.
+        self.returns = torch.zeros(num_worlds, device=device)
+        self._names = [
+            "episodes",
+            "seconds",
+            "return",
+            "succeeded",
+            "truncated",
+            "unsound",
+            *(f"ended_by/{t}" for t in self.terms),
+        ]
+        self._sums = torch.zeros(len(self._names), dtype=torch.float64, device=device)
+
+    def forget(self, worlds: Tensor) -> None:
+        """Begin new returns where `worlds` (N,) is true."""
+        self.returns.masked_fill_(worlds, 0.0)
+
+    def digest(
+        self,
+        rewards: Tensor,
+        seconds: Tensor,
+        endings: Mapping[str, Tensor],
+        *,
+        succeeded: Tensor,
+        truncated: Tensor,
+        unsound: Tensor,
+        ended: Tensor,
+    ) -> None:
+        """Digest one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
+        self.returns.add_(rewards)
+        columns = [
+            ended,
+            seconds * ended,
+            self.returns * ended,
+            succeeded,
+            truncated,
+            unsound,
+            *(endings[t] & ended for t in self.terms),
+        ]
+        self._sums += torch.stack([c.to(torch.float32) for c in columns]).sum(1)
+
+    def collect(self) -> dict[str, float]:
+        """Means since the last call, in seconds and shares; resets the sums. One host transfer."""
+        sums = dict(zip(self._names, self._sums.tolist(), strict=True))
+        self._sums.zero_()
+        episodes = sums["episodes"]
+        row: dict[str, float] = {"episodes": episodes, "unsound": sums["unsound"]}
+        if episodes:
+            row["episode_seconds"] = sums["seconds"] / episodes
+            for name in (
+                "return",
+                "succeeded",
+                "truncated",
+                *(f"ended_by/{t}" for t in self.terms),
+            ):
+                row[name] = sums[name] / episodes
+        return row
+
+    def state_dict(self) -> State:
+        return {"return": self.returns.clone(), "sums": self._sums.clone()}
+
+    def load_state_dict(self, state: State) -> None:
+        self.returns.copy_(state["return"])
+        self._sums.copy_(state["sums"])
+
+
+def refuse_hopeless(unsound: float, steps: int, num_worlds: int) -> None:
+    """Stop a training in which most worlds fail numerically all the time.
+
+    Raises
+    ------
+    TrainingError
+        if more than a quarter of all world-steps of an iteration were quarantined.
+    """
+    share = unsound / max(1, steps * num_worlds)
+    if share > 0.25:
+        raise TrainingError(
+            f"{share:.0%} of all steps ended in non-finite or diverged states. The usual causes are "
+            "a time step too large for the gains, initial states in deep penetration, or an action "
+            "scale far too large."
+        )

@@ -1,0 +1,122 @@
+"""The state fields of a task: each computed when first asked for, forgotten when the state changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from torch import Tensor
+
+from understudy.errors import ConfigError
+from understudy.task import Fields, Shape, Simulator
+from understudy.task.terms import Bound
+
+
+class FieldTable:
+    """Values of state fields at the present state.
+
+    Fields come from the simulator, from the environment (`own`), or from providers, which read other
+    fields.
+
+    Raises
+    ------
+    ConfigError
+        if two parts provide the same field, or providers need each other's fields in a circle.
+    """
+
+    def __init__(
+        self, simulator: Simulator, providers: Sequence[Bound[Fields]], own: Mapping[str, Shape]
+    ) -> None:
+        self._simulator = simulator
+        self._provider: dict[str, Bound[Fields]] = {}
+        self._values: dict[str, Tensor] = {}
+        self.shapes: dict[str, Shape] = {}
+        self.source: dict[str, str] = {}
+        self.add(simulator.fields, "the simulator")
+        self.add(own, "the environment")
+        for provider in providers:
+            shapes = provider.part.provides
+            self.add({f: shapes[name] for name, f in provider.provides.items()}, provider.where)
+            self._provider.update(dict.fromkeys(provider.provides.values(), provider))
+        self._above = self._dependents()
+
+    def add(self, shapes: Mapping[str, Shape], source: str) -> None:
+        """Declare fields that `source` gives."""
+        for name, shape in shapes.items():
+            if name in self.shapes:
+                raise ConfigError(
+                    f"{source} provides the field '{name}', which {self.source[name]} provides "
+                    "already. Remove one of them (~PART.NAME), or rename what it provides "
+                    f"(PART.NAME.provides={{{name}: other_{name}}})."
+                )
+            self.shapes[name], self.source[name] = shape, source
+
+    def _dependents(self) -> dict[str, set[str]]:
+        """By field: the provided fields that are computed from it, directly or not."""
+        above: dict[str, set[str]] = {}
+
+        def sources(name: str, path: tuple[str, ...]) -> set[str]:
+            if name in path:
+                circle = " → ".join((*path[path.index(name) :], name))
+                raise ConfigError(
+                    f"The fields {circle} need one another in a circle. Remove one of their "
+                    "providers (~fields.NAME), or rename what one reads (fields.NAME.reads=…)."
+                )
+            provider = self._provider.get(name)
+            if provider is None:
+                return {name}
+            found = {name}
+            for item in provider.reads.values():
+                found |= sources(item, (*path, name))
+            return found
+
+        for name in self._provider:
+            for source in sources(name, ()) - {name}:
+                above.setdefault(source, set()).add(name)
+        return above
+
+    def need(self, who: str, names: Iterable[str], givers: Callable[[str], Sequence[str]]) -> None:
+        """Raise :class:`ConfigError` if `who` reads a field that nothing provides."""
+        for name in names:
+            if name not in self.shapes:
+                found = givers(name)
+                hint = f" It would come from {' or '.join(found)}." if found else ""
+                raise ConfigError(
+                    f"{who} needs the state field '{name}', which nothing in this task "
+                    f"provides.{hint}"
+                )
+
+    def moved(self, own: Mapping[str, Tensor]) -> None:
+        """Forget all values: the state has changed. `own` are the environment's fields now."""
+        self._values = dict(own)
+
+    def put(self, name: str, value: Tensor) -> None:
+        """Set a field of the environment's own, and forget what was computed from it."""
+        self._values[name] = value
+        for dependent in self._above.get(name, ()):
+            self._values.pop(dependent, None)
+
+    def __getitem__(self, name: str) -> Tensor:
+        value = self._values.get(name)
+        if value is None:
+            provider = self._provider.get(name)
+            if provider is None:
+                value = self._values[name] = self._simulator.read(name)
+            else:
+                given = provider.part.compute(**self.pick(provider.reads))
+                for own_name, field in provider.provides.items():
+                    self._values[field] = given[own_name]
+                value = self._values[name]
+        return value
+
+    def pick(self, names: Mapping[str, str]) -> dict[str, Tensor]:
+        """The fields that `names` maps parameters to, by parameter."""
+        return {parameter: self[name] for parameter, name in names.items()}
+
+    @property
+    def values(self) -> dict[str, Tensor]:
+        """What is known of the present state."""
+        return dict(self._values)
+
+    @values.setter
+    def values(self, values: Mapping[str, Tensor]) -> None:
+        self._values = dict(values)

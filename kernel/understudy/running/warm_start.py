@@ -1,0 +1,89 @@
+"""Beginning a training with parts of another run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from torch import Tensor
+
+from understudy.errors import RunError
+from understudy.records import checkpoint, runs
+from understudy.setup.config import StartOptions
+from understudy.task import Curriculum, InitialStates, Policy, State
+
+
+def policy_parts(policy: Policy) -> dict[str, set[str]]:
+    """Which entries of the policy's state belong to its actor, its critic, and its normaliser."""
+    critic = {id(p) for p in policy.critic_parameters()}
+    parts: dict[str, set[str]] = {"actor": set(), "critic": set(), "normaliser": set()}
+    parameters = dict(policy.named_parameters(remove_duplicate=False))
+    for name in policy.state_dict():
+        parameter = parameters.get(name)
+        part = (
+            "normaliser" if parameter is None else "critic" if id(parameter) in critic else "actor"
+        )
+        parts[part].add(name)
+    return parts
+
+
+def newest_state(path: str) -> State:
+    """The state of the newest intact checkpoint of the run folder `path`."""
+    run = runs.open_run(path)
+    state, _, _ = checkpoint.load_newest(run.checkpoints, lambda text: print(text, file=sys.stderr))
+    return state
+
+
+def take_over(
+    start: StartOptions,
+    policy: Policy,
+    initial_states: InitialStates,
+    curriculum: Curriculum | None,
+) -> dict[str, Any]:
+    """Put the parts that `start` names, from the newest checkpoint of its run, in place; returns what
+    was taken from where, for provenance.
+
+    Raises
+    ------
+    RunError
+        if the run lacks one of them, or it has another shape here; names the first that does not fit.
+    """
+    state = newest_state(start.run)
+    given: Mapping[str, Tensor] = state.get("policy", {})
+    own = dict(policy.state_dict())
+    entries = policy_parts(policy)
+    for part in start.parts:
+        for name in sorted(entries.get(part, ())):
+            other = given.get(name)
+            if other is None or other.shape != own[name].shape:
+                have = "nothing" if other is None else str(tuple(other.shape))
+                raise RunError(
+                    f"start.parts: the {part} of {start.run} does not fit: '{name}' is "
+                    f"{tuple(own[name].shape)} here and {have} there. Leave {part} out, or train "
+                    "with the same policy and observations."
+                )
+            own[name] = other
+    policy.load_state_dict(own)
+    environment = state.get("environment", {})
+    if "initial_states" in start.parts:
+        _load(start, "initial_states", initial_states, environment)
+    if "curriculum" in start.parts:
+        if curriculum is None:
+            raise RunError(
+                "start.parts names the curriculum, and this task has none (curriculum=…)."
+            )
+        _load(start, "curriculum", curriculum, environment)
+    samples = state["progress"]["samples"]
+    return {"run": start.run, "parts": list(start.parts), "samples": samples}
+
+
+def _load(
+    start: StartOptions, name: str, part: InitialStates | Curriculum, environment: State
+) -> None:
+    try:
+        part.load_state_dict(environment[name])
+    except (KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise RunError(
+            f"start.parts: the {name} of {start.run} do not fit those of this task: {error}."
+        ) from error
