@@ -12,6 +12,7 @@ from understudy.errors import RunError
 from understudy.nn import RunningNormaliser
 from understudy.records import checkpoint
 from understudy.records.replay import replay_step
+from understudy.running.environment import Fault
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 
@@ -21,13 +22,13 @@ def test_engine_failure_replays(
 ) -> None:
     """A box thrown so fast that it diverges within the step; its neighbours do not matter."""
     training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
-    simulator = training.environment.parts.simulator
+    simulator = training.job.environment.parts.simulator
     training.iterate()
     after: dict[str, torch.Tensor] = {}
     step = simulator.step
 
-    def remembered(control: torch.Tensor) -> None:
-        step(control)
+    def remembered(control: torch.Tensor, substeps: int | None = None) -> None:
+        step(control, substeps)
         if not after:
             after.update(simulator.snapshot())
 
@@ -47,9 +48,10 @@ def test_sound_worlds_replay_bitwise(plugins: Plugins, tmp_path: Path) -> None:
     """Other worlds in the batch change no bit: dump two that are well, in the middle of contacts."""
     training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
     training.iterate()
-    simulator, rows = training.environment.parts.simulator, torch.arange(16) % 7 == 2
+    environment, rows = training.job.environment, torch.arange(16) % 7 == 2
+    simulator = environment.parts.simulator
     before, control = simulator.snapshot(), torch.linspace(-3, 3, 16).unsqueeze(1)
-    training._dump_worlds(before, control, rows)
+    environment.on_quarantine(Fault(before, control.unsqueeze(0), None, rows))
     simulator.step(control)
     replayed = replay_step(tmp_path / "run/faults/step", plugins)
     assert not replayed.failed.any()
@@ -58,10 +60,10 @@ def test_sound_worlds_replay_bitwise(plugins: Plugins, tmp_path: Path) -> None:
 
 def test_bad_control_replays(plugins: Plugins, tmp_path: Path) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
-    training.environment.reset()
+    training.job.environment.reset()
     action = torch.zeros(16, 1)
     action[4] = 1e12
-    training.environment.step(action)
+    training.job.environment.step(action)
     replayed = replay_step(tmp_path / "run/faults/step.json", plugins)
     assert replayed.worlds.tolist() == [4]
     assert replayed.failed.all()
@@ -69,11 +71,11 @@ def test_bad_control_replays(plugins: Plugins, tmp_path: Path) -> None:
 
 def test_only_the_first_failure_is_dumped(plugins: Plugins, tmp_path: Path) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
-    training.environment.reset()
+    training.job.environment.reset()
     for world in (4, 9):
         action = torch.zeros(16, 1)
         action[world] = float("nan")
-        training.environment.step(action)
+        training.job.environment.step(action)
     state, meta = checkpoint.load(tmp_path / "run/faults/step")
     assert state["worlds"].tolist() == [4]
     assert meta["config"]["seed"] == 0

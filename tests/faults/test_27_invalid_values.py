@@ -138,7 +138,7 @@ def test_keys_and_slots(plugins: Plugins, override: str, message: str) -> None:
 def test_refused_before_the_first_step(plugins: Plugins, override: str, message: str) -> None:
     """What depends on several values together fails when the parts are built."""
     with pytest.raises(ConfigError, match=message):
-        Training(load_experiment([*FAKE_TASK, *SMALL, override], plugins))
+        Training(load_experiment([*FAKE_TASK, *SMALL, override], plugins)).prepare()
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_refused_before_the_first_step(plugins: Plugins, override: str, message:
 def test_missing_part(plugins: Plugins, slot: str) -> None:
     overrides = [o for o in (*FAKE_TASK, *SMALL) if slot not in o.partition("=")[0]]
     with pytest.raises(ConfigError, match=rf"^{slot} is not set"):
-        Training(load_experiment(overrides, plugins))
+        Training(load_experiment(overrides, plugins)).prepare()
 
 
 def test_one_sample_is_too_few(plugins: Plugins) -> None:
@@ -159,7 +159,7 @@ def test_one_sample_is_too_few(plugins: Plugins) -> None:
         "learner.minibatches=1",
     ]
     with pytest.raises(ConfigError, match=r"raise num_worlds or learner\.rollout_steps"):
-        Training(load_experiment(overrides, plugins))
+        Training(load_experiment(overrides, plugins)).prepare()
 
 
 @pytest.mark.parametrize(
@@ -168,6 +168,6 @@ def test_one_sample_is_too_few(plugins: Plugins) -> None:
      "checkpoint.minutes=0", "+reward.terms.near.scale=2", "evaluation.every_samples=0", "budget.minutes=null"],
 )  # fmt: skip
 def test_unusual_but_possible(plugins: Plugins, override: str) -> None:
-    training = Training(load_experiment([*FAKE_TASK, *SMALL, override], plugins))
+    training = Training(load_experiment([*FAKE_TASK, *SMALL, override], plugins)).prepare()
     row = training.iterate()
     assert row["skipped_steps"] == 0

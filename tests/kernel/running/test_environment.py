@@ -8,7 +8,8 @@ import torch
 from worlds import PADDLE_TASK, assert_same_state
 
 from understudy.errors import ConfigError, TrainingError
-from understudy.running.environment import Environment, Step, Term, refuse_hopeless
+from understudy.running.environment import Environment, Step
+from understudy.running.statistics import refuse_hopeless
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins
@@ -31,7 +32,7 @@ def made(plugins: Plugins, *more: str, **arguments: Any) -> Environment:
 def place(env: Environment, qpos: list[float]) -> None:
     state = {"qpos": torch.tensor(qpos).unsqueeze(1), "qvel": torch.zeros(len(qpos), 1)}
     env.parts.simulator.set_state(torch.ones(len(qpos), dtype=torch.bool), state)
-    env._refresh()
+    env.refresh()
 
 
 def still(env: Environment) -> Step:
@@ -134,17 +135,17 @@ def test_statistics(plugins: Plugins) -> None:
     place(env, [0.0, 0.0, 0.0, 0.0])
     for _ in range(3):
         still(env)
-    assert env.statistics.collect(0.1) == {"episodes": 0, "unsound": 0}
+    assert env.statistics.collect() == {"episodes": 0, "unsound": 0}
     place(env, [9.0, 0.0, 0.0, 0.0])
     still(env)
-    row = env.statistics.collect(0.1)
+    row = env.statistics.collect()
     assert row["episodes"] == 1
     assert row["episode_seconds"] == pytest.approx(0.4)
     assert row["return"] == pytest.approx(3.0, abs=1e-3)
     assert (row["truncated"], row["ended_by/far"]) == (0, 1)
     for _ in range(6):
         still(env)
-    row = env.statistics.collect(0.1)
+    row = env.statistics.collect()
     assert (row["episodes"], row["truncated"], row["ended_by/far"]) == (3, 1, 0)
     assert row["return"] == pytest.approx(10.0, abs=1e-3)
 
