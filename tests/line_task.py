@@ -222,7 +222,7 @@ class Nudge(Learner):
         with torch.no_grad():
             self._policy.push += self._rate
         self.updates += 1
-        return {"push": float(self._policy.push)}
+        return {"push": float(self._policy.push.detach())}
 
     def state_dict(self) -> State:
         return {"updates": self.updates}
