@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import io
 import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from understudy import distributed
-from understudy.errors import RunError, UnderstudyError
-from understudy.pictures import write_video
+from understudy.errors import RunError
 from understudy.records import checkpoint, runs
+from understudy.records.recording import Recording
 from understudy.records.runs import Run
-from understudy.report import write_report
 from understudy.running.evaluation import Evaluation, Evaluator
 from understudy.running.training import Outcome, Reporter, Training
 from understudy.setup.building import build_policy
 from understudy.setup.config import Experiment, compose_raw, replaced, validate
 from understudy.setup.plugins import installed
 from understudy.task.interfaces import Policy
-from understudy.tensorboard import TensorBoard
 
 
 class Display:
@@ -138,9 +134,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
 
 def _carry_out(training: Training, run: Run) -> int:
     display = Display(training.experiment)
-    training.reporter = Reporter(
-        display.iteration, display.message, [TensorBoard(), *installed().observers()]
-    )
+    training.reporter = Reporter(display.iteration, display.message, installed().observers())
     try:
         outcome = training.train()
     finally:
@@ -163,7 +157,7 @@ def _finish(training: Training, run: Run, outcome: Outcome, display: Display) ->
         display.message(f"The simulator counted {count} × {name.replace('_', ' ')}.")
     evaluator = Evaluator(training.experiment, training.built.context)
     try:
-        _evaluate_and_draw(evaluator, training.policy, run, progress.samples, display.message)
+        _evaluate_and_record(evaluator, training.policy, run, progress.samples, training.reporter)
     finally:
         evaluator.close()
 
@@ -182,12 +176,13 @@ def evaluate(path: str, overrides: Sequence[str]) -> int:
 
 
 def render(path: str, overrides: Sequence[str]) -> int:
-    """Evaluate once more while recording, and draw video and report."""
+    """Evaluate once more while recording, for whoever draws it."""
     run, evaluator, policy, samples = _load(path, overrides)
+    reporter = Reporter(
+        message=lambda text: print(text, file=sys.stderr), observers=installed().observers()
+    )
     try:
-        _evaluate_and_draw(
-            evaluator, policy, run, samples, lambda text: print(text, file=sys.stderr)
-        )
+        _evaluate_and_record(evaluator, policy, run, samples, reporter)
     finally:
         evaluator.close()
     print(f"run: {run.path}")
@@ -212,11 +207,11 @@ def _load(path: str, overrides: Sequence[str]) -> tuple[Run, Evaluator, Policy, 
     return run, evaluator, policy, state["progress"]["samples"]
 
 
-def _evaluate_and_draw(
-    evaluator: Evaluator, policy: Policy, run: Run, samples: int, tell: Any
+def _evaluate_and_record(
+    evaluator: Evaluator, policy: Policy, run: Run, samples: int, reporter: Reporter
 ) -> Evaluation:
-    """Evaluate while recording, then write ``evaluation.json``, ``recording.npz``, ``video.mp4`` and
-    ``report.html``."""
+    """Evaluate while recording, write ``evaluation.json`` and ``recording.npz``, and tell the
+    observers."""
     environment, scene = evaluator.built.environment, evaluator.built.scene
     fields = [name for name in scene.recorded if name in environment.table.shapes]
     limit = round(evaluator.experiment.root.run.video_seconds / environment.control_dt)
@@ -231,37 +226,21 @@ def _evaluate_and_draw(
 
     evaluation = evaluator.run(policy, on_step=record)
     run.write_json("evaluation.json", evaluation.as_json(samples))
-    tracks = {k: torch.stack(v).cpu().numpy() for k, v in recording.items() if v}
-    learned = reference = None
-    if tracks:
-        first = int(torch.stack(counted).sum())
-        _save_recording(run, tracks, environment.control_dt, first_episode=first)
-        learned, reference = scene.outlines(tracks)
-        (run.path / "video.mp4").unlink(missing_ok=True)
-        try:
-            began = time.perf_counter()
-            write_video(run.path / "video.mp4", scene.draw(tracks), 1.0 / environment.control_dt)
-            tell(f"Video drawn in {time.perf_counter() - began:.0f} s.")
-        except UnderstudyError as error:
-            tell(f"No video: {error} The report shows stick figures instead.")
-    write_report(run, learned, reference, environment.control_dt)
-    tell(
-        f"{evaluation.success_rate:.0%} of {evaluation.episodes} episodes of {evaluation.seconds:g} s "
-        f"succeeded; {evaluation.within_all_bounds:.0%} violated no bound. See {run.path / 'report.html'}."
+    recorded = Recording(
+        tracks={k: torch.stack(v).cpu().numpy() for k, v in recording.items() if v},
+        control_dt=environment.control_dt,
+        first_episode=int(torch.stack(counted).sum()) if counted else 0,
+        scene=scene,
     )
+    if recorded.tracks:
+        recorded.save(run.path / "recording.npz")
+    reporter.message(
+        f"{evaluation.success_rate:.0%} of {evaluation.episodes} episodes of {evaluation.seconds:g} s "
+        f"succeeded; {evaluation.within_all_bounds:.0%} violated no bound."
+    )
+    reporter.notify("recorded", run, recorded, reporter.message)
     return evaluation
 
 
 #: The world that is recorded and drawn.
 _SHOWN = 0
-
-
-def _save_recording(
-    run: Run, tracks: Mapping[str, np.ndarray], control_dt: float, *, first_episode: int
-) -> None:
-    """Write ``recording.npz``: the `tracks` (T, …), ``control_dt`` in s between their frames, and
-    ``first_episode``, how many of the frames came before the world's first ending."""
-    arrays: dict[str, Any] = {"control_dt": control_dt, "first_episode": first_episode, **tracks}
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    checkpoint.write_atomically(run.path / "recording.npz", file.getvalue())

@@ -138,6 +138,17 @@ class Reporter:
     message: Callable[[str], None] = lambda text: None
     observers: Sequence[RunObserver] = field(default_factory=tuple)
 
+    def notify(self, event: str, *arguments: Any) -> None:
+        """Tell the observers; one that fails is named and told nothing more."""
+        for observer in tuple(self.observers):
+            try:
+                getattr(observer, event)(*arguments)
+            except Exception as error:  # it only watches: the run goes on
+                self.observers = [o for o in self.observers if o is not observer]
+                self.message(
+                    f"The observer {type(observer).__name__} is left out: {type(error).__name__}: {error}"
+                )
+
 
 class Training:
     """A training of one experiment, new or resumed."""
@@ -311,7 +322,7 @@ class Training:
         with StopRequest() as stop:
             try:
                 if run is not None:
-                    self._notify("started", run)
+                    self.reporter.notify("started", run)
                     if progress.iteration == 0:
                         self.save()
                 while True:
@@ -328,7 +339,7 @@ class Training:
                     self.reporter.iteration(row)
                     if run is not None:
                         run.append_metrics(row)
-                        self._notify("iteration", run, row)
+                        self.reporter.notify("iteration", run, row)
                         due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
                         if due or stopping:
                             self.save()
@@ -350,18 +361,7 @@ class Training:
                 return Outcome(outcome, progress, evaluation)
             finally:
                 if run is not None:
-                    self._notify("finished", run, outcome)
-
-    def _notify(self, event: str, *arguments: Any) -> None:
-        """Tell the observers; one that fails is named and told nothing more."""
-        for observer in tuple(self.reporter.observers):
-            try:
-                getattr(observer, event)(*arguments)
-            except Exception as error:  # it only watches: the training goes on
-                self.reporter.observers = [o for o in self.reporter.observers if o is not observer]
-                self.reporter.message(
-                    f"The observer {type(observer).__name__} is left out: {type(error).__name__}: {error}"
-                )
+                    self.reporter.notify("finished", run, outcome)
 
     def _spent(self) -> bool:
         budget = self.experiment.root.budget

@@ -25,6 +25,7 @@ from understudy.errors import ConfigError, UnderstudyError
 
 if TYPE_CHECKING:
     from understudy.random import WorldStreams
+    from understudy.records.recording import Recording
     from understudy.records.runs import Run
 
 State = Mapping[str, Any]
@@ -108,8 +109,10 @@ class Scene(ABC):
     def describe(self) -> dict[str, Any]:
         """Facts for provenance: sizes, masses, names."""
 
-    def draw(self, tracks: Mapping[str, np.ndarray]) -> Iterator[np.ndarray]:
-        """Frames (H, W, 3) uint8 of the recorded `tracks`, each (T, …).
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
+    ) -> Iterator[np.ndarray]:
+        """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …).
 
         Raises
         ------
@@ -363,10 +366,17 @@ class Executor(ABC):
 
 
 class RunObserver:
-    """Watches a training; every method may be left out. Observers draw no random numbers."""
+    """Watches a run; every method may be left out. Observers draw no random numbers."""
 
     def started(self, run: Run) -> None: ...
 
     def iteration(self, run: Run, row: Mapping[str, float]) -> None: ...
 
     def finished(self, run: Run, outcome: str) -> None: ...
+
+    def recorded(self, run: Run, recording: Recording, tell: Callable[[str], None]) -> None:
+        """An evaluation was recorded, after the training or on its own (`understudy render`).
+
+        ``evaluation.json`` and, if there are tracks, ``recording.npz`` are in the folder of `run`.
+        What the user should know goes to `tell`, one sentence at a time.
+        """
