@@ -54,7 +54,9 @@ def _encode(
     command += ["-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
     command += ["-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator(1001))]
     # Colour is stored for blocks of 2×2 pixels, so odd sizes are padded.
-    command += ["-i", "-", "-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264"]
+    command += ["-i", "-", "-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
+    # Frames are often drawn on the same cores, and are few: a quick encoding is small enough.
+    command += ["-c:v", "libx264", "-preset", "veryfast"]
     command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path)]
     # A file and not a pipe takes the messages: nobody reads them while frames are written.
     with tempfile.TemporaryFile() as messages:
