@@ -77,7 +77,7 @@ class Evaluation:
     def as_json(self, samples: int) -> dict[str, Any]:
         found: dict[str, Any] = {
             "episodes": self.episodes,
-            "episode_seconds": self.seconds,
+            "seconds": self.seconds,
             "samples": samples,
             "policy": "deterministic",
             "starts": "never used in training",

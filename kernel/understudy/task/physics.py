@@ -23,8 +23,10 @@ class Scene(ABC):
     def describe(self) -> dict[str, Any]:
         """Facts for provenance: sizes, masses, names."""
 
-    def draw(self, tracks: Mapping[str, np.ndarray]) -> Iterator[np.ndarray]:
-        """Frames (H, W, 3) uint8 of the recorded `tracks`, each (T, …).
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
+    ) -> Iterator[np.ndarray]:
+        """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …).
 
         Raises
         ------

@@ -1,6 +1,6 @@
 """Any task as a Gymnasium vector environment::
 
-    import understudy.gym  # registers the tasks
+    import understudy_gym.envs  # registers the tasks
     envs = gymnasium.make_vec("understudy/spacetime.walk", num_envs=64)
 
 For users of other learners. Observations are a dict of float32 arrays; ended worlds reset in the
@@ -28,7 +28,7 @@ def register_envs() -> None:
     for name in installed().registry.tasks:
         gymnasium.register(
             id=f"understudy/{name}",
-            vector_entry_point="understudy.gym:UnderstudyVectorEnv",
+            vector_entry_point="understudy_gym.envs:UnderstudyVectorEnv",
             kwargs={"task": name},
         )
 

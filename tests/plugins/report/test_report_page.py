@@ -3,118 +3,23 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from report_runs import EVIL, STILL, add_evaluation, add_metrics, evaluation, make_run, report
 
 from understudy.errors import RunError
 from understudy.records.runs import Run
-from understudy.report import write_report
-from understudy.running.evaluation import Evaluation
-
-EVIL = "<script>alert(1)</script>\"'&"
-VOID = {"meta", "input", "link", "br"}
-
-
-class Page(HTMLParser):
-    """Checks that elements nest, and collects scripts, links and text."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[str] = []
-        self.scripts: list[dict[str, str | None]] = []
-        self.addresses: list[str] = []
-        self.text = ""
-        self.feed(html)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        if tag not in VOID:
-            self.open.append(tag)
-        if tag == "script":
-            self.scripts.append(dict(attrs))
-        self.addresses += [v or "" for k, v in attrs if k in ("src", "href", "action")]
-        assert not any(k.startswith("on") for k, _ in attrs)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open[-1:] not in (["script"], ["style"]):
-            self.text += data
-
-
-def make_run(folder: Path, **info: Any) -> Run:
-    complete = {
-        "config": {"task": "spacetime/walk", "seed": 3, "device": "cpu", "reward": {"terms": {}}},
-        "created": "2025-06-02T10:11:12+0200",
-        "versions": {"understudy": "0.1.0"},
-        "machine": {"system": "Linux", "processor": "", "cores": 2},
-        "command": ["understudy", "train", "seed=3"],
-        "overrides": ["seed=3"],
-        "components": [
-            {
-                "kind": "learner",
-                "name": "ppo",
-                "plugin": "ppo",
-                "distribution": "d",
-                "version": "1.2",
-            }
-        ],
-        "sources": {"motion": {"file": "walk.txt", "licence": "MIT"}},
-        "citations": ["Schulman 2017"],
-    }
-    return Run(folder, {**complete, **info})
-
-
-def add_metrics(run: Run, count: int) -> None:
-    for i in range(1, count + 1):
-        run.append_metrics(
-            {
-                "iteration": i,
-                "samples": 1000 * i,
-                "seconds": 3.0 * i,
-                "samples_per_second": 333.3,
-                "reward": i / count,
-                "kl": 0.01,
-                "explained_variance": 1 - 1 / i,
-                "episode/episode_seconds": 0.1 * i,
-                "episode/truncated": 0.25,
-                "episode/ended_by/fall": 0.75,
-            }
-        )
-
-
-def add_evaluation(run: Run, rate: float = 62 / 64, samples: int = 96_000) -> None:
-    evaluation = Evaluation(64, rate, 19.43, {"fall": 0.03125}, 0.953, 20.0, True)
-    run.write_json("evaluation.json", evaluation.as_json(samples))
-
-
-def report(
-    run: Run, outlines: np.ndarray | None = None, reference: np.ndarray | None = None
-) -> tuple[Page, str]:
-    path = write_report(run, outlines, reference)
-    assert path == run.path / "report.html"
-    html = path.read_text(encoding="utf-8")
-    return Page(html), html
+from understudy_report.page import write_report
 
 
 def test_complete_run(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     add_metrics(run, 100)
     add_evaluation(run)
-    page, _ = report(run, np.zeros((5, 3, 2, 3)), None)
+    page, _ = report(run, STILL)
     # 96 of the 100 rows are behind the evaluated policy, 3 s each.
     assert (
         "97 % of 64 episodes of 20 s succeeded (95 % interval 89–99 %), after 96,000 samples and "
@@ -127,12 +32,15 @@ def test_complete_run(tmp_path: Path) -> None:
     ):  # fmt: skip
         assert text in page.text
     assert page.addresses == []
+    assert page.headings == ["Motion", "Evaluation", "Learning", "Provenance", "Configuration"]
+    assert "left out" not in page.text
 
 
 def test_nothing_comes_from_the_network(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     add_metrics(run, 3)
-    _, html = report(run, np.zeros((5, 3, 2, 3)), np.zeros((5, 3, 2, 3)))
+    add_evaluation(run)
+    _, html = report(run, STILL, STILL)
     for address in re.findall(r"https?://[^\s\"']+", html):
         assert address == "http://www.w3.org/2000/svg"  # a name, which is never fetched
     assert "@import" not in html
@@ -140,11 +48,11 @@ def test_nothing_comes_from_the_network(tmp_path: Path) -> None:
 
 
 def test_video_takes_the_place_of_the_player(tmp_path: Path) -> None:
-    run, figure = make_run(tmp_path), np.zeros((5, 3, 2, 3))
-    assert "Play" in report(run, figure)[0].text
+    run = make_run(tmp_path)
+    assert "Play" in report(run, STILL)[0].text
     video = b"\0video"
     (tmp_path / "video.mp4").write_bytes(video)
-    page, html = report(run, figure)
+    page, html = report(run, STILL)
     assert page.scripts == []
     assert f"data:video/mp4;base64,{base64.b64encode(video).decode()}" in html
     assert "0.0 s" in page.text  # the filmstrip stays
@@ -166,18 +74,20 @@ def test_text_of_strangers_is_escaped(tmp_path: Path) -> None:
     run.append_metrics(
         {"samples": 1, "seconds": 1, f"episode/ended_by/{EVIL}": 0.5, "reward": EVIL}
     )
-    add_evaluation(run)
-    evaluation = json.loads((tmp_path / "evaluation.json").read_text())
-    evaluation |= {"violated": {EVIL: 0.5}, "policy": EVIL, "episodes": EVIL}
-    run.write_json("evaluation.json", evaluation)
+    run.append_metrics({"samples": 2, f"mark/{EVIL}": 1.0, f"evaluation/{EVIL}": 0.5})
+    add_evaluation(
+        run, violated={EVIL: 0.5}, policy=EVIL, episodes=EVIL, success=EVIL, starts=EVIL,
+        measures={EVIL: {"reduce": EVIL, "mean": 0.5}}, objective={"name": EVIL, "value": 1.0},
+    )  # fmt: skip
     page, html = report(run)
+    assert "left out" not in page.text
     assert page.scripts == []
     assert EVIL not in html
     assert page.text.count("<script>alert(1)</script>") > 10
 
 
 def test_only_the_player_may_run(tmp_path: Path) -> None:
-    page, html = report(make_run(tmp_path), np.zeros((5, 3, 2, 3)))
+    page, html = report(make_run(tmp_path), STILL)
     assert page.scripts == [{"type": "application/json"}, {}]
     assert "default-src 'none'" in html
     assert "script-src 'sha256-" in html
@@ -253,6 +163,61 @@ def test_only_all_episodes_are_100_percent(tmp_path: Path, rate: float, text: st
     run = make_run(tmp_path)
     add_evaluation(run, rate)
     assert f"{text} of 64 episodes" in report(run)[0].text
+
+
+def test_says_what_success_means(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    add_evaluation(run)
+    page, _ = report(run)
+    assert "An episode counts as a success by this: survived: 20 s without fall." in page.text
+    assert "Startsnever used in training" in page.text
+
+
+def test_measures_of_the_task(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    add_evaluation(run, objective={"name": "height", "value": 1.234})
+    page, html = report(run)
+    assert "within_all_boundsmin0.60.54 to 0.660.49" in page.text
+    assert "heightmax1.231.2 to 1.270.1" in page.text
+    assert "Objectiveheight 1.234" in page.text
+    assert '<div class="tile"><b>1.23</b><span>height</span></div>' in html
+    for name, shares in (("com", "40 %"), ("fall", "3 %")):
+        assert f"{name} {shares}" in page.text
+
+
+@pytest.mark.parametrize("missing", list(evaluation()))
+def test_evaluation_without_a_key(tmp_path: Path, missing: str) -> None:
+    run = make_run(tmp_path)
+    run.write_json("evaluation.json", {k: v for k, v in evaluation().items() if k != missing})
+    page, _ = report(run)
+    assert "left out" not in page.text
+    assert "Evaluation" in page.headings
+
+
+@pytest.mark.parametrize("value", [None, 3, "x", ["x"], {"x": 1}, True, float("nan")])
+def test_evaluation_of_other_types(tmp_path: Path, value: Any) -> None:
+    run = make_run(tmp_path)
+    run.write_json("evaluation.json", {key: value for key in evaluation()})
+    page, html = report(run)
+    assert "left out" not in page.text
+    assert not re.search(r'(x|y|d|style)="[^"]*(nan|inf)', html)
+
+
+def test_missing_evaluation(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    add_metrics(run, 5)
+    page, _ = report(run)
+    assert "Not evaluated yet, after 5,000 samples and 15.0 s of training" in page.text
+    assert "Evaluation" not in page.headings
+    assert "counts as a success" not in page.text
+
+
+def test_damaged_stick_figures_are_named(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    (tmp_path / "stick_figures.npz").write_bytes(b"PK\x03\x04 and nothing more")
+    page, _ = report(run)
+    assert "The section 'motion' of plugin 'report' is left out" in page.text
+    assert "Provenance" in page.headings
 
 
 def test_unwritable_folder(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
-pytest.importorskip("understudy.gym")  # registers the tasks
+pytest.importorskip("understudy_gym.envs")  # registers the tasks
 
 
 def test_a_task_by_its_name() -> None:

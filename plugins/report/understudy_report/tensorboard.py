@@ -1,13 +1,15 @@
-"""Metrics for TensorBoard: the run observer that is always there."""
+"""Metrics for TensorBoard."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-
-from torch.utils.tensorboard.writer import SummaryWriter
+from typing import TYPE_CHECKING
 
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard.writer import SummaryWriter
 
 
 class TensorBoard(RunObserver):
@@ -17,6 +19,8 @@ class TensorBoard(RunObserver):
         self._writer: SummaryWriter | None = None
 
     def started(self, run: Run) -> None:
+        from torch.utils.tensorboard.writer import SummaryWriter  # seconds, for trainings only
+
         rows = run.metrics()
         step = int(rows[-1]["samples"]) + 1 if rows else None
         self._writer = SummaryWriter(str(run.path / "tensorboard"), purge_step=step)

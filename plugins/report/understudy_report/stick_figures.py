@@ -1,4 +1,4 @@
-"""Pictures of motions: videos, and stick figures as SVG for reports without a video.
+"""Stick figures as SVG: a filmstrip and a player, for pages that need nothing else.
 
 Stick figures are line segments in metres, world frame, z up. They are seen from the side: x to the
 right, z up, y away from the viewer; segments on the far side of the body are drawn fainter.
@@ -7,18 +7,9 @@ right, z up, y away from the viewer; segments on the far side of the body are dr
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import tempfile
-from collections.abc import Iterator
-from contextlib import suppress
-from fractions import Fraction
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
-
-from understudy.errors import RunError
 
 #: Metres. What lies farther from the origin comes from a simulation that blew up.
 _FARTHEST = 1e4
@@ -28,89 +19,9 @@ _REFERENCE = "var(--reference, #b4bcc8)"
 _GROUND = "var(--ground, #8a93a0)"
 #: Millimetres between the marks on the animation's ground.
 _MARKS = 500
-
-
-def write_video(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
-    """Write `frames`, each (H, W, 3) uint8, as an H.264 video that every browser plays.
-
-    The file appears when it is complete; until then, and after an error, what was there stays.
-
-    Raises
-    ------
-    RunError
-        if there are no frames, no encoder, or no room on the disk.
-    """
-    first = next(frames, None)
-    if first is None:
-        raise RunError(f"{path} was not written: there are no frames to show.")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        reason = _encode(temporary, chain([first], frames), first.shape, fps)
-        if reason is None:
-            reason = _move(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    if reason is not None:
-        raise RunError(f"{path} could not be written: {reason}.")
-
-
-def _encode(
-    path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], fps: float
-) -> str | None:
-    """Encode `frames` of one `shape` (H, W, 3) into `path`; returns why it failed, if it did."""
-    height, width, _ = shape
-    try:
-        import imageio_ffmpeg  # a training needs no encoder, so only this fails without one
-
-        command = [imageio_ffmpeg.get_ffmpeg_exe()]
-    except (ImportError, RuntimeError):
-        return "there is no ffmpeg, which imageio-ffmpeg brings or the system provides"
-    command += ["-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-    command += ["-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator(1001))]
-    # Colour is stored for blocks of 2×2 pixels, so odd sizes are padded.
-    command += ["-i", "-", "-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264"]
-    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path)]
-    # A file and not a pipe takes the messages: nobody reads them while frames are written.
-    with tempfile.TemporaryFile() as messages:
-        try:
-            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=messages)
-        except OSError as error:
-            return f"ffmpeg cannot be started ({error.strerror})"
-        assert encoder.stdin is not None
-        try:
-            for frame in frames:
-                if frame.shape != shape or frame.dtype != np.uint8:
-                    raise ValueError(f"a frame is {frame.dtype} {frame.shape}, not uint8 {shape}")
-                try:
-                    encoder.stdin.write(np.ascontiguousarray(frame).data)
-                except BrokenPipeError:
-                    break
-        except BaseException:
-            encoder.kill()
-            raise
-        finally:
-            with suppress(BrokenPipeError):  # it has given up; its messages say why
-                encoder.stdin.close()
-            status = encoder.wait()
-        messages.seek(0)
-        text = messages.read().decode(errors="replace")
-    if status == 0:
-        return None
-    if "No space left" in text:
-        return "the disk is full"
-    lines = text.strip().splitlines()
-    return f"ffmpeg says '{lines[-1].strip(' .')}'" if lines else f"ffmpeg ended with {status}"
-
-
-def _move(temporary: Path, path: Path) -> str | None:
-    try:
-        os.replace(temporary, path)
-    except OSError as error:
-        return str(error.strerror)
-    return None
-
-
-# ---------------------------------------------------------------------- stick figures
+#: Plays the figure it stands in. It is the same for every motion, so a page's security policy can
+#: allow it by its digest.
+PLAYER_SCRIPT = (Path(__file__).parent / "player.js").read_text(encoding="utf-8")
 
 
 def stick_figure_svg(
@@ -180,7 +91,7 @@ def stick_figure_svg(
 
 
 def stick_figure_animation(outlines: np.ndarray, reference: np.ndarray | None, dt: float) -> str:
-    """A player of the motion: SVG, a button, a slider, and :data:`ANIMATION_SCRIPT`.
+    """A player of the motion: SVG, a button, a slider, and :data:`PLAYER_SCRIPT`.
 
     Parameters
     ----------
@@ -231,44 +142,8 @@ def stick_figure_animation(outlines: np.ndarray, reference: np.ndarray | None, d
 <output style="min-width:4em;text-align:right;font-variant-numeric:tabular-nums">0.00 s</output>
 </div>
 <script type="application/json">{data}</script>
-<script>{ANIMATION_SCRIPT}</script>
+<script>{PLAYER_SCRIPT}</script>
 </figure>"""
-
-
-#: Plays the figure it stands in. It is the same for every motion, so a page's security policy can
-#: allow it by its digest.
-ANIMATION_SCRIPT = """(() => {
-const figure = document.currentScript.closest("figure");
-const find = (selector) => figure.querySelector(selector);
-const { dt, marks: spacing, frames } = JSON.parse(find('script[type="application/json"]').textContent);
-const paths = figure.querySelectorAll(".figures path"), marks = find(".marks");
-const button = find("button"), slider = find("input"), output = find("output");
-let playing = false, time = 0, last = 0;
-function show() {
-  const index = Math.min(frames.length - 1, Math.floor(time / dt + 1e-6)), frame = frames[index];
-  paths.forEach((path, i) => path.setAttribute("d", frame[i]));
-  marks.setAttribute("transform", `translate(${-(frame[4] % spacing)} 0)`);
-  slider.value = index;
-  output.textContent = (index * dt).toFixed(2) + " s";
-}
-function step(now) {
-  if (!playing) return;
-  time = (time + (now - last) / 1000) % (frames.length * dt);
-  last = now;
-  show();
-  requestAnimationFrame(step);
-}
-function play(on) {
-  playing = on;
-  button.textContent = on ? "Pause" : "Play";
-  last = performance.now();
-  if (on) requestAnimationFrame(step);
-}
-button.addEventListener("click", () => play(!playing));
-slider.addEventListener("input", () => { play(false); time = slider.value * dt; show(); });
-show();
-if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
-})();"""
 
 
 def _checked(
