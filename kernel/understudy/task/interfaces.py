@@ -127,7 +127,11 @@ class Scene(ABC):
 
 
 class Simulator(ABC):
-    """Owns the physics state of N worlds and advances all of them at once."""
+    """Owns the physics state of N worlds and advances all of them at once.
+
+    On a GPU :meth:`read`, :meth:`set_state`, :meth:`step` and :meth:`restore` may be recorded in a
+    CUDA graph of the caller's, once each was called before in the same way.
+    """
 
     #: Readable fields and their shapes without N.
     fields: Mapping[str, Shape] = {}
@@ -135,18 +139,38 @@ class Simulator(ABC):
     state_fields: tuple[str, ...]
     #: U, the number of controls.
     control_size: int
+    #: Parameters of the model that may differ between worlds, and their shapes without N.
+    parameters: Mapping[str, Shape] = {}
+
+    @abstractmethod
+    def vary(self, names: Sequence[str]) -> None:
+        """Let worlds differ in these parameters; called once, before the first state is set.
+
+        They become fields of the same names, and begin with the model's values.
+
+        Raises
+        ------
+        ConfigError
+            for a name that is not one of ``parameters``.
+        """
 
     @abstractmethod
     def read(self, name: str) -> Tensor:
-        """The field `name`, (N, …), valid until the next call that changes the state."""
+        """The field `name`, (N, …), at the present state and under the present control; valid until
+        the next call that changes the state. May be the simulator's own memory: not to be written."""
 
     @abstractmethod
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        """Put the worlds where `worlds` (N,) bool is true into `state` (fields (N, …)) at rest time."""
+        """Put the worlds where `worlds` (N,) bool is true into `state` at rest time, all controls 0.
+
+        `state` has the ``state_fields`` and may have varied parameters, each (N, …). Parameters that
+        it leaves out keep their values. Everything that derives from the two follows.
+        """
 
     @abstractmethod
-    def step(self, control: Tensor) -> None:
-        """Advance every world by one control period under `control` (N, U)."""
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        """Advance every world under `control` (N, U) by `substeps` physics steps; None takes those
+        of a whole control period."""
 
     @abstractmethod
     def failed(self) -> Tensor:
@@ -154,11 +178,13 @@ class Simulator(ABC):
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of everything that decides the future, each (N, …), in full precision."""
+        """A copy of everything that decides the future, varied parameters too, each (N, …), in full
+        precision."""
 
     @abstractmethod
-    def restore(self, snapshot: Mapping[str, Tensor]) -> None:
-        """Continue exactly from a :meth:`snapshot` of as many worlds."""
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        """Continue exactly from a :meth:`snapshot` of as many worlds; only those where `worlds` (N,)
+        bool is true, if it is given."""
 
     def report(self) -> dict[str, int]:
         """Counts of what went wrong since the start (engine warnings, overflows), by name."""
