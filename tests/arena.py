@@ -136,7 +136,7 @@ PARAMETERS = {
     "body_quat/shelf": ([0.98, 0, 0.199, 0], [0.98, 0.199, 0, 0]),
     "geom_size/box": ([0.15, 0.15, 0.15], [0.05, 0.05, 0.3]),
     "geom_pos/box": ([0.05, 0, 0.05], [0, 0.02, -0.05]),
-    "geom_friction/floor": ([0.01, 0.005, 0.0001], [2, 0.005, 0.0001]),
+    "geom_friction/floor": ([3, 0.005, 0.0001], [0.01, 0.005, 0.0001]),
     "dof_damping/hinge": ([1.0], [0.01]),
     "actuator_gainprm/servo": ([1] + 9 * [0], [9] + 9 * [0]),
     "gravity": ([0, 0, -1], [3, 0, -9]),
@@ -178,6 +178,7 @@ def check_parameters(
     defaults = {name: simulator.read(name).clone() for name in PARAMETERS}
     begin = {k: v[:1].repeat(3, 1) for k, v in states(3, device).items()}
     begin["qpos"][:, 2] = 0.35  # the box falls, however high it is
+    begin["qvel"][:, 0] = 1.0  # and slides
     control = torch.tensor([[0.3]] * 3, device=device)
     seen = {}
     for name, others in PARAMETERS.items():
