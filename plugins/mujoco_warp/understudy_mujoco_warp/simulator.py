@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import tempfile
@@ -56,6 +57,8 @@ _DERIVED = {
     ),
     _INERTIA: ("dof_invweight0", "body_invweight0", "tendon_invweight0", "actuator_acc0"),
 }  # fmt: skip
+#: Warp places the geoms of bodies that are fixed to the world once for all, unless told otherwise.
+_PLACES = {"body_pos", "body_quat", "geom_pos", "geom_quat"}
 #: Contacts begin where the distance of two geoms is less than the sum of their margins, so a geom
 #: with this one, in metres, touches nothing. (Warp has no contype for each world.)
 _SWITCHED, _FAR = "geom_margin", -1e8
@@ -174,6 +177,7 @@ class MujocoWarpSimulator(Simulator):
         self._initial = {name: view[:1].clone() for name, view in self._state.items()}
         self._varied: dict[str, Tensor] = {}  # (N, …), Warp's own memory
         self._switches: list[Parameter] = []
+        self._unwelded: Any = None  # the model, were no body fixed to the world
         self._overflow = wp.to_torch(self._d.overflow)
         dropped = mjw.OverflowType
         self._dropping = int(
@@ -290,6 +294,8 @@ class MujocoWarpSimulator(Simulator):
         def work() -> None:
             if groups:
                 mjw.set_const(self._m, self._d, groups, restore=False)
+            if self._unwelded is not None:
+                mjw.kinematics(self._unwelded, self._d)
             self._refresh()
 
         self._run(("settle", groups), work)
@@ -309,6 +315,9 @@ class MujocoWarpSimulator(Simulator):
             if "gravity" in fields:
                 gravity = np.tile(self.model.opt.gravity, (self._n, 1))
                 self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
+            if fields & _PLACES:
+                nowhere = wp.full(self.model.nbody, -1, dtype=int)
+                self._unwelded = dataclasses.replace(self._m, body_weldid=nowhere)
         self._graphs.clear()
         for parameter in picked:
             self._varied[parameter.name] = self._memory(parameter)
