@@ -89,6 +89,7 @@ class Evaluator:
         violated = {
             t.name: torch.zeros(n, dtype=torch.bool, device=device)
             for t in environment.parts.terminations
+            if t.outcome != "truncation"  # an end in time violates nothing
         }
         observations = environment.reset(self._seed)
         complete = True
@@ -98,8 +99,8 @@ class Evaluator:
             result = environment.step(policy.distribution(observations).mode())
             observations = result.observations
             lasted += running
-            for name, fired in result.endings.items():
-                violated[name] |= fired & running
+            for name, fired in violated.items():
+                fired |= result.endings[name] & running
             failed |= result.failed & running
             running &= ~(result.terminated | result.truncated)
             if step % 30 != 29 or give_up_below is None:

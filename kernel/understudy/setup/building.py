@@ -52,7 +52,8 @@ def build_environment(
 ) -> Built:
     """Build the environment of `experiment`; the keyword arguments replace its own values.
 
-    With `ending`, only the termination terms named in it end an episode; others are reported.
+    With `ending`, only the termination terms named in it, and those that truncate, end an episode;
+    others are reported.
     """
     root = experiment.root
     device = device_of(root.device)
@@ -80,7 +81,10 @@ def build_environment(
         rewards=[build_term(t, context) for t in experiment.rewards],
         terminations=[
             build_term(
-                t if ending is None or t.name in ending else replace(t, outcome="report"), context
+                t
+                if ending is None or t.name in ending or t.outcome == "truncation"
+                else replace(t, outcome="report"),
+                context,
             )
             for t in experiment.terminations
         ],

@@ -89,7 +89,8 @@ def _character(experiment: Experiment) -> Character:
     name = experiment.scene.component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
-    return Character(name, scene.shown().compile())
+    model = scene.shown()
+    return Character(model.modelname or name, model.compile())
 
 
 def _about(run: Run) -> dict[str, str]:

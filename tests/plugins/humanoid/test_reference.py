@@ -15,7 +15,7 @@ from understudy import rotations
 from understudy.errors import FileError
 from understudy_characters.character import Character
 from understudy_humanoid.character import build_spec
-from understudy_humanoid.generated import generated_walk
+from understudy_humanoid.clips import generated_walk
 from understudy_humanoid.kinematics import CharacterLayout, character_layout
 from understudy_humanoid.reference import ReferenceMotion
 from understudy_motion import library
