@@ -14,6 +14,7 @@ from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 from understudy.task.interfaces import Context
 from understudy_characters.character import Character
+from understudy_characters.scene import CharacterScene
 from understudy_motion.clip import Clip
 from understudy_motion.readers.npz import Archive
 from understudy_mujoco.scene import MujocoScene
@@ -89,8 +90,9 @@ def _character(experiment: Experiment) -> Character:
     name = experiment.scene.component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
-    model = scene.shown()
-    return Character(model.modelname or name, model.compile())
+    if isinstance(scene, CharacterScene):
+        name = scene.character.name
+    return Character(name, scene.shown().compile())
 
 
 def _about(run: Run) -> dict[str, str]:

@@ -23,17 +23,21 @@ class ServoOptions:
     """How the servos are made that a model has not got.
 
     With the defaults kd is 0.1 s times kp, the ratio of the released DeepMimic character, whose gains
-    :func:`gains` approaches from its torque limits to within a factor of two.
+    :func:`gains` finds from its torque limits to within a factor of two.
     """
 
     keep: bool = True  #: whether a model whose joints are all driven by position servos keeps these
     natural_frequency: float = 20.0  #: rad/s
     damping_ratio: float = 1.0
-    #: rad off its target at which a servo gives its whole torque, if it is as stiff as that needs.
-    deflection: float = 0.3
+    #: rad off its target at which a servo gives its whole torque: at least and at most.
+    deflection: tuple[float, float] = (0.1, 0.3)
 
     def __post_init__(self) -> None:
-        check_range(self, "natural_frequency", "damping_ratio", "deflection", above=0)
+        check_range(self, "natural_frequency", "damping_ratio", above=0)
+        if not 0.0 < self.deflection[0] <= self.deflection[1]:
+            raise ValueError(
+                f"deflection={self.deflection} is not possible: give 0 < LEAST <= MOST."
+            )
 
 
 @dataclass(frozen=True)
@@ -146,8 +150,9 @@ def gains(
 
     kp = I w^2 and kd = 2 z I w, with w the natural frequency and z the damping ratio. The effective
     inertia I is what the joint moves: the mass matrix's diagonal in the zero pose, which is what hangs
-    on it. An ankle that carries a light foot also moves all the rest about the foot; what for, its
-    strength tells, so I is at least what makes the servo give its whole torque at the deflection.
+    on it. An ankle that carries a light foot also moves all the rest about the foot, and a waist may
+    have legs hanging on it that it cannot swing; what a joint is made to move its strength tells. So I
+    is kept where the servo gives its whole torque within the range of deflections.
     """
     model, data = character.model, character.zero_pose
     mujoco.mj_comPos(model, data)
@@ -156,7 +161,8 @@ def gains(
     mujoco.mj_fullM(model, data, matrix)
     carried = matrix.diagonal()[[drive.dof for drive in drives(character)]]
     frequency = options.natural_frequency
-    inertia = np.maximum(carried, limits / options.deflection / frequency**2)
+    stiff, soft = (limits / deflection / frequency**2 for deflection in options.deflection)
+    inertia = np.clip(carried, soft, stiff)
     return inertia * frequency**2, 2.0 * options.damping_ratio * inertia * frequency
 
 
