@@ -19,7 +19,12 @@ NAMES = sorted(
 
 #: Plugins for any figure: what their tests and tasks move is the humanoid, with what that needs.
 FIGURE = {"humanoid", "characters", "motion", "mujoco"}
-MATERIAL = {"characters": FIGURE, "doctor": FIGURE, "retarget": FIGURE, "spacetime": FIGURE}
+MATERIAL = {
+    "characters": FIGURE,
+    "doctor": FIGURE,
+    "retarget": FIGURE,
+    "spacetime": FIGURE | {"retarget"},
+}
 
 
 def requires(name: str) -> set[str]:

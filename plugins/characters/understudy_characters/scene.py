@@ -106,7 +106,7 @@ class CharacterScene(MujocoScene):
                 if references is not None:
                     reference.qpos[:] = references[frame]
                     reference.qpos[at + 1] += beside
-                    _add_figure(renderer.scene, model, reference)
+                    add_figure(renderer.scene, model, reference)
                 yield renderer.render()
         finally:
             renderer.close()
@@ -146,7 +146,7 @@ def _compiled(name: str, spec: mujoco.MjSpec) -> Character:
         raise FileError(f"The model of {name} does not compile: {reason}") from error
 
 
-def _add_figure(scene: mujoco.MjvScene, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def add_figure(scene: mujoco.MjvScene, model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Show what moves once more, as `data` has it, in the reference's colour."""
     mujoco.mj_kinematics(model, data)
     before = scene.ngeom

@@ -18,6 +18,11 @@ from understudy_characters.character import Character
 _HINGE, _BALL = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL)
 
 
+#: Of the weight times the length of a figure: torque of a joint that carries all of it. With the cube
+#: root of smaller shares this gives every limit of the DeepMimic character to within a factor of 2.4.
+STRENGTH = 0.45
+
+
 @dataclass(frozen=True)
 class ServoOptions:
     """How the servos are made that a model has not got.
@@ -102,10 +107,9 @@ def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
 def torque_limits(character: Character) -> np.ndarray:
     """(U,) N m: how strong each of :func:`drives` is, from the model where it says so.
 
-    A model says it by the limits of its joints' or actuators' forces, or of motors' controls. Else a
-    joint's limit is half the weight of the figure, at a lever as long as the figure is, times the cube
-    root of the share of its mass that hangs on the joint: of the humanoid of the DeepMimic clips that
-    gives every limit to within a factor of 2.4.
+    A model says it by the limits of its joints' or actuators' forces, or of motors' controls. Else it is
+    :data:`STRENGTH` of the figure's weight, at a lever as long as the figure is, times the cube root of
+    the share of its mass that hangs on the joint.
     """
     model = character.model
     stated: dict[tuple[int, int], float] = {}
@@ -118,12 +122,11 @@ def torque_limits(character: Character) -> np.ndarray:
     found = []
     for drive in drives(character):
         beyond = float(model.body_subtreemass[model.jnt_bodyid[drive.joint]]) / mass
-        limit = stated.get(
-            (drive.joint, drive.axis), 0.5 * weight * character.length * beyond ** (1 / 3)
-        )
+        limit = stated.get((drive.joint, drive.axis), np.inf)
         if model.jnt_actfrclimited[drive.joint]:
-            own = float(np.abs(model.jnt_actfrcrange[drive.joint]).max())
-            limit = min(limit, own) if (drive.joint, drive.axis) in stated else own
+            limit = min(limit, float(np.abs(model.jnt_actfrcrange[drive.joint]).max()))
+        if not np.isfinite(limit):
+            limit = STRENGTH * weight * character.length * beyond ** (1 / 3)
         found.append(limit)
     return np.array(found)
 

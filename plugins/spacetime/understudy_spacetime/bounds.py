@@ -26,7 +26,9 @@ class BoundSize:
         ConfigError: it is negative, or no knots with phases in [0, 1]; names the term `who`.
     """
 
-    def __init__(self, size: Size, who: str, device: torch.device) -> None:
+    def __init__(
+        self, size: Size, who: str, device: torch.device, dtype: torch.dtype = torch.float32
+    ) -> None:
         knots = [[0.0, size]] if isinstance(size, (int, float)) else size
         if not knots or any(len(knot) != 2 for knot in knots):
             raise ConfigError(
@@ -36,7 +38,7 @@ class BoundSize:
             raise ConfigError(f"{who}: size={size} is not possible: it cannot be negative.")
         if any(not 0.0 <= phase <= 1.0 for phase, _ in knots):
             raise ConfigError(f"{who}: size={size} is not possible: phases go from 0 to 1.")
-        ordered = torch.tensor(sorted(map(tuple, knots)), device=device)
+        ordered = torch.tensor(sorted(map(tuple, knots)), device=device, dtype=dtype)
         self._phases, self._values = ordered.T.contiguous()
         self._steps = self._phases.diff().clamp(min=1e-9)
 

@@ -62,8 +62,8 @@ def _sizes(size: Size, who: str, tracks: Mapping[str, np.ndarray]) -> np.ndarray
             "The recording has no 'phase', on which a bound's size depends; make it again with "
             "`understudy render RUN`."
         )
-    phase = torch.from_numpy(np.asarray(tracks.get("phase", np.zeros(frames)), dtype=np.float32))
-    sizes = BoundSize(size, who, torch.device("cpu")).at(phase).double()
+    phase = torch.from_numpy(np.asarray(tracks.get("phase", np.zeros(frames)), dtype=np.float64))
+    sizes = BoundSize(size, who, torch.device("cpu"), torch.float64).at(phase)
     return np.broadcast_to(sizes.numpy(), (frames,))
 
 
