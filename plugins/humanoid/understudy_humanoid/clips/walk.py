@@ -18,8 +18,8 @@ from scipy.interpolate import BPoly, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import ConfigError
-from understudy_humanoid.generated.curves import spline
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips.curves import spline
+from understudy_humanoid.clips.figure import (
     GRAVITY,
     SIDES,
     SIGN,
@@ -32,7 +32,7 @@ from understudy_humanoid.generated.figure import (
     trunk,
     turns,
 )
-from understudy_humanoid.generated.limbs import (
+from understudy_humanoid.clips.limbs import (
     REACH,
     SHIN,
     THIGH,

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from understudy_humanoid.generated import standing
-from understudy_humanoid.generated.curves import carried, monotone, through
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips import standing
+from understudy_humanoid.clips.curves import carried, monotone, through
+from understudy_humanoid.clips.figure import (
     Array,
     Pose,
     grid,
@@ -27,7 +27,7 @@ from understudy_humanoid.generated.figure import (
     only_key_poses,
     turns,
 )
-from understudy_humanoid.generated.limbs import (
+from understudy_humanoid.clips.limbs import (
     HAND,
     PlantedArm,
     PlantedLeg,

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from understudy_humanoid.generated.curves import bounce, carried, monotone
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips.curves import bounce, carried, monotone
+from understudy_humanoid.clips.figure import (
     SIDES,
     SIGN,
     Array,
@@ -28,7 +28,7 @@ from understudy_humanoid.generated.figure import (
     trunk,
     turns,
 )
-from understudy_humanoid.generated.limbs import PlantedLeg, arm, leg_keys, on_legs, planted
+from understudy_humanoid.clips.limbs import PlantedLeg, arm, leg_keys, on_legs, planted
 from understudy_motion.clip import Clip
 
 STEP_HALF_WIDTH = 0.045  #: m, of the ankles from the line of travel

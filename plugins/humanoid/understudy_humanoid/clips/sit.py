@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import root_scalar
 
-from understudy_humanoid.generated import standing
-from understudy_humanoid.generated.curves import between, carried
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips import standing
+from understudy_humanoid.clips.curves import between, carried
+from understudy_humanoid.clips.figure import (
     ROWS,
     SIDES,
     SIGN,
@@ -32,7 +32,7 @@ from understudy_humanoid.generated.figure import (
     trunk,
     turns,
 )
-from understudy_humanoid.generated.limbs import (
+from understudy_humanoid.clips.limbs import (
     HAND,
     arm,
     arm_keys,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.interpolate import BPoly, CubicSpline, PchipInterpolator
 
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips.figure import (
     GRAVITY,
     Array,
     Mask,

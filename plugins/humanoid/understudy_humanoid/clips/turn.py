@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from understudy.errors import ConfigError
-from understudy_humanoid.generated import standing
-from understudy_humanoid.generated.curves import (
+from understudy_humanoid.clips import standing
+from understudy_humanoid.clips.curves import (
     between,
     carried,
     ease,
@@ -21,7 +21,7 @@ from understudy_humanoid.generated.curves import (
     monotone,
     through,
 )
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips.figure import (
     SIDES,
     SIGN,
     Array,
@@ -33,7 +33,7 @@ from understudy_humanoid.generated.figure import (
     trunk,
     turns,
 )
-from understudy_humanoid.generated.limbs import arm, arm_keys, leg, leg_to, planted
+from understudy_humanoid.clips.limbs import arm, arm_keys, leg, leg_to, planted
 from understudy_motion.clip import Clip
 
 LIFT = 0.06  #: m, of a stepping foot

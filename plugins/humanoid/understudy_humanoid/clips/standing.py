@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from understudy_humanoid.generated.figure import SIGN, Array, Side
+from understudy_humanoid.clips.figure import SIGN, Array, Side
 
 HEIGHT = 0.876  #: m, of the root; the knees are a little bent
 CENTRE = 0.8883  #: m, height of the centre of mass then

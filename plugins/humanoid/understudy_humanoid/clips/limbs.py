@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from understudy_humanoid.generated.curves import bridged
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips.curves import bridged
+from understudy_humanoid.clips.figure import (
     ROWS,
     SIGN,
     Array,

@@ -5,13 +5,13 @@ slide, the centre of mass goes where forces could take it, and inverse kinematic
 module per family; :mod:`.figure`, :mod:`.limbs` and :mod:`.curves` are what they share.
 """
 
-from understudy_humanoid.generated.backflip import generated_backflip
-from understudy_humanoid.generated.cartwheel import generated_cartwheel
-from understudy_humanoid.generated.hop import generated_hop
-from understudy_humanoid.generated.run import generated_run
-from understudy_humanoid.generated.sit import generated_sit, generated_stand
-from understudy_humanoid.generated.turn import generated_turn_left, generated_turn_right
-from understudy_humanoid.generated.walk import generated_walk
+from understudy_humanoid.clips.backflip import generated_backflip
+from understudy_humanoid.clips.cartwheel import generated_cartwheel
+from understudy_humanoid.clips.hop import generated_hop
+from understudy_humanoid.clips.run import generated_run
+from understudy_humanoid.clips.sit import generated_sit, generated_stand
+from understudy_humanoid.clips.turn import generated_turn_left, generated_turn_right
+from understudy_humanoid.clips.walk import generated_walk
 
 __all__ = [
     "generated_backflip",

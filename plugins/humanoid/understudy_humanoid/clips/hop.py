@@ -12,9 +12,9 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from understudy_humanoid.generated import limbs, standing
-from understudy_humanoid.generated.curves import around, bounce, carried, monotone
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips import limbs, standing
+from understudy_humanoid.clips.curves import around, bounce, carried, monotone
+from understudy_humanoid.clips.figure import (
     GRAVITY,
     SIDES,
     SIGN,
@@ -27,7 +27,7 @@ from understudy_humanoid.generated.figure import (
     trunk,
     turns,
 )
-from understudy_humanoid.generated.limbs import (
+from understudy_humanoid.clips.limbs import (
     PlantedLeg,
     arm,
     arm_keys,

@@ -19,9 +19,9 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BPoly
 from scipy.optimize import fixed_point
 
-from understudy_humanoid.generated import standing
-from understudy_humanoid.generated.curves import carried, monotone, spline, through
-from understudy_humanoid.generated.figure import (
+from understudy_humanoid.clips import standing
+from understudy_humanoid.clips.curves import carried, monotone, spline, through
+from understudy_humanoid.clips.figure import (
     GRAVITY,
     SIDES,
     SIGN,
@@ -34,7 +34,7 @@ from understudy_humanoid.generated.figure import (
     pitching,
     turns,
 )
-from understudy_humanoid.generated.limbs import (
+from understudy_humanoid.clips.limbs import (
     PlantedLeg,
     arm,
     arm_keys,

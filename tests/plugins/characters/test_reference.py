@@ -14,10 +14,10 @@ from torch import Tensor
 from understudy import rotations
 from understudy.errors import FileError
 from understudy_characters.character import Character
+from understudy_characters.layout import Layout, layout_of
+from understudy_characters.reference import ReferenceMotion
 from understudy_humanoid.character import build_spec
-from understudy_humanoid.generated import generated_walk
-from understudy_humanoid.kinematics import CharacterLayout, character_layout
-from understudy_humanoid.reference import ReferenceMotion
+from understudy_humanoid.clips import generated_walk
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
@@ -26,13 +26,13 @@ DT = 1 / 30
 
 
 @pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return build_spec().compile()
+def character() -> Character:
+    return Character("humanoid", build_spec().compile())
 
 
 @pytest.fixture(scope="module")
-def layout(model: mujoco.MjModel) -> CharacterLayout:
-    return character_layout(model)
+def layout(character: Character) -> Layout:
+    return layout_of(character)
 
 
 def turning(turn: float) -> Clip:
@@ -63,16 +63,14 @@ CLIPS = {"walk": generated_walk, "arc": lambda: turning(0.5), "somersault": some
 
 @pytest.fixture(params=CLIPS)
 def reference(
-    request: pytest.FixtureRequest, model: mujoco.MjModel, layout: CharacterLayout
+    request: pytest.FixtureRequest, character: Character, layout: Layout
 ) -> ReferenceMotion:
-    return ReferenceMotion(CLIPS[request.param](), model, layout, control_dt=DT)
+    return ReferenceMotion(CLIPS[request.param](), character, layout, control_dt=DT)
 
 
-def test_matches_the_clip(
-    reference: ReferenceMotion, model: mujoco.MjModel, layout: CharacterLayout
-) -> None:
+def test_matches_the_clip(reference: ReferenceMotion, character: Character, layout: Layout) -> None:
     times = torch.rand(64, generator=torch.Generator().manual_seed(0)) * 7.0 * reference.duration
-    expected = Character("humanoid", model).qpos(reference.clip, times)
+    expected = character.qpos(reference.clip, times)
     expected[:, 2] += reference.height_offset
     found = reference.sample(times)
     torch.testing.assert_close(
@@ -92,13 +90,19 @@ def test_nothing_jumps_at_the_seam(reference: ReferenceMotion) -> None:
     for name in before:
         if name.endswith("rotation") or name.endswith("rotations"):
             assert rotations.angle_between(before[name], after[name]).max() < 0.01, name
-        elif name not in ("phase", "reference_qpos", "reference_qvel", "reference_root_heading"):
+        elif name not in (
+            "phase",
+            "motion_ended",
+            "reference_qpos",
+            "reference_qvel",
+            "reference_root_heading",
+        ):
             assert (before[name] - after[name]).abs().max() < 0.01, name
     assert (before["reference_qvel"] - after["reference_qvel"]).abs().max() < 0.3
 
 
 def test_velocities_integrate_to_positions(
-    reference: ReferenceMotion, model: mujoco.MjModel, layout: CharacterLayout
+    reference: ReferenceMotion, character: Character, layout: Layout
 ) -> None:
     steps = 400
     dt = 2.0 * reference.duration / steps
@@ -107,7 +111,7 @@ def test_velocities_integrate_to_positions(
     middle: Tensor = 0.5 * (qvel[1:] + qvel[:-1])
     state = qpos[0].numpy().copy()
     for velocity in middle.numpy():
-        mujoco.mj_integratePos(model, state, velocity, dt)
+        mujoco.mj_integratePos(character.model, state, velocity, dt)
     end = torch.from_numpy(state)
     assert (end[:3] - qpos[-1, :3]).abs().max() < 0.01
     assert rotations.angle_between(end[3:7], qpos[-1, 3:7]) < 0.02
@@ -117,17 +121,22 @@ def test_velocities_integrate_to_positions(
     assert (end[layout.hinge_qpos] - qpos[-1, layout.hinge_qpos]).abs().max() < 0.03
 
 
-def test_a_clip_that_does_not_loop_holds_its_last_pose(
-    model: mujoco.MjModel, layout: CharacterLayout
+def test_a_clip_that_does_not_loop_ends_in_its_last_pose(
+    character: Character, layout: Layout
 ) -> None:
     clip = replace(generated_walk(), loop=False)
-    reference = ReferenceMotion(clip, model, layout, control_dt=DT)
+    reference = ReferenceMotion(clip, character, layout, control_dt=DT)
     found = reference.sample(torch.tensor([clip.duration, clip.duration + 5.0, -1.0]))
     qpos = found["reference_qpos"]
     torch.testing.assert_close(qpos[1], qpos[0])
     assert qpos[1, 0].item() == pytest.approx(clip.root_position[-1, 0].item(), abs=1e-4)
     assert qpos[2, 0].item() == pytest.approx(0.0, abs=1e-5)
     assert found["phase"].max() < 1.0
+    assert found["motion_ended"].tolist() == [True, True, False]
+
+
+def test_a_looping_clip_never_ends(reference: ReferenceMotion) -> None:
+    assert not reference.sample(torch.linspace(0.0, 100.0, 1001))["motion_ended"].any()
 
 
 def test_states_fold_back_into_the_first_cycle(reference: ReferenceMotion) -> None:
@@ -142,20 +151,18 @@ def test_states_fold_back_into_the_first_cycle(reference: ReferenceMotion) -> No
     torch.testing.assert_close(qvel, qvel[:1].expand(3, -1), atol=1e-3, rtol=1e-3)
 
 
-def test_grounding_puts_the_lowest_point_on_the_floor(
-    model: mujoco.MjModel, layout: CharacterLayout
-) -> None:
+def test_grounding_puts_the_lowest_point_on_the_floor(character: Character, layout: Layout) -> None:
     clip = generated_walk()
     raised = replace(clip, root_position=clip.root_position + torch.tensor([0.0, 0.0, 0.3]))
-    reference = ReferenceMotion(raised, model, layout, control_dt=DT)
+    reference = ReferenceMotion(raised, character, layout, control_dt=DT)
     assert reference.height_offset == pytest.approx(-0.3, abs=0.002)
 
 
-def test_missing_joint_is_named(model: mujoco.MjModel, layout: CharacterLayout) -> None:
+def test_missing_joint_is_named(character: Character, layout: Layout) -> None:
     clip = generated_walk()
     names = tuple("right_nee" if name == "right_knee" else name for name in clip.joint_names)
     with pytest.raises(FileError, match=r"no joint 'right_knee'.*Did you mean 'right_nee'"):
-        ReferenceMotion(replace(clip, joint_names=names), model, layout, control_dt=DT)
+        ReferenceMotion(replace(clip, joint_names=names), character, layout, control_dt=DT)
 
 
 def recorded_clips() -> list[Path]:
@@ -169,11 +176,11 @@ def recorded_clips() -> list[Path]:
     reason="no recorded clips: UNDERSTUDY_DATA is not set and ../shared is absent",
 )
 def test_every_recorded_clip_becomes_a_finite_reference_on_the_floor(
-    model: mujoco.MjModel, layout: CharacterLayout
+    character: Character, layout: Layout
 ) -> None:
     for path in recorded_clips():
         reference = ReferenceMotion(
-            deepmimic.DeepMimicReader().read(path), model, layout, control_dt=DT
+            deepmimic.DeepMimicReader().read(path), character, layout, control_dt=DT
         )
         assert abs(reference.height_offset) < 0.3, path
         fields = reference.sample(torch.linspace(0.0, 2.5 * reference.duration, 301))
