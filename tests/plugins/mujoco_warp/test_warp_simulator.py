@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import pytest
 import torch
 from arena import arena, check_fields, check_parameters, states
@@ -10,6 +11,7 @@ pytest.importorskip("warp", reason="MuJoCo Warp is not installed (pip install 'u
 
 from understudy.task.interfaces import Context
 from understudy.testing import check_simulator
+from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco_warp.simulator import MujocoWarpSimulator
 
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
@@ -23,6 +25,20 @@ def build(context: Context, deterministic: bool = False) -> MujocoWarpSimulator:
 def test_conforms(device: str) -> None:
     simulator = build(arena(4, device), deterministic=True)
     check_simulator(simulator, 4, ["mocap_pos/hand", "geom_size/box", "gravity", "active/shelf"])
+
+
+class PlainScene(MujocoScene):
+    """A ball in the air: no sensor, no actuator, no contact."""
+
+    def spec(self) -> mujoco.MjSpec:
+        ball = '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
+        return mujoco.MjSpec.from_string(f"<mujoco><worldbody>{ball}</worldbody></mujoco>")
+
+
+def test_conforms_with_next_to_nothing_in_the_scene() -> None:
+    context = arena(2)
+    context.scene = PlainScene()
+    check_simulator(build(context), 2, ["body_mass", "geom_size"])
 
 
 @pytest.mark.parametrize("device", DEVICES)
