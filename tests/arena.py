@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -204,3 +205,28 @@ def check_parameters(
     grown = found[f"geom_size/box = {PARAMETERS['geom_size/box'][0]}"]
     assert abs(float(grown[2]) - 0.15) < 0.02
     assert found["active/shelf = 0"][10] < 0.3 < found["active/shelf = 1"][10], "the ball fell"
+
+
+#: What MuJoCo keeps in the model beside the parameters.
+DERIVED = ("geom_rbound", "geom_aabb", "body_subtreemass", "dof_invweight0", "body_invweight0")
+
+
+def check_derived(
+    build: Callable[[Context], Simulator], field: Callable[[Simulator, str, int], np.ndarray]
+) -> None:
+    """For each parameter by itself, `field` of a world is what ``mj_setConst`` computes for it."""
+    more = {"dof_armature/hinge": ([0.1], [1.0]), "body_inertia/box": ([1, 2, 2], [3, 3, 3])}
+    for name, values in {**PARAMETERS, **more}.items():
+        simulator = build(arena(3))
+        simulator.vary([name])
+        default = simulator.read(name).clone()
+        value = torch.tensor([default[0].tolist(), *values], dtype=torch.float32)
+        simulator.set_state(everywhere(simulator), {**states(3), name: value})
+        for world in range(3):
+            model, _ = plain(name, value[world])
+            for derived in DERIVED:
+                exact = getattr(model, derived).ravel()
+                found = field(simulator, derived, world).ravel()
+                np.testing.assert_allclose(
+                    found, exact, rtol=1e-4, atol=1e-5, err_msg=f"{derived} for {name}"
+                )

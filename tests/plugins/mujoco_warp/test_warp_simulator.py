@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 import pytest
 import torch
-from arena import arena, check_fields, check_parameters, states
+from arena import arena, check_derived, check_fields, check_parameters, states
 
 pytest.importorskip("warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
 
-from understudy.task.interfaces import Context
+from understudy.task.interfaces import Context, Simulator
 from understudy.testing import check_simulator
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco_warp.simulator import MujocoWarpSimulator
@@ -49,6 +50,15 @@ def test_fields_of_all_stages_are_those_of_plain_mujoco(device: str) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 def test_parameters_are_as_plain_mujoco_computes_them(device: str) -> None:
     check_parameters(build, device, steps=20, atol=1e-3)
+
+
+def test_what_derives_from_a_parameter_follows_it() -> None:
+    def field(simulator: Simulator, name: str, world: int) -> np.ndarray:
+        assert isinstance(simulator, MujocoWarpSimulator)
+        array = getattr(simulator._m, name).numpy()
+        return array[world % len(array)]
+
+    check_derived(build, field)
 
 
 @pytest.mark.parametrize("device", DEVICES)
