@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,6 +15,7 @@ from understudy_mujoco.scene import MujocoScene
 SENSORS = ("touch", "place", "turning", "acceleration", "joint", "force", "distance")
 
 ARENA = """<mujoco>
+  <default><geom friction=".3"/></default>
   <worldbody>
     <geom name="floor" type="plane" size="5 5 1"/>
     <body name="shelf" pos="2 0 .3"><geom name="shelf" type="box" size=".3 .3 .02"/></body>
@@ -128,15 +130,15 @@ def check_fields(simulator: Simulator, atol: float, rtol: float) -> None:
     check("after a sub-step")
 
 
-#: Parameters, and their values in the second and the third world; the first keeps the model's.
+#: Parameters, and two values of each that are not the model's.
 PARAMETERS = {
     "mocap_pos/hand": ([2.15, 0, 0.6], [2, 0.2, 0.45]),
     "body_mass/box": (0.5, 20.0),
-    "body_pos/shelf": ([2, 0, 0.1], [2.25, 0, 0.3]),
+    "body_pos/shelf": ([2, 0, 0.1], [2.6, 0, 0.3]),
     "body_quat/shelf": ([0.98, 0, 0.199, 0], [0.98, 0.199, 0, 0]),
     "geom_size/box": ([0.15, 0.15, 0.15], [0.05, 0.05, 0.3]),
     "geom_pos/box": ([0.05, 0, 0.05], [0, 0.02, -0.05]),
-    "geom_friction/floor": ([3, 0.005, 0.0001], [0.01, 0.005, 0.0001]),
+    "geom_friction/floor": ([1, 0.005, 0.0001], [0.7, 0.005, 0.0001]),
     "dof_damping/hinge": ([1.0], [0.01]),
     "actuator_gainprm/servo": ([1] + 9 * [0], [9] + 9 * [0]),
     "gravity": ([0, 0, -1], [3, 0, -9]),
@@ -170,38 +172,61 @@ def plain(name: str, value: Tensor) -> tuple[mujoco.MjModel, mujoco.MjData]:
 def check_parameters(
     build: Callable[[Context], Simulator], device: str, steps: int, atol: float
 ) -> None:
-    """Each parameter moves the worlds as it moves plain MuJoCo, alone and among others."""
-    simulator = build(arena(3, device, substeps=10))
+    """Worlds that each differ in one parameter move as plain MuJoCo does; the first is the model's."""
+    cases = [(name, value) for name, values in PARAMETERS.items() for value in values]
+    n = 1 + len(cases)
+    simulator = build(arena(n, device, substeps=10))
     simulator.vary(tuple(PARAMETERS))
-    for name in PARAMETERS:
-        assert simulator.read(name).shape == (3, *simulator.parameters[name])
-    defaults = {name: simulator.read(name).clone() for name in PARAMETERS}
-    begin = {k: v[:1].repeat(3, 1) for k, v in states(3, device).items()}
+    values = {name: simulator.read(name).clone() for name in PARAMETERS}
+    for name, value in values.items():
+        assert value.shape == (n, *simulator.parameters[name])
+    for world, (name, value) in enumerate(cases, 1):
+        values[name][world] = torch.tensor(value, dtype=torch.float32)
+    begin = {k: v[:1].repeat(n, 1) for k, v in states(1, device).items()}
     begin["qpos"][:, 2] = 0.35  # the box falls, however high it is
     begin["qvel"][:, 0] = 1.0  # and slides
-    control = torch.tensor([[0.3]] * 3, device=device)
-    seen = {}
-    for name, others in PARAMETERS.items():
-        values = defaults[name].clone()
-        values[1:] = torch.tensor(others, dtype=torch.float32, device=device)
-        simulator.set_state(everywhere(simulator), {**begin, **defaults, name: values})
-        for _ in range(steps):
-            simulator.step(control)
-        found = seen[name] = simulator.read("qpos").cpu().clone()
-        for world in range(3):
-            model, data = plain(name, values[world].cpu())
-            data.qpos, data.qvel = begin["qpos"][world].cpu(), begin["qvel"][world].cpu()
-            data.ctrl = control[world].cpu()
-            mujoco.mj_step(model, data, 10 * steps)
-            exact = torch.from_numpy(data.qpos).float()
-            assert (found[world] - exact).abs().max() < atol, f"{name}, world {world}"
-        if name != "active/shelf":
-            assert (found[1] - found[0]).abs().max() > 10 * atol, f"{name} changes nothing"
+    control = torch.full((n, 1), 0.3, device=device)
+    simulator.set_state(everywhere(simulator), {**begin, **values})
+    for _ in range(steps):
+        simulator.step(control)
+    found = {"model": simulator.read("qpos")[0].cpu()}
+    for world, (name, value) in enumerate(cases, 1):
+        qpos = simulator.read("qpos")[world].cpu()
+        model, data = plain(name, torch.tensor(value, dtype=torch.float32))
+        data.qpos, data.qvel = begin["qpos"][world].cpu(), begin["qvel"][world].cpu()
+        data.ctrl = control[world].cpu()
+        mujoco.mj_step(model, data, 10 * steps)
+        error = (qpos - torch.from_numpy(data.qpos).float()).abs().max()
+        assert error < atol, f"{name} = {value}: {error}"
+        if name != "active/shelf" or not value:
+            assert (qpos - found["model"]).abs().max() > 10 * atol, f"{name} changes nothing"
+        found[f"{name} = {value}"] = qpos
     # a box that grew touches the floor at its new size: its bounds grew with it
-    torch.testing.assert_close(
-        seen["geom_size/box"][:, 2], torch.tensor([0.1, 0.15, 0.3]), atol=0.02, rtol=0
-    )
-    fallen = seen["active/shelf"][:, 10]
-    assert fallen[1] < 0.3 < fallen[0], (
-        "a ball falls through what is not active, and rests on it else"
-    )
+    grown = found[f"geom_size/box = {PARAMETERS['geom_size/box'][0]}"]
+    assert abs(float(grown[2]) - 0.15) < 0.02
+    assert found["active/shelf = 0"][10] < 0.3 < found["active/shelf = 1"][10], "the ball fell"
+
+
+#: What MuJoCo keeps in the model beside the parameters.
+DERIVED = ("geom_rbound", "geom_aabb", "body_subtreemass", "dof_invweight0", "body_invweight0")
+
+
+def check_derived(
+    build: Callable[[Context], Simulator], field: Callable[[Simulator, str, int], np.ndarray]
+) -> None:
+    """For each parameter by itself, `field` of a world is what ``mj_setConst`` computes for it."""
+    more = {"dof_armature/hinge": ([0.1], [1.0]), "body_inertia/box": ([1, 2, 2], [3, 3, 3])}
+    for name, values in {**PARAMETERS, **more}.items():
+        simulator = build(arena(3))
+        simulator.vary([name])
+        default = simulator.read(name).clone()
+        value = torch.tensor([default[0].tolist(), *values], dtype=torch.float32)
+        simulator.set_state(everywhere(simulator), {**states(3), name: value})
+        for world in range(3):
+            model, _ = plain(name, value[world])
+            for derived in DERIVED:
+                exact = getattr(model, derived).ravel()
+                found = field(simulator, derived, world).ravel()
+                np.testing.assert_allclose(
+                    found, exact, rtol=1e-4, atol=1e-5, err_msg=f"{derived} for {name}"
+                )

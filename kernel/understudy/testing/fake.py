@@ -51,7 +51,7 @@ class FakeSimulator(Simulator):
         context.need_scene(FakeScene, "simulator 'fake'")
         self._dt, self._substeps = context.control_dt / context.substeps, context.substeps
         n, device = context.num_worlds, context.device
-        self._exact = torch.zeros(n, 2, dtype=torch.float64, device=device)  # position, velocity
+        self._state = torch.zeros(n, 2, dtype=torch.float64, device=device)  # position, velocity
         self._mass = torch.ones(n, device=device)
         self._fields = {"qpos": torch.zeros(n, 1, device=device)}
         self._fields["qvel"] = torch.zeros(n, 1, device=device)
@@ -66,38 +66,39 @@ class FakeSimulator(Simulator):
         self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
 
     def read(self, name: str) -> Tensor:
+        self._show()
         return self._fields[name]
 
     def _show(self) -> None:
-        self._fields["qpos"].copy_(self._exact[:, :1])
-        self._fields["qvel"].copy_(self._exact[:, 1:])
+        self._fields["qpos"].copy_(self._state[:, :1])
+        self._fields["qvel"].copy_(self._state[:, 1:])
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         new = torch.cat([state["qpos"], state["qvel"]], dim=1).double()
-        self._exact.copy_(torch.where(worlds.unsqueeze(1), new, self._exact))
+        self._state.copy_(torch.where(worlds.unsqueeze(1), new, self._state))
         if "mass" in self._fields and "mass" in state:
             self._mass.copy_(torch.where(worlds, state["mass"], self._mass))
         self._show()
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        position, velocity = self._exact[:, 0], self._exact[:, 1]
+        position, velocity = self._state[:, 0], self._state[:, 1]
         for _ in range(self._substeps if substeps is None else substeps):
             velocity += self._dt * control[:, 0].double() / self._mass.double()
             position += self._dt * velocity
         self._show()
 
     def failed(self) -> Tensor:
-        return ~(self._exact.abs() < 1e10).all(dim=1)
+        return ~(self._state.abs() < 1e10).all(dim=1)
 
     def snapshot(self) -> dict[str, Tensor]:
         varied = {"mass": self._mass.clone()} if "mass" in self._fields else {}
-        return {"state": self._exact.clone(), **varied}
+        return {"state": self._state.clone(), **varied}
 
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
         if worlds is None:
             worlds = torch.ones_like(self._mass, dtype=torch.bool)
-        state = torch.where(worlds.unsqueeze(1), snapshot["state"], self._exact)
-        self._exact.copy_(state)
+        state = torch.where(worlds.unsqueeze(1), snapshot["state"], self._state)
+        self._state.copy_(state)
         if "mass" in self._fields:
             self._mass.copy_(torch.where(worlds, snapshot["mass"], self._mass))
         self._show()

@@ -262,7 +262,6 @@ class MujocoWarpSimulator(Simulator):
         for name, value in before.items():
             self._state[name].copy_(value)
         self._overflow.copy_(overflow)
-        torch.cuda.current_stream(self._device).synchronize()
         with self._on_device(), wp.ScopedCapture() as capture:
             work()
         return capture.graph

@@ -5,12 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 import torch
-from arena import arena, check_fields, check_parameters, everywhere, states
+from arena import arena, check_derived, check_fields, check_parameters, everywhere, states
 
 from understudy.errors import ConfigError
+<<<<<<< HEAD
 from understudy.task import Context, Scene
+=======
+from understudy.task import Context, Scene, Simulator
+>>>>>>> simulators
 from understudy.testing import check_simulator
 from understudy.testing.fake import FakeScene
 from understudy_mujoco.scene import MujocoScene
@@ -165,6 +170,14 @@ def test_parameters_are_as_plain_mujoco_computes_them() -> None:
         return MujocoSimulator(MujocoSimulator.Options(threads=2), context)
 
     check_parameters(simulator, "cpu", steps=20, atol=1e-5)
+
+
+def test_what_derives_from_a_parameter_follows_it() -> None:
+    def field(simulator: Simulator, name: str, world: int) -> np.ndarray:
+        assert isinstance(simulator, MujocoSimulator)
+        return getattr(simulator.batch.get_model(world), name)
+
+    check_derived(lambda c: MujocoSimulator(MujocoSimulator.Options(threads=1), c), field)
 
 
 def test_parameters_left_out_keep_their_values() -> None:
