@@ -17,6 +17,7 @@ from typing import Any
 import torch
 
 from understudy.records.runs import versions
+from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.config import load_experiment
 
@@ -26,9 +27,10 @@ SCENES = {"walk": (), "self_collision": ("scene.self_collision=true",)}
 SUBSTEPS = 20
 
 
-def rate(work: Callable[[], Any], count: int) -> float:
-    """Calls of `work` per second, after one that is not counted."""
-    work()
+def rate(work: Callable[[], Any], count: int, warm_up: int = 1) -> float:
+    """Calls of `work` per second, after some that are not counted."""
+    for _ in range(warm_up):
+        work()
     torch.cuda.synchronize()
     began = time.perf_counter()
     for _ in range(count):
@@ -40,24 +42,28 @@ def rate(work: Callable[[], Any], count: int) -> float:
 def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[str, Any]:
     """All rates of one scene and world count."""
     fixed = ["experiment=spacetime/walk", "simulator=mujoco_warp", f"num_worlds={worlds}"]
-    training = Training(load_experiment([*fixed, *SCENES[scene], *overrides]))
-    environment, simulator = training.environment, training.built.context.simulator
+    training = Training(load_experiment([*fixed, *SCENES[scene], *overrides])).prepare()
+    job = training.job
+    assert isinstance(job, Reinforcement)
+    environment, simulator = job.environment, job.environment.parts.simulator
     environment.reset(seed=0)
     targets = environment.observations["feedforward"].clone()
 
     # Both sides step the states of the walk: bare stepping from resets, the environment with them.
-    bare = rate(lambda: simulator.step(targets), steps) * worlds  # pyright: ignore[reportOptionalMemberAccess]
+    bare = rate(lambda: simulator.step(targets), steps) * worlds
     environment.reset(seed=0)
-    stepping = (
-        rate(lambda: environment.step(environment.observations["feedforward"]), steps) * worlds
-    )
+    stepping = worlds * rate(
+        lambda: environment.step(environment.observations["feedforward"]), steps, warm_up=6
+    )  # the warm-up records the step
+    if not environment.recorded_step.recording:
+        raise SystemExit(f"{scene} × {worlds}: the step could not be recorded.")
     environment.reset(seed=0)
-    length = training.learner.rollout_steps
-    collecting = rate(lambda: training.collector.collect(length), 3) * worlds * length
-    rollout = training.collector.collect(length)
-    learning = rate(lambda: training.learner.update(rollout), 3) * worlds * length
+    length = job.learner.rollout_steps
+    collecting = rate(lambda: job.collector.collect(length), 3) * worlds * length
+    rollout = job.collector.collect(length)
+    learning = rate(lambda: job.learner.update(rollout), 3) * worlds * length
     everything = rate(training.iterate, 3) * worlds * length
-    if int(environment.quarantined) or simulator.report():  # pyright: ignore[reportOptionalMemberAccess]
+    if int(environment.quarantined) or simulator.report():
         raise SystemExit(f"{scene} × {worlds}: numbers left the finite or contacts were dropped.")
     free, total = torch.cuda.mem_get_info()
     training.close()

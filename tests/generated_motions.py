@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from understudy import rotations
 from understudy_characters.character import Character
+from understudy_characters.layout import layout_of
+from understudy_characters.state import Poses
 from understudy_humanoid.character import BODIES, build_spec
-from understudy_humanoid.kinematics import character_layout, ground_clearance
 from understudy_motion.clip import Clip
 
 Array = NDArray[np.float64]
 
 MODEL = build_spec().compile()
-LAYOUT = character_layout(MODEL)
 CHARACTER = Character("humanoid", MODEL)
+LAYOUT = layout_of(CHARACTER)
 FOOT = next(row for row in BODIES if row.name == "right_ankle")
 #: Corners of the sole in the foot's frame, rear ones first: right, left, right, left.
 _CORNERS = np.array(
@@ -52,9 +53,8 @@ class Played:
     @cached_property
     def clearance(self) -> Array:
         """(F, L) m of each link above the floor."""
-        return ground_clearance(
-            LAYOUT, torch.from_numpy(self.xpos), torch.from_numpy(self.xquat)
-        ).numpy()
+        found = Poses(CHARACTER, LAYOUT).state(torch.from_numpy(self.qpos))
+        return found["link_clearances"].numpy()
 
     @property
     def supported(self) -> NDArray[np.bool_]:

@@ -9,8 +9,8 @@ import torch
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.testing import check_environment
+from understudy_characters.scene import reference_motion
 from understudy_humanoid.character import BODIES
-from understudy_humanoid.scene import reference_motion
 
 WALK = ("experiment=spacetime/walk", "num_worlds=6")
 

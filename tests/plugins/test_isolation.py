@@ -17,9 +17,14 @@ NAMES = sorted(
 )
 
 
-#: Plugins for any figure: what their tests move is the humanoid, with what that needs.
+#: Plugins for any figure: what their tests and tasks move is the humanoid, with what that needs.
 FIGURE = {"humanoid", "characters", "motion", "mujoco"}
-MATERIAL = {"characters": FIGURE, "doctor": FIGURE, "retarget": FIGURE}
+MATERIAL = {
+    "characters": FIGURE,
+    "doctor": FIGURE,
+    "retarget": FIGURE,
+    "spacetime": FIGURE | {"retarget"},
+}
 
 
 def requires(name: str) -> set[str]:
@@ -66,7 +71,8 @@ def test_declarations_have_no_cycle() -> None:
 def test_works_with_only_what_it_declares(name: str) -> None:
     if name == "mujoco_warp":
         pytest.importorskip("warp", reason="MuJoCo Warp is not installed")
-    environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join({name, *requires(name)})}
+    allowed = {name, *requires(name), *MATERIAL.get(name, ())}
+    environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join(allowed)}
     code = f"from understudy.testing import check_plugin; check_plugin('{name}')"
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=200)
 

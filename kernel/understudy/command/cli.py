@@ -59,7 +59,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     sub = command("evaluate", _evaluate, "evaluate a trained run", True)
     sub.add_argument("run", help="run folder")
     sub = command(
-        "render", _render, "draw a run's motion beside its reference: video and report", True
+        "render", _render, "evaluate a run while recording, and make its report anew", True
     )
     sub.add_argument("run", help="run folder")
     command("sweep", _sweep, "run an outer loop over trainings: understudy sweep ablation=…", True)

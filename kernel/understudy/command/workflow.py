@@ -182,7 +182,7 @@ def _judge(training: Training, run: Run, reporter: Reporter) -> None:
     run.write_json("evaluation.json", evaluation.as_json(training.progress.samples))
     if recording is not None:
         recording.save(run.path / "recording.npz")
-        reporter.notify("recorded", run, recording, reporter.message)
+    reporter.notify("judged", run, recording, reporter.message)
     reporter.message(f"On starts never used in training: {evaluation.sentence()}")
 
 

@@ -19,5 +19,6 @@ class RunObserver:
 
     def finished(self, run: Run, outcome: str) -> None: ...
 
-    def recorded(self, run: Run, recording: Recording, tell: Callable[[str], None]) -> None:
-        """``evaluation.json`` and `recording` are in the folder; `tell` takes messages."""
+    def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
+        """The last evaluation is in the folder, and the `recording` of it if there is something to
+        see; `tell` takes messages."""

@@ -18,7 +18,7 @@ from understudy.task import Scene
 class Recording:
     """Fields of one world, step by step."""
 
-    tracks: Mapping[str, np.ndarray]  #: by field, each (T, …)
+    tracks: Mapping[str, np.ndarray]  #: by field, each (T, …); empty if the scene wants none
     control_dt: float  #: seconds between frames
     first_episode: int  #: frames before the world's first ending
     scene: Scene

@@ -4,11 +4,12 @@
 
     run.json           composed config, overrides, versions, seed, sources and licences
     metrics.jsonl      one row an iteration
-    tensorboard/       the same for TensorBoard
     checkpoints/       see :mod:`understudy.records.checkpoint`
     faults/            what led to the first numerical failure, to be replayed
     evaluation.json    the last evaluation
-    recording.npz, video.mp4, report.html
+    recording.npz      see :mod:`understudy.records.recording`
+
+Run observers leave their own files beside these.
 """
 
 from __future__ import annotations

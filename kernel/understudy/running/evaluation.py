@@ -77,7 +77,7 @@ class Evaluation:
     def as_json(self, samples: int) -> dict[str, Any]:
         found: dict[str, Any] = {
             "episodes": self.episodes,
-            "episode_seconds": self.seconds,
+            "seconds": self.seconds,
             "samples": samples,
             "policy": "deterministic",
             "starts": "never used in training",
@@ -295,7 +295,11 @@ class Evaluator:
             success=self.success.text if self.success else "",
             success_rate=rate,
             mean_episode_seconds=float(joined["seconds"].mean()),
-            violated={t: float(joined[f"fired/{t}"].float().mean()) for t in self._fired},
+            violated={
+                term.name: float(joined[f"fired/{term.name}"].float().mean())
+                for term in self.built.environment.parts.terminations
+                if term.outcome in ("failure", "report")
+            },
             measures={
                 name: Measured.of(reduce, joined[f"measure/{name}"])
                 for name, reduce in reductions.items()

@@ -23,8 +23,10 @@ class Scene(ABC):
     def describe(self) -> dict[str, Any]:
         """Facts for provenance: sizes, masses, names."""
 
-    def draw(self, tracks: Mapping[str, np.ndarray]) -> Iterator[np.ndarray]:
-        """Frames (H, W, 3) uint8 of the recorded `tracks`, each (T, …).
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
+    ) -> Iterator[np.ndarray]:
+        """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …).
 
         Raises
         ------
@@ -42,7 +44,11 @@ class Scene(ABC):
 
 
 class Simulator(ABC):
-    """Owns the physics state of N worlds and advances all of them at once."""
+    """Owns the physics state of N worlds and advances all of them at once.
+
+    On a GPU :meth:`read`, :meth:`set_state`, :meth:`step` and :meth:`restore` may be recorded in a
+    CUDA graph of the caller's, once each was called before in the same way.
+    """
 
     #: Readable fields and their shapes without N.
     fields: Mapping[str, Shape] = {}
@@ -54,8 +60,8 @@ class Simulator(ABC):
     parameters: Mapping[str, Shape] = {}
 
     def vary(self, names: Sequence[str]) -> None:
-        """Let worlds differ in these ``parameters``, which become readable fields; called once,
-        before the first state is set.
+        """Let worlds differ in these ``parameters``; called once, before the first state is set.
+        They become fields of the same names, and begin with the model's values.
 
         Raises
         ------
@@ -70,12 +76,16 @@ class Simulator(ABC):
 
     @abstractmethod
     def read(self, name: str) -> Tensor:
-        """The field `name`, (N, …), valid until the next call that changes the state."""
+        """The field `name`, (N, …), at the present state and under the present control; valid until
+        the next call that changes the state. May be the simulator's own memory: not to be written."""
 
     @abstractmethod
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        """Put the worlds where `worlds` (N,) bool is true into `state`, at rest time: the
-        ``state_fields`` and any varied parameters in it, each (N, …)."""
+        """Put the worlds where `worlds` (N,) bool is true into `state` at rest time, all controls 0.
+
+        `state` has the ``state_fields`` and may have varied parameters, each (N, …). Parameters that
+        it leaves out keep their values.
+        """
 
     @abstractmethod
     def step(self, control: Tensor, substeps: int | None = None) -> None:
@@ -88,7 +98,8 @@ class Simulator(ABC):
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:
-        """A copy of everything that decides the future, each (N, …), in full precision."""
+        """A copy of everything that decides the future, varied parameters too, each (N, …), in full
+        precision."""
 
     @abstractmethod
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:

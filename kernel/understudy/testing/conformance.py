@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping, Sequence
 
 import torch
+from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment, validate
@@ -29,21 +32,95 @@ def check_component(component: Component) -> None:
         )
 
 
-def check_simulator(simulator: Simulator, num_worlds: int) -> None:
-    """Shapes, restoring, and that the past of a world does not matter once its state is set."""
-    for name, shape in simulator.fields.items():
-        value = simulator.read(name)
-        assert tuple(value.shape) == (num_worlds, *shape), f"field '{name}' is {tuple(value.shape)}"
-    before = simulator.snapshot()
-    control = torch.zeros(num_worlds, simulator.control_size)
+def check_simulator(simulator: Simulator, num_worlds: int, vary: Sequence[str] = ()) -> None:
+    """What every simulator keeps: shapes, exact restoring of all worlds and of some, sub-steps, and
+    that the past of a world does not matter once its state is set.
+
+    `simulator` is fresh and has two worlds or more; `vary` are the parameters to let differ.
+    """
+    with_typo = f"{next(iter(simulator.parameters), 'mass')}x"
+    try:
+        simulator.vary([with_typo])
+    except ConfigError:
+        pass
+    else:
+        raise AssertionError(f"'{with_typo}' is no parameter, and vary() takes it")
+    simulator.vary(tuple(vary))
+    for name in vary:
+        assert simulator.fields.get(name) == simulator.parameters[name], f"'{name}' is no field"
+    assert set(simulator.state_fields) <= set(simulator.fields), "a state field cannot be read"
+
+    def fields() -> dict[str, Tensor]:
+        return {name: simulator.read(name).clone() for name in simulator.fields}
+
+    for name, value in fields().items():
+        shape = (num_worlds, *simulator.fields[name])
+        assert tuple(value.shape) == shape, f"field '{name}' is {tuple(value.shape)}, not {shape}"
+    device = simulator.read(simulator.state_fields[0]).device
+    control = torch.zeros(num_worlds, simulator.control_size, device=device)
+    even = torch.arange(num_worlds, device=device) % 2 == 0
+
+    before, shown = simulator.snapshot(), fields()
     simulator.step(control)
     first = simulator.snapshot()
-    simulator.restore(before)
-    simulator.step(control)
-    for name, value in simulator.snapshot().items():
-        assert torch.equal(value, first[name]), f"'{name}' differs after restore and the same step"
     assert simulator.failed().shape == (num_worlds,)
     assert not simulator.failed().any(), "fails under zero control"
+    simulator.restore(before)
+    _same(shown, fields(), "after restore", "the field")
+    simulator.step(control)
+    _same(first, simulator.snapshot(), "after restore and the same step", "the state's")
+
+    shown_later = fields()
+    simulator.restore(before, even)
+    _same_rows(before, first, even, simulator.snapshot(), "the state's")
+    _same_rows(shown, shown_later, even, fields(), "the field")
+
+    begin = {name: shown[name] for name in (*simulator.state_fields, *vary)}
+    simulator.set_state(even, begin)
+    once = {**fields(), **simulator.snapshot()}
+    simulator.restore(first)
+    simulator.step(control + 0.1, 1)
+    simulator.set_state(even, begin)
+    for name, value in {**fields(), **simulator.snapshot()}.items():
+        assert torch.equal(value[even], once[name][even]), f"'{name}' depends on the past"
+
+    simulator.restore(before)
+    simulator.step(control, 2)
+    together = simulator.snapshot()
+    simulator.restore(before)
+    simulator.step(control, 1)
+    simulator.step(control, 1)
+    _same(
+        together,
+        simulator.snapshot(),
+        "after two sub-steps, taken together and singly",
+        "the state's",
+    )
+
+
+def _same(
+    expected: Mapping[str, Tensor], found: Mapping[str, Tensor], when: str, what: str
+) -> None:
+    assert expected.keys() == found.keys()
+    for name, value in found.items():
+        assert torch.equal(value, expected[name]), f"{what} '{name}' differs {when}"
+
+
+def _same_rows(
+    inside: Mapping[str, Tensor],
+    outside: Mapping[str, Tensor],
+    worlds: Tensor,
+    found: Mapping[str, Tensor],
+    what: str,
+) -> None:
+    """`found` are the rows of `inside` in the chosen worlds, and of `outside` in the others."""
+    for name, value in found.items():
+        assert torch.equal(value[worlds], inside[name][worlds]), (
+            f"{what} '{name}' is not restored in the chosen worlds"
+        )
+        assert torch.equal(value[~worlds], outside[name][~worlds]), (
+            f"{what} '{name}' changes in worlds that were not to be restored"
+        )
 
 
 def check_environment(environment: Environment, steps: int = 20) -> None:

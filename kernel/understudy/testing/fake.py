@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError, suggestion
 from understudy.random import WorldStreams
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy.task import Actuation, Context, Encoder, InitialStates, Scene, Simulator, box
+from understudy.task import (
+    Actuation,
+    Context,
+    Encoder,
+    InitialStates,
+    Scene,
+    Simulator,
+    box,
+)
 
 
 class FakeScene(Scene):
-    """A point of one kilogram on a frictionless line."""
+    """A point of one kilogram (see ``mass``) on a frictionless line."""
 
     def __init__(self, options: None = None, context: Context | None = None) -> None:
         pass
@@ -27,43 +36,72 @@ class FakeScene(Scene):
 
 
 class FakeSimulator(Simulator):
-    """Semi-implicit Euler of a unit mass; ``qpos`` and ``qvel`` are (N, 1), control is a force."""
+    """Semi-implicit Euler of a point mass; ``qpos`` and ``qvel`` are (N, 1), control is a force.
+
+    What :meth:`read` returns is the simulator's own memory, which later steps overwrite, as it is in
+    simulators on a GPU. Worlds may differ in ``mass`` (), 1 kg.
+    """
 
     fields = {"qpos": (1,), "qvel": (1,)}
     state_fields = ("qpos", "qvel")
     control_size = 1
+    parameters = {"mass": ()}
 
     def __init__(self, options: None, context: Context) -> None:
         context.need_scene(FakeScene, "simulator 'fake'")
         self._dt, self._substeps = context.control_dt / context.substeps, context.substeps
-        self._state = torch.zeros(context.num_worlds, 2, dtype=torch.float64, device=context.device)
+        n, device = context.num_worlds, context.device
+        self._state = torch.zeros(n, 2, dtype=torch.float64, device=device)  # position, velocity
+        self._mass = torch.ones(n, device=device)
+        self._fields = {"qpos": torch.zeros(n, 1, device=device)}
+        self._fields["qvel"] = torch.zeros(n, 1, device=device)
+
+    def vary(self, names: Sequence[str]) -> None:
+        for name in names:
+            if name != "mass":
+                raise ConfigError(
+                    f"simulator 'fake' has no parameter '{name}'.{suggestion(name, self.parameters)}"
+                )
+            self._fields["mass"] = self._mass
+        self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
 
     def read(self, name: str) -> Tensor:
-        column = self.state_fields.index(name)
-        return self._state[:, column : column + 1].float()
+        self._show()
+        return self._fields[name]
+
+    def _show(self) -> None:
+        self._fields["qpos"].copy_(self._state[:, :1])
+        self._fields["qvel"].copy_(self._state[:, 1:])
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         new = torch.cat([state["qpos"], state["qvel"]], dim=1).double()
-        self._state = torch.where(worlds.unsqueeze(1), new, self._state)
+        self._state.copy_(torch.where(worlds.unsqueeze(1), new, self._state))
+        if "mass" in self._fields and "mass" in state:
+            self._mass.copy_(torch.where(worlds, state["mass"], self._mass))
+        self._show()
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        for _ in range(substeps or self._substeps):
-            velocity = self._state[:, 1] + self._dt * control[:, 0].double()
-            self._state = torch.stack([self._state[:, 0] + self._dt * velocity, velocity], dim=1)
+        position, velocity = self._state[:, 0], self._state[:, 1]
+        for _ in range(self._substeps if substeps is None else substeps):
+            velocity += self._dt * control[:, 0].double() / self._mass.double()
+            position += self._dt * velocity
+        self._show()
 
     def failed(self) -> Tensor:
         return ~(self._state.abs() < 1e10).all(dim=1)
 
     def snapshot(self) -> dict[str, Tensor]:
-        return {"state": self._state.clone()}
+        varied = {"mass": self._mass.clone()} if "mass" in self._fields else {}
+        return {"state": self._state.clone(), **varied}
 
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        keep = (
-            torch.zeros(len(self._state), 1, dtype=torch.bool)
-            if worlds is None
-            else ~worlds[:, None]
-        )
-        self._state = torch.where(keep, self._state, snapshot["state"])
+        if worlds is None:
+            worlds = torch.ones_like(self._mass, dtype=torch.bool)
+        state = torch.where(worlds.unsqueeze(1), snapshot["state"], self._state)
+        self._state.copy_(state)
+        if "mass" in self._fields:
+            self._mass.copy_(torch.where(worlds, snapshot["mass"], self._mass))
+        self._show()
 
 
 class PointEncoder(Encoder):

@@ -38,15 +38,25 @@ def load_character(named: str, registry: Registry) -> Character:
         ConfigError: no such name; or the model is no character (see :class:`Character`).
         FileError: the file does not load.
     """
+    name, spec = character_spec(named, registry)
+    try:
+        return Character(name, spec.compile())
+    except (ValueError, mujoco.FatalError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise FileError(f"The model {named} does not compile: {reason}") from error
+
+
+def character_spec(named: str, registry: Registry) -> tuple[str, mujoco.MjSpec]:
+    """Name and model specification of the registered character, or of this MJCF file.
+
+    Raises:
+        ConfigError: no such name.
+        FileError: the file does not load.
+    """
     if named in registry.names("character"):
-        return Character(named, registry.find("character", named).factory().compile())
+        return named, registry.find("character", named).factory()
     if Path(named).suffix == ".xml":
-        spec = MjcfFile(MjcfFile.Options(named)).spec()
-        try:
-            return Character(Path(named).stem, spec.compile())
-        except (ValueError, mujoco.FatalError) as error:
-            reason = str(error).strip().splitlines()[0]
-            raise FileError(f"The model {named} does not compile: {reason}") from error
+        return Path(named).stem, MjcfFile(MjcfFile.Options(named)).spec()
     known = registry.names("character")
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF "
@@ -126,7 +136,7 @@ class Character:
 
     Raises:
         ConfigError: no free root, a slide joint, a ball beside hinges, hinges of one body that are
-            not at one point, or more than three of them.
+            not at one point, more than three of them, or one with a reference angle.
     """
 
     def __init__(self, name: str, model: mujoco.MjModel) -> None:
@@ -166,6 +176,8 @@ class Character:
             if count > 3 or np.ptp(model.jnt_pos[ids], axis=0).max() > 1e-6:
                 raise ConfigError(f"{place} more than three hinges, or hinges at different points.")
             hinge = types == {_HINGE}
+            if hinge and model.qpos0[model.jnt_qposadr[ids]].any():
+                raise ConfigError(f"{place} a hinge whose reference angle (ref) is not 0.")
             limited = np.array([bool(model.jnt_limited[j]) for j in ids])
             found.append(
                 Joint(
@@ -231,6 +243,21 @@ class Character:
     def _in_root(self, point: np.ndarray) -> np.ndarray:
         root = self.data.xmat[self.root].reshape(3, 3)
         return (point - self.data.xpos[self.root]) @ root
+
+    @property
+    def zero_pose(self) -> mujoco.MjData:
+        """The model's data in the zero pose."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        return data
+
+    @cached_property
+    def length(self) -> float:
+        """m: how far the figure reaches in the zero pose, between the surfaces farthest apart."""
+        geoms = [(g.centre, self.model.geom_rbound[g.id]) for g in self.geoms]
+        return max(
+            (float(np.linalg.norm(a - b)) + r + s for a, r in geoms for b, s in geoms), default=1.0
+        )
 
     @cached_property
     def shown(self) -> tuple[Geom, ...]:

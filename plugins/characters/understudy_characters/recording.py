@@ -14,6 +14,7 @@ from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_characters.character import Character
+from understudy_characters.scene import CharacterScene
 from understudy_motion.clip import Clip
 from understudy_motion.readers.npz import Archive
 from understudy_mujoco.scene import MujocoScene
@@ -89,6 +90,8 @@ def _character(experiment: Experiment) -> Character:
     name = experiment.scene.component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
+    if isinstance(scene, CharacterScene):
+        name = scene.character.name
     return Character(name, scene.shown().compile())
 
 

@@ -13,7 +13,6 @@ from string import Template
 
 import numpy as np
 
-from understudy.pictures import stick_figure_svg
 from understudy_doctor.character_checks import JOINT_FINDINGS, TORQUE, UNEXPLAINED, excesses
 from understudy_doctor.clip_checks import speeds
 from understudy_doctor.examination import Examination
@@ -21,6 +20,7 @@ from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.summary import contacts, torques, verdict
 from understudy_motion.kinematics import tip_positions
+from understudy_report.stick_figures import stick_figure_svg
 
 #: Of a chart, in the SVG's own pixels: its width, of that the labels and the values beside the rows,
 #: the gap between rows, and the height of the axis.

@@ -1,4 +1,4 @@
-"""The 34-DoF humanoid, its kinematics, and its reference motions. Knows no paper."""
+"""The 34-DoF humanoid and the jumper, and motions made for them. Knows no paper."""
 
 from pathlib import Path
 
@@ -25,27 +25,10 @@ _CLIPS = {
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     add = register.component
-    add("scene", "humanoid", f"{_HERE}.scene:HumanoidScene", "a 34-DoF humanoid on a floor")
-    add(
-        "fields", "humanoid.kinematics", f"{_HERE}.parts:Kinematics", "links, joints, end-effectors"
-    )
-    add("fields", "humanoid.reference", f"{_HERE}.parts:Reference", "the clip's state at this time")
-    add(
-        "actuation",
-        "humanoid.joint_targets",
-        f"{_HERE}.parts:JointTargets",
-        "PD targets of all joints",
-    )
-    add(
-        "termination",
-        "humanoid.fall",
-        f"{_HERE}.parts:Fall",
-        "a body that must not touches the floor",
-    )
     add("character", "humanoid", f"{_HERE}.character:build_humanoid", "the humanoid, 45 kg")
     add("character", "jumper", f"{_HERE}.jumper:build_jumper", "a stronger humanoid, 60 kg")
     for name, summary in _CLIPS.items():
-        add("clip", name, f"{_HERE}.generated:generated_{name}", summary)
+        add("clip", name, f"{_HERE}.clips:generated_{name}", summary)
 
 
 @hookimpl

@@ -13,6 +13,9 @@ from typing import Literal
 
 import mujoco
 
+from understudy_characters.servos import add_servo
+from understudy_characters.staging import add_floor, add_sky, add_sun, solve_fast
+
 Vector = tuple[float, float, float]
 
 
@@ -133,7 +136,6 @@ END_EFFECTORS = ("right_ankle", "right_wrist", "left_ankle", "left_wrist")
 STANDING_HEIGHT = 0.422 + 0.41 + 0.05
 
 COLOUR = (0.85, 0.62, 0.35, 1.0)
-REFERENCE_COLOUR = (0.45, 0.72, 0.5, 1.0)
 
 #: What joins the trunk's links in pictures: body, capsule's ends in its frame, radius.
 _TRUNK: tuple[tuple[str, Vector, Vector, float], ...] = (
@@ -161,28 +163,18 @@ def build_spec(
     """The humanoid on a floor, or another character of these `bodies` and standing height, as a model
     specification to be compiled or added to.
 
-    Actuators are position servos on exponential maps (ball) and angles (hinge), three or one a
-    joint in table order. Their velocity gain is ``kd + kp * timestep``: with implicit integration of
-    the velocity term that is stable PD (Tan et al. 2011), which compares the target with the
-    position one step ahead, ``q + timestep * qdot``.
+    Actuators are position servos (stable PD, :mod:`understudy_characters.servos`) on exponential maps
+    (ball) and angles (hinge), three or one a joint in table order.
     """
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.compiler.degree = False
-    option = spec.option
-    option.timestep = timestep
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    option.iterations, option.ls_iterations = 6, 8
-    _dress(spec)
-    floor = spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], material="floor"
-    )
-    floor.contype, floor.conaffinity, floor.condim = 1, 2, 3
-    floor.friction = [1.0, 0.005, 0.0001]
+    spec.option.timestep = timestep
+    solve_fast(spec.option)
+    add_sky(spec)
+    add_floor(spec)
     add_character(spec, self_collision=self_collision, bodies=bodies)
-    _add_sun(spec)
+    add_sun(spec, "root")
     return spec
 
 
@@ -260,64 +252,5 @@ def _add_joint(
         return
     damping = row.kd + row.kp * spec.option.timestep
     torques = row.torque if isinstance(row.torque, tuple) else (row.torque,) * 3
-    for i in range(3 if ball else 1):
-        actuator = spec.add_actuator(
-            name=f"{name}_{'xyz'[i]}" if ball else name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            forcelimited=True,
-            forcerange=[-torques[i], torques[i]],
-        )
-        actuator.gear = (
-            [float(i == k) for k in range(3)] + [0, 0, 0] if ball else [1, 0, 0, 0, 0, 0]
-        )
-        actuator.gainprm[0] = row.kp
-        actuator.biasprm[1], actuator.biasprm[2] = -row.kp, -damping
-
-
-def _dress(spec: mujoco.MjSpec) -> None:
-    """Sky, floor texture and picture settings: nothing that physics sees."""
-    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.62, 0.7, 0.8],
-        width=256,
-        height=1536,
-    )
-    spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.78, 0.8, 0.83],
-        rgb2=[0.72, 0.745, 0.78],
-        width=256,
-        height=256,
-    )
-    floor = spec.add_material(name="floor")
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    floor.texrepeat = [1.0, 1.0]
-    floor.texuniform = True
-    # The shadow map covers this box around the light; the light goes where the character goes.
-    spec.stat.center, spec.stat.extent = [0, 0, 1], 3
-    spec.visual.map.shadowclip = 1.0
-    spec.visual.quality.shadowsize = 4096
-
-
-def _add_sun(spec: mujoco.MjSpec) -> None:
-    """Sunlight that follows the character, so that it always casts its shadow."""
-    spec.body("root").add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
-        pos=[-1.6, -2.4, 4],
-        dir=[0.4, 0.6, -1],
-        diffuse=[0.6, 0.6, 0.6],
-        castshadow=True,
-    )
+    for axis in range(3) if ball else (None,):
+        add_servo(spec, name, axis, torques[axis or 0], row.kp, damping)

@@ -14,6 +14,17 @@ from understudy.task import Context, Scene
 from understudy_mujoco.mjcf import read_mjcf
 
 
+def _log_nothing() -> None:
+    """Keep MuJoCo from writing each warning to the console and, without end, to MUJOCO_LOG.TXT in
+    the working folder; simulators count them (``report``), and errors are exceptions anyway."""
+    config = mujoco.MjLogConfig.get()
+    config.logto_file = config.logto_console = False
+    config.set()
+
+
+_log_nothing()
+
+
 class MujocoScene(Scene):
     """A scene that compiles to one ``mujoco.MjModel``."""
 

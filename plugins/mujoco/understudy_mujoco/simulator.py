@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 import torch
-from mujoco.batch import Batch
+from mujoco.batch import Batch, SimulationError
 from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.records.runs import cores
 from understudy.task import Context, Shape, Simulator
+from understudy_mujoco.fields import Stage, readable
+from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 
-#: MjData fields that tasks may read, beside the state. Names and frames are MuJoCo's.
-READABLE = (
-    "xpos", "xquat", "xipos", "cvel", "subtree_com", "geom_xpos", "geom_xmat", "site_xpos",
-    "sensordata", "actuator_force", "actuator_length", "actuator_velocity",
-)  # fmt: skip
-
-#: Positions, velocities and everything that derives from them are current after this stage.
-_READY = mujoco.mjtStage.mjSTAGE_VEL
+#: MuJoCo's stage at which ours is reached; the velocity stage costs mj_step nothing to stop at.
+_STAGE = {
+    Stage.KINEMATICS: mujoco.mjtStage.mjSTAGE_VEL,
+    Stage.VELOCITY: mujoco.mjtStage.mjSTAGE_VEL,
+    Stage.ACCELERATION: mujoco.mjtStage.mjSTAGE_ACC,
+}
+#: Nothing that MuJoCo keeps in the model is computed from these.
+_PLAIN = (*MOCAP, "geom_friction", "dof_damping", "actuator_gainprm", "actuator_biasprm")
 _WARNINGS = [
     name.removeprefix("mjWARN_").lower()
     for name, value in sorted(mujoco.mjtWarning.__members__.items(), key=lambda item: int(item[1]))
@@ -36,8 +38,12 @@ _BAD = [i for i, name in enumerate(_WARNINGS) if name.startswith("bad")]
 class MujocoSimulator(Simulator):
     """Fields are MuJoCo's ``MjData`` arrays in float32; ``ctrl`` is the control.
 
-    The engine's automatic reset is switched off, so a diverged world stays visibly diverged; such
-    worlds, and any that raised a bad-state warning, are reported by :meth:`failed`.
+    The engine's automatic reset is switched off, so a diverged world stays visibly diverged. Such
+    worlds, any that raised a bad-state warning, and any in which the engine raised an error (they
+    stay where they were) are reported by :meth:`failed`.
+
+    A field is bound when it is first read. Forces, accelerations and their sensors cost one forward
+    computation a step from then on.
     """
 
     state_fields = ("qpos", "qvel")
@@ -59,58 +65,124 @@ class MujocoSimulator(Simulator):
         self.model = scene.compiled(context, int(mujoco.mjtDisableBit.mjDSBL_AUTORESET))
         threads = options.threads or cores()
         self.batch = Batch(self.model, context.num_worlds, threads)
-        self._substeps = context.substeps
         self.control_size = self.model.nu
+        self._substeps = context.substeps
+        self._readable = readable(self.model)
+        self._known = parameters(self.model)
+        self.fields: Mapping[str, Shape] = {n: f.shape for n, f in self._readable.items()}
+        self.parameters: Mapping[str, Shape] = {n: p.shape for n, p in self._known.items()}
+        self._varied: dict[str, np.ndarray] = {}  # (N, …), the engine's own memory
+        self._switches: list[Parameter] = []
+        self._derives = False
         self._views = {name: self.batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
-        data = mujoco.MjData(self.model)
-        self.fields: Mapping[str, Shape] = {
-            name: tuple(getattr(data, name).shape) for name in (*self._views, *READABLE)
-        }
-        self._seen = self._warnings().copy()
-        #: (kinds,) since the start; the engine's own counters begin anew with their world.
-        self._counts = np.zeros(self._seen.shape[1], dtype=np.int64)
+        self._stage = Stage.VELOCITY
         self._rows = self.batch.state
+        #: (kinds,) since the start; the engine's own counters begin anew with their world.
+        self._counts = np.zeros(len(_WARNINGS), dtype=np.int64)
+        self._broken = np.zeros(context.num_worlds, dtype=bool)
 
     def _warnings(self) -> np.ndarray:
-        """(N, kinds) int32, how often each of the engine's warnings was raised."""
-        return self.batch.warning[:, :, 1]
+        """(N, kinds), how often each of the engine's warnings was raised."""
+        return self.batch.warning[:, :, 1].copy()
+
+    def _run(self, call: Callable[..., None], *arguments: object, **options: int) -> None:
+        """A call of the engine; worlds in which it raises an error have failed."""
+        try:
+            call(*arguments, **options)
+        except SimulationError:
+            self._broken |= self.batch.status != 0
+
+    def _forward(self, ids: np.ndarray | None = None) -> None:
+        self._run(self.batch.forward, ids, stage=int(_STAGE[self._stage]))
+
+    # ------------------------------------------------------------------ parameters
+
+    def vary(self, names: Sequence[str]) -> None:
+        picked = chosen(self._known, names, "simulator 'mujoco'")
+        for parameter in picked:
+            if parameter.field == "active":
+                self._varied[parameter.name] = np.ones(self.batch.nsim)
+                self._switches.append(parameter)
+            elif parameter.field in MOCAP:
+                self._varied[parameter.name] = self.batch.bind(parameter.field)[:, parameter.rows]
+            else:
+                field = "opt.gravity" if parameter.field == "gravity" else parameter.field
+                self._varied[parameter.name] = self.batch.expand(field)[:, parameter.rows]
+        self.fields = {**self.fields, **{p.name: p.shape for p in picked}}
+        self._derives = any(p.field not in _PLAIN for p in picked)
+        self._derive(np.arange(self.batch.nsim))
+
+    def _set_parameters(self, ids: np.ndarray, values: Mapping[str, Tensor]) -> None:
+        given = [name for name in self._varied if name in values]
+        for name in given:
+            self._varied[name][ids] = values[name].numpy()[ids]
+        if given:
+            self._derive(ids)
+
+    def _derive(self, ids: np.ndarray) -> None:
+        """What the engine keeps in the model beside the parameters: bounds, inverse weights, …"""
+        if self._switches:
+            on = np.ones((len(ids), self.model.ngeom), dtype=bool)
+            for switch in self._switches:
+                on[:, switch.rows] &= self._varied[switch.name][ids, None] != 0
+            for field in ("geom_contype", "geom_conaffinity"):
+                self.batch.expand(field)[ids] = np.where(on, getattr(self.model, field), 0)
+        if self._derives:
+            self._run(self.batch.set_const, ids)
+
+    # ------------------------------------------------------------------ Simulator
 
     def read(self, name: str) -> Tensor:
-        if name not in self._views:  # bound when first read: every bound field is copied each step
-            self._views[name] = self.batch.bind(name)
-            self.batch.forward(stage=_READY)
-        return torch.from_numpy(self._views[name].astype(np.float32))
+        if name in self._varied:
+            return torch.from_numpy(self._varied[name].astype(np.float32))
+        field = self._readable[name]
+        if field.array not in self._views or field.stage > self._stage:
+            # bound when first read: every bound field is copied each step
+            self._views[field.array] = self.batch.bind(field.array)
+            self._stage = max(field.stage, self._stage)
+            self._forward()
+        return torch.from_numpy(self._views[field.array][:, field.columns].astype(np.float32))
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         ids = worlds.nonzero().squeeze(1).numpy()
         if not len(ids):
             return
-        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._views["qpos"][ids] = state["qpos"].numpy()[ids]
-        self._views["qvel"][ids] = state["qvel"].numpy()[ids]
-        self.batch.forward(ids, stage=_READY)
-        self._seen[ids] = self._warnings()[ids]
+        self._broken[ids] = False
+        mocap = {n: v[ids].copy() for n, v in self._varied.items() if n.startswith(MOCAP)}
+        self._run(self.batch.reset, ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        for name, value in mocap.items():  # in the engine they are state, here they are parameters
+            self._varied[name][ids] = value
+        self._set_parameters(ids, state)
+        for name in self.state_fields:
+            self._views[name][ids] = state[name].numpy()[ids]
+        self._forward(ids)
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
+        self._broken[:] = False
         self._views["ctrl"][:] = control.numpy()
-        self.batch.step(nstep=substeps or self._substeps, stage=_READY)
+        before = self._warnings()
+        count = self._substeps if substeps is None else substeps
+        self._run(self.batch.step, nstep=count, stage=int(_STAGE[self._stage]))
+        raised = self._warnings() - before
+        self._counts += raised.sum(axis=0)
+        self._broken |= raised[:, _BAD].any(axis=1)
 
     def failed(self) -> Tensor:
-        warnings = self._warnings()
-        warned = (warnings != self._seen)[:, _BAD].any(axis=1)
-        self._counts += np.maximum(warnings - self._seen, 0).sum(axis=0)
-        self._seen[:] = warnings
         sound = np.isfinite(self._views["qpos"]).all(1) & np.isfinite(self._views["qvel"]).all(1)
-        return torch.from_numpy(warned | ~sound | (self.batch.status != 0))
+        return torch.from_numpy(self._broken | ~sound)
 
     def snapshot(self) -> dict[str, Tensor]:
-        return {"state": torch.from_numpy(self._rows.copy())}
+        copies = {name: torch.from_numpy(value.copy()) for name, value in self._varied.items()}
+        return {"state": torch.from_numpy(self._rows.copy()), **copies}
 
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        rows = slice(None) if worlds is None else worlds.numpy()
-        self._rows[rows] = snapshot["state"].numpy()[rows]
-        self.batch.forward(stage=_READY)
-        self._seen[:] = self._warnings()
+        ids = np.arange(self.batch.nsim) if worlds is None else worlds.nonzero().squeeze(1).numpy()
+        if not len(ids):
+            return
+        self._broken[ids] = False
+        self._rows[ids] = snapshot["state"].numpy()[ids]
+        self._set_parameters(ids, snapshot)
+        self._forward(ids)
 
     def report(self) -> dict[str, int]:
         return {

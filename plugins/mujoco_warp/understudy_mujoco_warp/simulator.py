@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context, Shape, Simulator
+from understudy_mujoco.fields import Stage, readable
+from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 
 try:
@@ -26,12 +30,38 @@ except ImportError as error:
         f"simulator 'mujoco_warp' needs MuJoCo Warp ({error}): pip install 'understudy[gpu]'"
     ) from error
 
-#: Data fields that tasks may read, beside the state. Names and frames are MuJoCo's.
-READABLE = ("xpos", "xquat", "xipos", "cvel", "subtree_com", "geom_xpos", "actuator_force")
-#: What decides the future of a world.
-STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl", "time")
+#: What decides the future of a world, beside its parameters; what a model has none of is left out.
+STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl", "time", "history", "plastic")
 #: Beyond this a position, or a velocity, is one of a simulation that diverged.
 _LIMIT = 1e6
+
+#: What MuJoCo keeps in the model beside a parameter, as groups of ``mjw.set_const``.
+_BOUNDS = int(mjw.SetConstGroup.FIXED)
+_POSES = int(mjw.SetConstGroup.KIN0)
+_INERTIA = int(mjw.SetConstGroup.INERT0)
+_GROUPS = {
+    "geom_size": _BOUNDS,
+    "body_mass": _BOUNDS | _INERTIA | _POSES,
+    "body_inertia": _INERTIA,
+    "body_ipos": _INERTIA | _POSES,
+    "body_pos": _INERTIA | _POSES,
+    "body_quat": _INERTIA | _POSES,
+    "dof_armature": _INERTIA,
+}
+#: … and the fields that such a group computes, for each world where a parameter may differ.
+_DERIVED = {
+    _BOUNDS: ("geom_size", "geom_aabb", "geom_rbound", "body_subtreemass"),
+    _POSES: (
+        "tendon_length0", "eq_data", "cam_pos0", "cam_poscom0", "cam_mat0",
+        "light_pos0", "light_poscom0", "light_dir0",
+    ),
+    _INERTIA: ("dof_invweight0", "body_invweight0", "tendon_invweight0", "actuator_acc0"),
+}  # fmt: skip
+#: Warp places the geoms of bodies that are fixed to the world once for all, unless told otherwise.
+_PLACES = {"body_pos", "body_quat", "geom_pos", "geom_quat"}
+#: Contacts begin where the distance of two geoms is less than the sum of their margins, so a geom
+#: with this one, in metres, touches nothing. (Warp has no contype for each world.)
+_SWITCHED, _FAR = "geom_margin", -1e8
 
 
 def start_warp() -> None:
@@ -90,9 +120,13 @@ def contact_capacity(model: mujoco.MjModel) -> int:
 class MujocoWarpSimulator(Simulator):
     """Fields are torch views of Warp's arrays, float32; ``ctrl`` is the control.
 
-    One control period is one CUDA graph: all sub-steps, then the kinematics of the new state, so
-    that what is read belongs to the same moment. On the CPU, where there are no graphs, it computes
-    the same slowly; tests use that.
+    A call is one CUDA graph, recorded when it is first made: all sub-steps, then everything that
+    was ever read at the new state, so that what is read belongs to the same moment. The first read
+    of a sensor, and of a force or an acceleration, makes all later calls compute them.
+
+    While the caller records a CUDA graph of its own, the kernels go into that one.
+
+    On the CPU, where there are no graphs, it computes the same slowly; tests use that.
     """
 
     state_fields = ("qpos", "qvel")
@@ -108,7 +142,9 @@ class MujocoWarpSimulator(Simulator):
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")
         self.model = scene.compiled(context)
         self._device = context.device
+        self._n = context.num_worlds
         self._substeps = context.substeps
+        self._deterministic = options.deterministic
         contacts = options.contacts or contact_capacity(self.model)
         limits = int(self.model.jnt_limited.sum())
         constraints = options.constraints or 4 * contacts + limits  # pyramids have 4 edges
@@ -116,24 +152,33 @@ class MujocoWarpSimulator(Simulator):
         start_warp()
         with self._on_device():
             try:
-                self._m = mjw.put_model(self.model)
+                self._m = self._put_model({})
                 self._d = mjw.make_data(
-                    self.model, nworld=context.num_worlds, nconmax=contacts, njmax=constraints
+                    self.model, nworld=self._n, nconmax=contacts, njmax=constraints
                 )
             except NotImplementedError as error:
                 raise ConfigError(
                     f"simulator 'mujoco_warp' cannot run this scene: {error} Use simulator=mujoco."
                 ) from error
-            self._m.opt.warn_overflow = 0  # counted here, not printed by every world
-            if options.deterministic:
-                self._m.opt.deterministic = int(mjw.DeterminismType.ALL)
         self.control_size = self.model.nu
+        self._readable = readable(self.model)
+        self._known = parameters(self.model)
+        self.fields: Mapping[str, Shape] = {n: f.shape for n, f in self._readable.items()}
+        self.parameters: Mapping[str, Shape] = {n: p.shape for n, p in self._known.items()}
         self._views = {
-            name: wp.to_torch(getattr(self._d, name)) for name in (*STATE, *READABLE, "overflow")
+            name: self._torch(field.array, self.fields[field.array])[:, field.columns]
+            for name, field in self._readable.items()
         }
-        self.fields: Mapping[str, Shape] = {
-            name: tuple(self._views[name].shape[1:]) for name in ("qpos", "qvel", "ctrl", *READABLE)
+        self._state = {
+            name: self._torch(name, tuple(getattr(self._d, name).shape[1:]))
+            for name in STATE
+            if getattr(self._d, name).size
         }
+        self._initial = {name: view[:1].clone() for name, view in self._state.items()}
+        self._varied: dict[str, Tensor] = {}  # (N, …), Warp's own memory
+        self._switches: list[Parameter] = []
+        self._unwelded: Any = None  # the model, were no body fixed to the world
+        self._overflow = wp.to_torch(self._d.overflow)
         dropped = mjw.OverflowType
         self._dropping = int(
             dropped.NEFC
@@ -143,15 +188,23 @@ class MujocoWarpSimulator(Simulator):
             | dropped.CCD
         )
         self._overflows = torch.zeros((), dtype=torch.int64, device=self._device)
-        self._step_graph = self._capture(self._advance)
-        self._ready_graph = self._capture(self._refresh)
-        self._views["qpos"].copy_(
-            torch.tensor(self.model.qpos0, dtype=torch.float32).to(self._device)
-        )
-        self._views["qvel"].zero_()
-        self._views["qacc_warmstart"].zero_()
-        self._views["time"].zero_()
-        self._run(self._ready_graph, self._refresh)
+        self._stage = Stage.KINEMATICS
+        self._graphs: dict[Hashable, Any] = {}
+        self._outer: list[Any] = []
+        self._streams: dict[int, Any] = {}
+        self._settle()
+
+    def _put_model(self, batch: Mapping[str, int]) -> Any:
+        """The model on the device, with room for `batch` values of the named fields."""
+        m = mjw.put_model(self.model, dict(batch))
+        m.opt.warn_overflow = 0  # counted here, not printed by every world
+        if self._deterministic:
+            m.opt.deterministic = int(mjw.DeterminismType.ALL)
+        return m
+
+    def _torch(self, array: str, shape: Shape) -> Tensor:
+        """The view (N, …) of one of Warp's data arrays; matrices are rows of numbers, as in MuJoCo."""
+        return wp.to_torch(getattr(self._d, array)).view(self._n, *shape)
 
     def _refuse_too_large(self, num_worlds: int, constraints: int) -> None:
         """Say before allocating that the worlds do not fit; an estimate of the largest arrays."""
@@ -172,72 +225,185 @@ class MujocoWarpSimulator(Simulator):
     def _on_device(self) -> Any:
         return wp.ScopedDevice(wp.device_from_torch(self._device))
 
-    def _capture(self, work: Callable[[], None]) -> Any:
-        """The CUDA graph of `work`, or None on the CPU."""
-        if self._device.type != "cuda":
-            return None
-        with self._on_device():
-            work()  # compiles the kernels, which must not happen while capturing
-            with wp.ScopedCapture() as capture:
-                work()
-            return capture.graph
+    def _on_stream(self) -> Any:
+        """Let Warp use torch's stream, so that both libraries' kernels keep their order."""
+        stream = torch.cuda.current_stream(self._device)
+        if stream.cuda_stream not in self._streams:
+            self._streams[stream.cuda_stream] = wp.stream_from_torch(stream)
+        # Warp's own stream has nothing that this one would have to wait for
+        return wp.ScopedStream(self._streams[stream.cuda_stream], sync_enter=False)
 
-    def _run(self, graph: Any, work: Callable[[], None]) -> None:
-        """Run `work` on torch's stream, so that both libraries' kernels keep their order."""
-        if graph is None:
+    def _run(self, key: Hashable, work: Callable[[], None]) -> None:
+        """Do `work`, a sequence of Warp's kernels that is the same whenever `key` is."""
+        if self._device.type != "cuda":
             with self._on_device():
                 work()
-            return
-        stream = wp.stream_from_torch(torch.cuda.current_stream(self._device))
-        with wp.ScopedStream(stream):
-            wp.capture_launch(graph)
+        elif torch.cuda.is_current_stream_capturing():
+            with (
+                self._on_stream(),
+                wp.ScopedCapture(
+                    external=True, force_module_load=False, capture_mode=wp.CaptureMode.GLOBAL
+                ) as capture,
+            ):
+                work()
+            self._outer.append(capture.graph)  # keeps the kernels' code loaded
+        else:
+            if key not in self._graphs:
+                self._graphs[key] = self._record(work)
+            with self._on_stream():
+                wp.capture_launch(self._graphs[key])
 
-    def _advance(self) -> None:
-        for _ in range(self._substeps):
+    def _record(self, work: Callable[[], None]) -> Any:
+        """The CUDA graph of `work`. Kernels must be compiled before, so it is done once in vain."""
+        before = {name: view.clone() for name, view in self._state.items()}
+        overflow = self._overflow.clone()
+        with self._on_stream():
+            work()
+        for name, value in before.items():
+            self._state[name].copy_(value)
+        self._overflow.copy_(overflow)
+        with self._on_device(), wp.ScopedCapture() as capture:
+            work()
+        return capture.graph
+
+    def _advance(self, substeps: int) -> None:
+        options = self._m.opt
+        flags = options.disableflags
+        if not self._m.nhistory:  # nobody sees sensors between sub-steps, unless they are delayed
+            options.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        for _ in range(substeps):
             mjw.step(self._m, self._d)
+        options.disableflags = flags
         self._refresh()
 
     def _refresh(self) -> None:
-        mjw.kinematics(self._m, self._d)
-        mjw.com_pos(self._m, self._d)
-        mjw.com_vel(self._m, self._d)
+        """Compute what is read of the present state."""
+        if self._stage == Stage.KINEMATICS:
+            mjw.kinematics(self._m, self._d)
+            mjw.com_pos(self._m, self._d)
+            mjw.com_vel(self._m, self._d)
+        elif self._stage == Stage.VELOCITY:
+            mjw.step1(self._m, self._d)
+        else:
+            mjw.forward(self._m, self._d)
+
+    def _settle(self, groups: int = 0) -> None:
+        """Compute what derives from state and parameters; `groups` of constants of the model too."""
+
+        def work() -> None:
+            if groups:
+                mjw.set_const(self._m, self._d, groups, restore=False)
+            if self._unwelded is not None:
+                mjw.kinematics(self._unwelded, self._d)
+            self._refresh()
+
+        self._run(("settle", groups), work)
+
+    # ------------------------------------------------------------------ parameters
+
+    def vary(self, names: Sequence[str]) -> None:
+        picked = chosen(self._known, names, "simulator 'mujoco_warp'")
+        if not picked:
+            return
+        fields = {_SWITCHED if p.field == "active" else p.field for p in picked}
+        groups = self._groups(p.name for p in picked)
+        derived = {name for group, names in _DERIVED.items() if groups & group for name in names}
+        batched = (fields | derived) - {"gravity", *MOCAP}
+        with self._on_device():
+            self._m = self._put_model(dict.fromkeys(batched, self._n))
+            if "gravity" in fields:
+                gravity = np.tile(self.model.opt.gravity, (self._n, 1))
+                self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
+            if fields & _PLACES:
+                nowhere = wp.full(self.model.nbody, -1, dtype=int)
+                self._unwelded = dataclasses.replace(self._m, body_weldid=nowhere)
+        self._graphs.clear()
+        for parameter in picked:
+            self._varied[parameter.name] = self._memory(parameter)
+            if parameter.field == "active":
+                self._switches.append(parameter)
+        if self._switches:
+            self._margins = wp.to_torch(self._m.geom_margin)
+            self._model_margins = self._margins.clone()
+        self.fields = {**self.fields, **{p.name: p.shape for p in picked}}
+        self._views.update(self._varied)
+        self._settle(groups)
+
+    def _memory(self, parameter: Parameter) -> Tensor:
+        """(N, …), where Warp keeps the parameter."""
+        if parameter.field == "active":
+            return torch.ones(self._n, device=self._device)
+        owner = self._d if parameter.field in MOCAP else self._m
+        array = (
+            self._m.opt.gravity if parameter.field == "gravity" else getattr(owner, parameter.field)
+        )
+        return wp.to_torch(array)[:, parameter.rows].view(self._n, *parameter.shape)
+
+    def _groups(self, names: Iterable[str]) -> int:
+        """The groups of the model's constants that derive from these parameters."""
+        groups = 0
+        for name in names:
+            groups |= _GROUPS.get(self._known[name].field, 0)
+        return groups
+
+    def _set_parameters(self, worlds: Tensor, values: Mapping[str, Tensor]) -> int:
+        """Write those that `values` has; returns the groups of constants to be computed anew."""
+        given = [name for name in self._varied if name in values]
+        for name in given:
+            _put(self._varied[name], worlds, values[name])
+        if self._switches:
+            self._margins.copy_(self._model_margins)
+            for switch in self._switches:
+                off = (self._varied[switch.name] == 0).unsqueeze(1)
+                self._margins[:, switch.rows].masked_fill_(off, _FAR)
+        return self._groups(given)
 
     # ------------------------------------------------------------------ Simulator
 
     def read(self, name: str) -> Tensor:
+        field = self._readable.get(name)
+        if field is not None and field.stage > self._stage:
+            self._stage = field.stage
+            self._graphs.clear()
+            self._settle()
         return self._views[name]
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        rows = worlds.unsqueeze(1)
-        for name in self.state_fields:
-            view = self._views[name]
-            torch.where(rows, state[name], view, out=view)
-        for name in ("act", "qacc_warmstart", "ctrl"):
-            self._views[name].masked_fill_(rows, 0.0)
-        self._views["time"].masked_fill_(worlds, 0.0)
-        self._run(self._ready_graph, self._refresh)
+        groups = self._set_parameters(worlds, state)
+        for name, view in self._state.items():
+            _put(view, worlds, state[name] if name in self.state_fields else self._initial[name])
+        self._settle(groups)
 
-    def step(self, control: Tensor) -> None:
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        count = self._substeps if substeps is None else substeps
         self._views["ctrl"].copy_(control)
-        self._run(self._step_graph, self._advance)
-        overflow = self._views["overflow"]
-        self._overflows += ((overflow & self._dropping) != 0).sum()
-        overflow.zero_()
+        self._run(("step", count), lambda: self._advance(count))
+        self._overflows += ((self._overflow & self._dropping) != 0).sum()
+        self._overflow.zero_()
 
     def failed(self) -> Tensor:
-        sound = torch.ones(self._views["qpos"].shape[0], dtype=torch.bool, device=self._device)
+        sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
         for name in self.state_fields:
             sound &= (self._views[name].abs() < _LIMIT).all(dim=1)  # false for NaN
         return ~sound
 
     def snapshot(self) -> dict[str, Tensor]:
-        return {name: self._views[name].clone() for name in STATE}
+        return {name: view.clone() for name, view in {**self._state, **self._varied}.items()}
 
-    def restore(self, snapshot: Mapping[str, Tensor]) -> None:
-        for name in STATE:
-            self._views[name].copy_(snapshot[name])
-        self._run(self._ready_graph, self._refresh)
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        if worlds is None:
+            worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
+        groups = self._set_parameters(worlds, snapshot)
+        for name, view in self._state.items():
+            _put(view, worlds, snapshot[name])
+        self._settle(groups)
 
     def report(self) -> dict[str, int]:
         count = int(self._overflows)
         return {"contact_or_constraint_overflows": count} if count else {}
+
+
+def _put(view: Tensor, worlds: Tensor, values: Tensor) -> None:
+    """Write the rows of `values` (N or 1, …) where `worlds` (N,) is true, in place."""
+    rows = worlds.view(-1, *([1] * (view.dim() - 1)))
+    torch.where(rows, values.to(view.device, view.dtype), view, out=view)

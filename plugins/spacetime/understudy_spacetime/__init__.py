@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("characters", "humanoid", "motion", "mujoco", "ppo")
+REQUIRES = ("characters", "motion", "mujoco", "ppo")
 
 _HERE = "understudy_spacetime"
 
@@ -17,15 +17,15 @@ def understudy_register(register: Registrar) -> None:
     add(
         "termination",
         "spacetime.com_bound",
-        f"{_HERE}.bounds:com_bound",
+        f"{_HERE}.bounds:ComBound",
         "centre of mass, per axis",
     )
-    add("termination", "spacetime.root_bound", f"{_HERE}.bounds:root_bound", "root orientation")
+    add("termination", "spacetime.root_bound", f"{_HERE}.bounds:RootBound", "root orientation")
     add("termination", "spacetime.joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
     add(
         "termination",
         "spacetime.end_effector_bound",
-        f"{_HERE}.bounds:end_effector_bound",
+        f"{_HERE}.bounds:EndEffectorBound",
         "hands and feet",
     )
     add(

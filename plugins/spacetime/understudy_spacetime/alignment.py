@@ -16,7 +16,7 @@ from torch import Tensor
 
 from understudy.rotations import canonical, conjugate, from_heading, multiply, to_matrix
 from understudy.task import Context, Fields, Shape
-from understudy_humanoid.parts import END_EFFECTORS
+from understudy_characters.scene import CharacterScene
 
 
 def turned(angle: Tensor, vectors: Tensor) -> Tensor:
@@ -39,11 +39,13 @@ class Alignment(Fields):
     provides: Mapping[str, Shape] = {
         "heading_deviation": (),
         "frame_turn": (),
-        "aligned_end_effector_positions": (END_EFFECTORS, 3),
+        "aligned_end_effector_positions": (0, 3),  # the instance's have the character's number
     }
 
     def __init__(self, options: None, context: Context) -> None:
-        pass
+        layout = context.need_scene(CharacterScene, "fields 'spacetime.alignment'").layout
+        count = len(layout.end_effectors)
+        self.provides = {**self.provides, "aligned_end_effector_positions": (count, 3)}
 
     def compute(
         self,

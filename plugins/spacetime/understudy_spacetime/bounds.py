@@ -6,8 +6,7 @@ size is a number, or a function of phase given as knots ``[[phase, size], …]``
 
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -15,50 +14,75 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.rotations import angle_between
 from understudy.task import Context
-from understudy_humanoid.scene import HumanoidScene
+from understudy_characters.scene import CharacterScene
 
 Size = float | list[list[float]]
 
 
-def size_at(size: Size, phase: Tensor) -> Tensor | float:
-    """The bound's size sigma at `phase` (N,): the number itself, or its knots interpolated, (N,)."""
-    if isinstance(size, (int, float)):
-        if size < 0:
-            raise ConfigError(f"A bound's size is {size}; it cannot be negative.")
-        return size
-    if not size or any(len(knot) != 2 for knot in size):
-        raise ConfigError(f"A bound's size is a number or knots [[phase, size], …], not {size}.")
-    knots = _knots(tuple(sorted((at, value) for at, value in size)), phase.dtype, phase.device)
-    at, value = knots[:, 0].contiguous(), knots[:, 1]
-    if len(at) == 1:
-        return value.expand_as(phase)
-    right = torch.searchsorted(at, phase.contiguous()).clamp(1, len(at) - 1)
-    left = right - 1
-    share = ((phase - at[left]) / (at[right] - at[left]).clamp(min=1e-9)).clamp(0.0, 1.0)
-    return value[left] + share * (value[right] - value[left])
+class BoundSize:
+    """The size sigma of a bound, a function of phase.
+
+    Raises:
+        ConfigError: it is negative, or no knots with phases in [0, 1]; names the term `who`.
+    """
+
+    def __init__(
+        self, size: Size, who: str, device: torch.device, dtype: torch.dtype = torch.float32
+    ) -> None:
+        knots = [[0.0, size]] if isinstance(size, (int, float)) else size
+        if not knots or any(len(knot) != 2 for knot in knots):
+            raise ConfigError(
+                f"{who}: size={size} is not possible: a number or [[phase, size], …]."
+            )
+        if any(value < 0.0 for _, value in knots):
+            raise ConfigError(f"{who}: size={size} is not possible: it cannot be negative.")
+        if any(not 0.0 <= phase <= 1.0 for phase, _ in knots):
+            raise ConfigError(f"{who}: size={size} is not possible: phases go from 0 to 1.")
+        ordered = torch.tensor(sorted(map(tuple, knots)), device=device, dtype=dtype)
+        self._phases, self._values = ordered.T.contiguous()
+        self._steps = self._phases.diff().clamp(min=1e-9)
+
+    def at(self, phase: Tensor) -> Tensor:
+        """The knots interpolated at `phase` (N,): (N,), or () if the size is the same always."""
+        last = len(self._phases) - 1
+        if last == 0:
+            return self._values[0]
+        left = (torch.searchsorted(self._phases, phase.contiguous()) - 1).clamp(0, last - 1)
+        share = ((phase - self._phases[left]) / self._steps[left]).clamp(0.0, 1.0)
+        return torch.lerp(self._values[left], self._values[left + 1], share)
 
 
-@functools.cache
-def _knots(
-    knots: tuple[tuple[float, float], ...], dtype: torch.dtype, device: torch.device
-) -> Tensor:
-    """(K, 2), made once: a copy to the device in every step would wait for it."""
-    return torch.tensor(knots, dtype=dtype, device=device)
-
-
-def com_bound(
-    com_position: Tensor, reference_com_position: Tensor, phase: Tensor, *, size: Size = 0.2
-) -> Tensor:
+class ComBound:
     """Centre of mass further than `size` m from the reference along x, y or z of the world."""
-    distance = (com_position - reference_com_position).abs().amax(dim=1)
-    return distance > size_at(size, phase)
+
+    @dataclass(frozen=True)
+    class Options:
+        size: Size = 0.2
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._size = BoundSize(options.size, "spacetime.com_bound", context.device)
+
+    def __call__(
+        self, com_position: Tensor, reference_com_position: Tensor, phase: Tensor
+    ) -> Tensor:
+        distance = (com_position - reference_com_position).abs().amax(dim=1)
+        return distance > self._size.at(phase)
 
 
-def root_bound(
-    root_rotation: Tensor, reference_root_rotation: Tensor, phase: Tensor, *, size: Size = 0.7
-) -> Tensor:
+class RootBound:
     """Root rotated more than `size` rad away from the reference, in the world frame."""
-    return angle_between(root_rotation, reference_root_rotation) > size_at(size, phase)
+
+    @dataclass(frozen=True)
+    class Options:
+        size: Size = 0.7
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._size = BoundSize(options.size, "spacetime.root_bound", context.device)
+
+    def __call__(
+        self, root_rotation: Tensor, reference_root_rotation: Tensor, phase: Tensor
+    ) -> Tensor:
+        return angle_between(root_rotation, reference_root_rotation) > self._size.at(phase)
 
 
 class JointBound:
@@ -67,17 +91,16 @@ class JointBound:
     @dataclass(frozen=True)
     class Options:
         size: Size = 0.7
-        joints: tuple[str, ...] = field(default=())  #: bounded joints; empty bounds all
+        joints: tuple[str, ...] = ()  #: bounded joints; empty bounds all
 
     def __init__(self, options: Options, context: Context) -> None:
-        names = context.need_scene(HumanoidScene, "spacetime.joint_bound").layout.joint_names
+        who = "spacetime.joint_bound"
+        names = context.need_scene(CharacterScene, who).layout.joint_names
         for name in options.joints:
             if name not in names:
-                raise ConfigError(
-                    f"spacetime.joint_bound: no joint '{name}'.{suggestion(name, names)}"
-                )
+                raise ConfigError(f"{who}: no joint '{name}'.{suggestion(name, names)}")
+        self._size = BoundSize(options.size, who, context.device)
         chosen = [names.index(name) for name in options.joints or names]
-        self._size = options.size
         self._chosen = (
             None if len(chosen) == len(names) else torch.tensor(chosen, device=context.device)
         )
@@ -89,17 +112,25 @@ class JointBound:
             joint_rotations = joint_rotations[:, self._chosen]
             reference_joint_rotations = reference_joint_rotations[:, self._chosen]
         angles = angle_between(joint_rotations, reference_joint_rotations)
-        return angles.amax(dim=1) > size_at(self._size, phase)
+        return angles.amax(dim=1) > self._size.at(phase)
 
 
-def end_effector_bound(
-    aligned_end_effector_positions: Tensor,
-    reference_end_effector_positions: Tensor,
-    phase: Tensor,
-    *,
-    size: Size = 0.5,
-) -> Tensor:
+class EndEffectorBound:
     """Any end-effector further than `size` m from the reference, relative to the roots, in the
     direction-invariant frame of :mod:`understudy_spacetime.alignment`."""
-    offset = aligned_end_effector_positions - reference_end_effector_positions
-    return offset.norm(dim=2).amax(dim=1) > size_at(size, phase)
+
+    @dataclass(frozen=True)
+    class Options:
+        size: Size = 0.5
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._size = BoundSize(options.size, "spacetime.end_effector_bound", context.device)
+
+    def __call__(
+        self,
+        aligned_end_effector_positions: Tensor,
+        reference_end_effector_positions: Tensor,
+        phase: Tensor,
+    ) -> Tensor:
+        offset = aligned_end_effector_positions - reference_end_effector_positions
+        return offset.norm(dim=2).amax(dim=1) > self._size.at(phase)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from understudy.rotations import from_heading, inverse_rotate
 from understudy.task import Context, Encoder, Shape
-from understudy_humanoid.scene import HumanoidScene
+from understudy_characters.scene import CharacterScene
 from understudy_spacetime.alignment import turned
 
 
@@ -33,7 +33,7 @@ class StateEncoder(Encoder):
     shape: Shape
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(HumanoidScene, "encoder 'spacetime.state'").layout
+        layout = context.need_scene(CharacterScene, "encoder 'spacetime.state'").layout
         links, effectors = len(layout.link_names), len(layout.end_effectors)
         self.shape = (3 + 3 + 1 + 2 + links * (3 + 6 + 3 + 3) + effectors * 3,)
 
@@ -71,7 +71,7 @@ class FeedforwardEncoder(Encoder):
     reads = ("reference_joint_targets",)
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(HumanoidScene, "encoder 'spacetime.feedforward'").layout
+        layout = context.need_scene(CharacterScene, "encoder 'spacetime.feedforward'").layout
         self.shape: Shape = (layout.num_actuators,)
 
     def encode(self, reference_joint_targets: Tensor) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -10,10 +9,10 @@ from torch import Tensor
 
 from understudy import distributed
 from understudy.options import check_range
-from understudy.random import WorldStreams, generator
+from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Rollout, Shape, State
-from understudy_humanoid.reference import ReferenceMotion
-from understudy_humanoid.scene import reference_motion
+from understudy_characters.reference import ReferenceMotion
+from understudy_characters.scene import reference_motion
 
 EPISODE_FIELDS: dict[str, Shape] = {"motion_start": ()}
 
@@ -28,31 +27,54 @@ def segment_probabilities(returns: Tensor, *, uniform: float) -> Tensor:
     return (1 - uniform) * torch.softmax(-returns / scale, dim=0) + uniform / len(returns)
 
 
-class _SegmentReturns:
-    """Running average of the estimated return of states by motion segment."""
+class _Segments:
+    """The running average of the estimated return of states by motion segment, and the distribution
+    of eq. 3.9 over segments. Tensors stay the same objects, since recorded steps read them."""
 
-    def __init__(self, segments: int, decay: float, device: torch.device) -> None:
+    def __init__(
+        self, segments: int, *, uniform: float, decay: float, device: torch.device
+    ) -> None:
         self.average = torch.zeros(segments, device=device)
         self.seen = torch.zeros(segments, device=device)
-        self._decay = decay
+        self.cumulative = torch.arange(1, segments + 1, device=device) / segments
+        self._uniform, self._decay = uniform, decay
 
-    def update(self, phase: Tensor, returns: Tensor) -> None:
-        segments = len(self.average)
-        index = (phase * segments).long().clamp(0, segments - 1)
+    def of(self, phase: Tensor) -> Tensor:
+        """(n, B) bool: which states at `phase` (B,) belong to which segment."""
+        count = len(self.average)
+        index = (phase * count).long().clamp(0, count - 1)
+        return index == torch.arange(count, device=index.device).unsqueeze(1)
+
+    def update(self, of_segment: Tensor, returns: Tensor) -> Tensor:
+        """Learn from the states' `returns` (B,); the probabilities (n,)."""
         # Not index_add_, whose order of summation differs from run to run on a GPU.
-        of_segment = index == torch.arange(segments, device=index.device).unsqueeze(1)
         sums, counts = torch.where(of_segment, returns, 0.0).sum(1), of_segment.sum(1).float()
         sums, counts = distributed.total(torch.stack([sums, counts]))
         mean = sums / counts.clamp(min=1.0)
         keep = torch.where(self.seen > 0, self._decay, 0.0)
         updated = keep * self.average + (1 - keep) * mean
-        self.average = torch.where(counts > 0, updated, self.average)
-        self.seen = self.seen + counts
+        self.average.copy_(torch.where(counts > 0, updated, self.average))
+        self.seen += counts
 
-    def probabilities(self, uniform: float) -> Tensor:
         seen = self.seen > 0  # segments without samples count as average
         mean = (self.average * seen).sum() / seen.sum().clamp(min=1)
-        return segment_probabilities(torch.where(seen, self.average, mean), uniform=uniform)
+        returns = torch.where(seen, self.average, mean)
+        probabilities = segment_probabilities(returns, uniform=self._uniform)
+        self.cumulative.copy_(probabilities.cumsum(0) / probabilities.sum())
+        return probabilities
+
+    def draw(self, streams: WorldStreams) -> tuple[Tensor, Tensor]:
+        """A segment by its probability and a uniform position within it, each (N,)."""
+        draws = streams.uniform(2)
+        segment = torch.searchsorted(self.cumulative, draws[:, :1].contiguous()).squeeze(1)
+        return segment.clamp(max=len(self.cumulative) - 1), draws[:, 1]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        return {name: getattr(self, name).clone() for name in ("average", "seen", "cumulative")}
+
+    def load_state_dict(self, state: State) -> None:
+        for name in ("average", "seen", "cumulative"):
+            getattr(self, name).copy_(state[name])
 
 
 class Uniform(InitialStates):
@@ -96,45 +118,56 @@ class Importance(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         self._reference = reference_motion(context)
         self._options = options
-        self._returns = _SegmentReturns(options.segments, options.decay, context.device)
-        self._cumulative = _cumulative(
-            torch.full((options.segments,), 1.0 / options.segments, device=context.device)
+        self._segments = _Segments(
+            options.segments, uniform=options.uniform, decay=options.decay, device=context.device
         )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        segment, within = _draw_segment(self._cumulative, streams)
+        segment, within = self._segments.draw(streams)
         phase = (segment + within) / self._options.segments
         return _reference_states(self._reference, phase * self._reference.duration)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
-        self._returns.update(rollout.records["phase"].flatten(), rollout.returns.flatten())
-        probabilities = self._returns.probabilities(self._options.uniform)
-        self._cumulative = _cumulative(probabilities)
+        of_segment = self._segments.of(rollout.records["phase"].flatten())
+        probabilities = self._segments.update(of_segment, rollout.returns.flatten())
         return {"hardest_segment": float(probabilities.argmax())}
 
     def state_dict(self) -> State:
-        return {
-            "average": self._returns.average.clone(),
-            "seen": self._returns.seen.clone(),
-            "cumulative": self._cumulative.clone(),
-        }
+        return self._segments.state_dict()
 
     def load_state_dict(self, state: State) -> None:
-        self._returns.average = state["average"].clone()
-        self._returns.seen = state["seen"].clone()
-        self._cumulative = state["cumulative"].clone()
+        self._segments.load_state_dict(state)
 
 
-def _cumulative(probabilities: Tensor) -> Tensor:
-    return probabilities.cumsum(0) / probabilities.sum()
+def boltzmann_draws(
+    of_segment: Tensor, returns: Tensor, bits: Tensor, *, sign: float
+) -> tuple[Tensor, Tensor]:
+    """For each segment, states drawn with replacement by the weights of eq. 3.10, without a wait for
+    the device.
 
+    Weights are whole numbers (32 bits), so that their sums do not depend on the order of summation and
+    draws repeat exactly.
 
-def _draw_segment(cumulative: Tensor, streams: WorldStreams) -> tuple[Tensor, Tensor]:
-    """A segment by its probability and a uniform position within it, each (N,)."""
-    draws = streams.uniform(2)
-    segment = torch.searchsorted(cumulative, draws[:, :1].contiguous()).squeeze(1)
-    return segment.clamp(max=len(cumulative) - 1), draws[:, 1]
+    Args:
+        of_segment: (n, B) bool, the states of each segment.
+        returns: (B,) of the states.
+        bits: (n, m) int64 random bits, one for each draw.
+        sign: -1 prefers low returns, 1 high ones.
+
+    Returns:
+        The rows (n, m) of the states drawn, and how many each segment has, (n,); where it has none
+        the rows mean nothing.
+    """
+    low = torch.where(of_segment, returns, torch.inf).amin(1, keepdim=True)
+    high = torch.where(of_segment, returns, -torch.inf).amax(1, keepdim=True)
+    best = high if sign > 0 else low
+    odds = torch.exp(sign * (returns - best) / (high - low).clamp(min=1e-6))  # in [1 / e, 1]
+    weights = torch.where(of_segment, odds * 2.0**32, 0.0).long()
+    sums = weights.cumsum(1)
+    drawn = (bits & torch.iinfo(torch.int64).max) % sums[:, -1:].clamp(min=1)
+    rows = torch.searchsorted(sums, drawn, right=True).clamp(max=len(returns) - 1)
+    return rows, of_segment.sum(1)
 
 
 class Evolution(InitialStates):
@@ -167,18 +200,18 @@ class Evolution(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._reference, self._options = reference_motion(context), options
-        self._returns = _SegmentReturns(options.segments, options.decay, context.device)
-        self._cumulative = _cumulative(
-            torch.full((options.segments,), 1.0 / options.segments, device=context.device)
+        self._segments = _Segments(
+            options.segments, uniform=options.uniform, decay=options.decay, device=context.device
         )
-        self._generator = generator(context.seed, "evolution")
+        #: One sequence of draws for each segment.
+        self._draws = WorldStreams(context.seed, "evolution", options.segments, context.device)
         n, m = options.segments, options.size
         phase = (torch.arange(n * m, device=context.device) + 0.5) / (n * m)
         states = _reference_states(self._reference, phase * self._reference.duration)
         self._buffer = {k: v.view(n, m, *v.shape[1:]).clone() for k, v in states.items()}
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        segment, _ = _draw_segment(self._cumulative, streams)
+        segment, _ = self._segments.draw(streams)
         draws = streams.uniform(3)
         slot = (draws[:, 0] * self._options.size).long()
         evolved = {name: value[segment, slot] for name, value in self._buffer.items()}
@@ -192,45 +225,34 @@ class Evolution(InitialStates):
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
         options, records = self._options, rollout.records
-        returns, phase = rollout.returns.flatten(), records["phase"].flatten()
-        self._returns.update(phase, returns)
-        self._cumulative = _cumulative(self._returns.probabilities(options.uniform))
+        returns = rollout.returns.flatten()
+        of_segment = self._segments.of(records["phase"].flatten())
+        self._segments.update(of_segment, returns)
         qpos, qvel, start = self._reference.to_first_cycle(
             records["qpos"].flatten(0, 1),
             records["qvel"].flatten(0, 1),
             records["motion_time"].flatten(),
         )
-        index = (phase * options.segments).long().clamp(0, options.segments - 1)
         sign = -1.0 if options.prefer == "low" else 1.0
-        for k in range(options.segments):
-            rows = (index == k).nonzero().squeeze(1)
-            if len(rows) < options.size:
-                continue  # too few states to replace the buffer with
-            w = returns[rows]
-            spread = (w.max() - w.min()).clamp(min=1e-6)
-            weights = torch.softmax(sign * w / spread, dim=0).cpu()
-            drawn = torch.multinomial(
-                weights, options.size, replacement=True, generator=self._generator
-            )
-            chosen = rows[drawn.to(rows.device)]
-            self._buffer["qpos"][k] = qpos[chosen]
-            self._buffer["qvel"][k] = qvel[chosen]
-            self._buffer["motion_start"][k] = start[chosen]
+        rows, counts = boltzmann_draws(
+            of_segment, returns, self._draws.bits(options.size), sign=sign
+        )
+        enough = counts >= options.size  # too few states do not replace the buffer
+        for name, found in {"qpos": qpos, "qvel": qvel, "motion_start": start}.items():
+            buffer = self._buffer[name]
+            replaced = enough.view(-1, *([1] * (buffer.dim() - 1)))
+            buffer.copy_(torch.where(replaced, found[rows], buffer))
         return {}
 
     def state_dict(self) -> State:
         return {
+            **self._segments.state_dict(),
             "buffer": {k: v.clone() for k, v in self._buffer.items()},
-            "average": self._returns.average.clone(),
-            "seen": self._returns.seen.clone(),
-            "cumulative": self._cumulative.clone(),
-            "generator": self._generator.get_state(),
+            "draws": self._draws.state_dict(),
         }
 
     def load_state_dict(self, state: State) -> None:
-        buffer: Mapping[str, Tensor] = state["buffer"]
-        self._buffer = {k: v.clone() for k, v in buffer.items()}
-        self._returns.average = state["average"].clone()
-        self._returns.seen = state["seen"].clone()
-        self._cumulative = state["cumulative"].clone()
-        self._generator.set_state(state["generator"].cpu())
+        self._segments.load_state_dict(state)
+        for name, value in self._buffer.items():
+            value.copy_(state["buffer"][name])
+        self._draws.load_state_dict(state["draws"])

@@ -1,29 +1,24 @@
 """The bounds of a run, for pictures of its recorded motion."""
 
-# MuJoCo has no stubs.
-# pyright: reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from torch import Tensor
 
 from understudy import rotations
 from understudy.errors import ConfigError, FileError, suggestion
-from understudy.options import checked_options, options_of
+from understudy.options import make_options
 from understudy.rotations import angle_between
 from understudy.task import Context
 from understudy_characters.overlay import Gauge, Overlay, Region
-from understudy_humanoid.kinematics import kinematics
-from understudy_humanoid.scene import HumanoidScene
+from understudy_characters.scene import CharacterScene
 from understudy_spacetime import bounds
 from understudy_spacetime.alignment import Alignment
-from understudy_spacetime.bounds import Size, size_at
+from understudy_spacetime.bounds import BoundSize, Size
 
 Fields = Mapping[str, Tensor]
 
@@ -42,21 +37,24 @@ class BoundsOverlay(Overlay):
         }
         if not terms or "reference_qpos" not in tracks:
             return []
-        fields = _fields(tracks)
+        scene = _scene(config)
+        fields = _fields(scene, tracks)
         found: list[Gauge | Region] = []
         for where, term in terms.items():
-            term_target, draw = _DRAWN[term["name"]]
-            schema = options_of(term_target)
-            given = {key: value for key, value in term.items() if key != "name"}
-            options = {key: option.default for key, option in schema.items()} | checked_options(
-                schema, given, f"termination.terms.{where}"
-            )
-            size = _sizes(options.pop("size"), tracks)
-            found.extend(draw(fields, size, **options))
+            bound, draw = _DRAWN[term["name"]]
+            given = {key: value for key, value in term.items() if key not in ("name", "outcome")}
+            options = make_options(bound.Options, given, f"termination.terms.{where}")
+            found.extend(draw(scene, fields, _sizes(options.size, term["name"], tracks), options))
         return found
 
 
-def _sizes(size: Size, tracks: Mapping[str, np.ndarray]) -> np.ndarray:
+def _scene(config: Mapping[str, Any]) -> CharacterScene:
+    """The run's scene, of a task with spacetime bounds."""
+    given = {key: value for key, value in config["scene"].items() if key != "name"}
+    return CharacterScene(make_options(CharacterScene.Options, given, "scene"))
+
+
+def _sizes(size: Size, who: str, tracks: Mapping[str, np.ndarray]) -> np.ndarray:
     """(T,): the bound's size in each frame."""
     frames = len(tracks["qpos"])
     if isinstance(size, list) and "phase" not in tracks:
@@ -65,41 +63,34 @@ def _sizes(size: Size, tracks: Mapping[str, np.ndarray]) -> np.ndarray:
             "`understudy render RUN`."
         )
     phase = torch.from_numpy(np.asarray(tracks.get("phase", np.zeros(frames)), dtype=np.float64))
-    return np.broadcast_to(np.asarray(size_at(size, phase)), (frames,))
+    sizes = BoundSize(size, who, torch.device("cpu"), torch.float64).at(phase)
+    return np.broadcast_to(sizes.numpy(), (frames,))
 
 
-def _fields(tracks: Mapping[str, np.ndarray]) -> Fields:
+def _fields(scene: CharacterScene, tracks: Mapping[str, np.ndarray]) -> Fields:
     """The fields that the bounds read, float64: of the character, of the ``reference_…``, aligned."""
-    scene = HumanoidScene(HumanoidScene.Options())
-    learned = _kinematics(scene, tracks["qpos"])
-    reference = _kinematics(scene, tracks["reference_qpos"])
+    learned = _state(scene, tracks["qpos"])
+    reference = _state(scene, tracks["reference_qpos"])
     fields = learned | {f"reference_{name}": field for name, field in reference.items()}
-    context = Context(0, torch.device("cpu"), 1, control_dt=1.0, substeps=1)
+    context = Context(0, torch.device("cpu"), 1, control_dt=1.0, substeps=1, scene=scene)
     alignment = Alignment(None, context)
     aligned = alignment.compute(**{name: fields[name] for name in alignment.reads})
     return {**fields, **aligned}
 
 
-def _kinematics(scene: HumanoidScene, track: np.ndarray) -> dict[str, Tensor]:
-    """The humanoid's kinematics of ``qpos`` (T, nq)."""
-    model, data = scene.model, mujoco.MjData(scene.model)
-    if track.shape[1:] != (model.nq,):
+def _state(scene: CharacterScene, track: np.ndarray) -> dict[str, Tensor]:
+    """The state of the character at ``qpos`` (T, nq)."""
+    if track.shape[1:] != (scene.model.nq,):
         raise FileError(
-            f"The recording's qpos is {track.shape}; the humanoid's is (T, {model.nq})."
+            f"The recording's qpos is {track.shape}; that of {scene.character.name} is "
+            f"(T, {scene.model.nq})."
         )
-    found: dict[str, list[np.ndarray]] = {k: [] for k in ("xpos", "xquat", "cvel", "subtree_com")}
-    for qpos in track:
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        for name, values in found.items():
-            values.append(getattr(data, name).copy())
-    arrays = {name: torch.from_numpy(np.stack(values)) for name, values in found.items()}
-    qpos = torch.from_numpy(np.asarray(track, dtype=np.float64))
-    return kinematics(scene.layout, qpos=qpos, **arrays)
+    return scene.poses.state(torch.from_numpy(np.asarray(track, dtype=np.float64)))
 
 
-def _com(fields: Fields, size: np.ndarray) -> list[Gauge | Region]:
+def _com(
+    scene: CharacterScene, fields: Fields, size: np.ndarray, options: Any
+) -> list[Gauge | Region]:
     reference, own = fields["reference_com_position"], fields["com_position"]
     distance = (own - reference).abs().amax(dim=1)
     name = "centre of mass"
@@ -109,22 +100,28 @@ def _com(fields: Fields, size: np.ndarray) -> list[Gauge | Region]:
     ]
 
 
-def _root(fields: Fields, size: np.ndarray) -> list[Gauge | Region]:
+def _root(
+    scene: CharacterScene, fields: Fields, size: np.ndarray, options: Any
+) -> list[Gauge | Region]:
     angle = angle_between(fields["root_rotation"], fields["reference_root_rotation"])
     return [Gauge("root", angle.numpy(), size, "rad")]
 
 
-def _joints(fields: Fields, size: np.ndarray, joints: tuple[str, ...]) -> list[Gauge | Region]:
-    names = HumanoidScene(HumanoidScene.Options()).layout.joint_names
-    for name in joints:
+def _joints(
+    scene: CharacterScene, fields: Fields, size: np.ndarray, options: Any
+) -> list[Gauge | Region]:
+    names = scene.layout.joint_names
+    for name in options.joints:
         if name not in names:
             raise ConfigError(f"spacetime.joint_bound: no joint '{name}'.{suggestion(name, names)}")
-    chosen = [names.index(name) for name in joints or names]
+    chosen = [names.index(name) for name in options.joints or names]
     angles = angle_between(fields["joint_rotations"], fields["reference_joint_rotations"])
     return [Gauge("joints", angles[:, chosen].amax(dim=1).numpy(), size, "rad")]
 
 
-def _end_effectors(fields: Fields, size: np.ndarray) -> list[Gauge | Region]:
+def _end_effectors(
+    scene: CharacterScene, fields: Fields, size: np.ndarray, options: Any
+) -> list[Gauge | Region]:
     reference = fields["reference_end_effector_positions"]
     own = fields["aligned_end_effector_positions"]
     distance = (own - reference).norm(dim=2).amax(dim=1)
@@ -140,8 +137,8 @@ def _end_effectors(fields: Fields, size: np.ndarray) -> list[Gauge | Region]:
 
 
 _DRAWN: Mapping[str, tuple[Any, Callable[..., list[Gauge | Region]]]] = {
-    "spacetime.com_bound": (bounds.com_bound, _com),
-    "spacetime.root_bound": (bounds.root_bound, _root),
+    "spacetime.com_bound": (bounds.ComBound, _com),
+    "spacetime.root_bound": (bounds.RootBound, _root),
     "spacetime.joint_bound": (bounds.JointBound, _joints),
-    "spacetime.end_effector_bound": (bounds.end_effector_bound, _end_effectors),
+    "spacetime.end_effector_bound": (bounds.EndEffectorBound, _end_effectors),
 }

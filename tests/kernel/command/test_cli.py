@@ -57,7 +57,7 @@ def test_combinations_that_make_no_sense_say_what_is_missing(
     assert "needs the observation 'feedforward', which no encoder of this task provides" in line
     line = complaint(capsys, "train", *QUICK, run, "~fields.reference")
     assert "needs the state field" in line
-    assert "It would come from fields 'humanoid.reference'" in line
+    assert "It would come from fields 'characters.reference'" in line
     line = complaint(capsys, "train", *QUICK, run, "~reward.terms.survival")
     assert "reward.terms is empty" in line
     assert not (tmp_path / "run").exists()

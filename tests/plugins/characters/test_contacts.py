@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from understudy_characters.character import Character
 from understudy_characters.contacts import FAST, HIGH, SLOW, feet, foot_contacts, latched
 from understudy_humanoid.character import build_spec
-from understudy_humanoid.generated.walk import TOE_OFF, generated_walk
+from understudy_humanoid.clips.walk import TOE_OFF, generated_walk
 from understudy_motion.clip import Clip
 
 DOG = """

@@ -9,7 +9,7 @@ import pytest
 from understudy_characters.character import Character
 from understudy_characters.shapes import bones, shapes
 from understudy_humanoid.character import build_humanoid
-from understudy_humanoid.generated import generated_walk
+from understudy_humanoid.clips import generated_walk
 
 
 def test_bones_reach_from_joint_to_joint() -> None:

@@ -7,7 +7,7 @@ from damage import walking
 
 from understudy_characters.character import Character
 from understudy_humanoid.character import build_spec
-from understudy_humanoid.generated import generated_walk
+from understudy_humanoid.clips import generated_walk
 from understudy_motion.clip import Clip
 
 

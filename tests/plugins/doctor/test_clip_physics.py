@@ -16,7 +16,7 @@ from understudy_doctor.dynamics import effort
 from understudy_doctor.examination import examine
 from understudy_doctor.measurements import Measurements
 from understudy_humanoid.character import build_spec
-from understudy_humanoid.generated import generated_hop, generated_run
+from understudy_humanoid.clips import generated_hop, generated_run
 from understudy_motion.clip import Clip
 
 GRAVITY = 9.81

@@ -16,7 +16,7 @@ from understudy_doctor.clip_checks import find_spikes
 from understudy_doctor.examination import examine
 from understudy_doctor.findings import Severity
 from understudy_doctor.repair import repair
-from understudy_humanoid import generated
+from understudy_humanoid import clips as generated
 from understudy_motion.clip import Clip, resample
 from understudy_motion.editing import remove_frames, shift
 

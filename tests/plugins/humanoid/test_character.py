@@ -8,7 +8,6 @@ import pytest
 
 from understudy_humanoid.character import (
     BODIES,
-    REFERENCE_COLOUR,
     STANDING_HEIGHT,
     add_character,
     add_trunk,
@@ -139,7 +138,7 @@ def test_knee_flexion_takes_the_heel_back_and_elbow_flexion_the_hand_forward(
 
 def test_a_second_character_for_show_changes_no_physics(model: mujoco.MjModel) -> None:
     spec = build_spec()
-    add_character(spec, prefix="reference_", colour=REFERENCE_COLOUR, collides=False)
+    add_character(spec, prefix="reference_", collides=False)
     both = spec.compile()
     assert both.nu == model.nu
     assert both.nq == 2 * model.nq

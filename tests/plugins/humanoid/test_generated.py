@@ -17,7 +17,7 @@ from understudy import rotations
 from understudy.errors import ConfigError
 from understudy.options import checked_options
 from understudy.setup.plugins import Plugins
-from understudy_humanoid import generated
+from understudy_humanoid import clips as generated
 from understudy_motion.clip import Clip, cycle_transform, velocities
 from understudy_motion.library import load
 

@@ -11,8 +11,8 @@ import pytest
 from generated_motions import MODEL, Played
 
 from understudy import rotations
-from understudy_humanoid.generated import generated_backflip, generated_cartwheel
-from understudy_humanoid.generated.backflip import OFF, ON
+from understudy_humanoid.clips import generated_backflip, generated_cartwheel
+from understudy_humanoid.clips.backflip import OFF, ON
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.mirror import mirrored
 

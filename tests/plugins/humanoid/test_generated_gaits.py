@@ -12,7 +12,7 @@ from generated_motions import Played, resting
 
 from understudy import rotations
 from understudy.errors import ConfigError
-from understudy_humanoid.generated import generated_hop, generated_run
+from understudy_humanoid.clips import generated_hop, generated_run
 from understudy_motion.clip import cycle_transform, sample
 from understudy_motion.mirror import mirrored
 

@@ -13,7 +13,7 @@ from generated_motions import MODEL, Played
 from understudy import rotations
 from understudy.errors import ConfigError
 from understudy_humanoid.character import BODIES
-from understudy_humanoid.generated import (
+from understudy_humanoid.clips import (
     generated_backflip,
     generated_cartwheel,
     generated_sit,
@@ -21,7 +21,7 @@ from understudy_humanoid.generated import (
     generated_turn_left,
     generated_turn_right,
 )
-from understudy_humanoid.generated.sit import OVERLAP
+from understudy_humanoid.clips.sit import OVERLAP
 from understudy_motion.clip import Clip, cycle_transform
 
 SEATS = [0.35, 0.4, 0.45, 0.5, 0.55]

@@ -11,8 +11,8 @@ from generated_motions import Played, resting
 
 from understudy import rotations
 from understudy.errors import ConfigError
-from understudy_humanoid.generated import generated_walk
-from understudy_humanoid.generated.walk import TOE_OFF
+from understudy_humanoid.clips import generated_walk
+from understudy_humanoid.clips.walk import TOE_OFF
 from understudy_motion.clip import Clip, cycle_transform, sample
 from understudy_motion.mirror import mirrored
 

@@ -9,7 +9,7 @@ import torch
 
 from understudy.setup.plugins import Plugins
 from understudy.task import Context, Rollout
-from understudy_humanoid.scene import HumanoidScene
+from understudy_characters.scene import CharacterScene
 from understudy_motion.section import Motion, MotionOptions
 
 MakeContext = Callable[[], Context]
@@ -18,7 +18,7 @@ MakeContext = Callable[[], Context]
 @pytest.fixture(scope="session")
 def make_context(plugins: Plugins) -> MakeContext:
     """Makes the context of a walking task of 28 actions, 16 worlds; scene and clip are shared."""
-    scene = HumanoidScene(HumanoidScene.Options())
+    scene = CharacterScene(CharacterScene.Options("humanoid"))
     motion = Motion(MotionOptions(), plugins.registry)
 
     def make() -> Context:

@@ -7,8 +7,18 @@ import math
 import torch
 
 from understudy.rotations import from_axis_angle, from_heading, heading, inverse_rotate, multiply
+from understudy.task import Context
+from understudy_characters.scene import CharacterScene
 from understudy_spacetime.alignment import Alignment
 
+CONTEXT = Context(
+    0,
+    torch.device("cpu"),
+    1,
+    control_dt=1 / 30,
+    substeps=20,
+    scene=CharacterScene(CharacterScene.Options("humanoid")),
+)
 HANDS = torch.tensor([[0.1, 0.4, 0.5], [0.1, -0.4, 0.5], [0.0, 0.1, -0.8], [0.0, -0.1, -0.8]])
 
 
@@ -22,7 +32,7 @@ def compute(root: torch.Tensor, reference: torch.Tensor) -> dict[str, torch.Tens
             [_rotate(from_heading(-heading(r)), v) for r, v in zip(q, turned, strict=True)]
         )
 
-    given = Alignment(None, None).compute(  # pyright: ignore[reportArgumentType]
+    given = Alignment(None, CONTEXT).compute(
         root, heading(root), reference, heading(reference), local(root)
     )
     return {**given, "reference": local(reference)}

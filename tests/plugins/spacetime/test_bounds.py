@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -10,13 +12,15 @@ from understudy import rotations
 from understudy.errors import ConfigError
 from understudy.task import Context
 from understudy_spacetime.bounds import (
+    BoundSize,
+    ComBound,
+    EndEffectorBound,
     JointBound,
-    com_bound,
-    end_effector_bound,
-    root_bound,
-    size_at,
+    RootBound,
+    Size,
 )
 
+CPU = torch.device("cpu")
 PHASE = torch.tensor([0.0, 0.5])
 
 
@@ -26,19 +30,22 @@ def turned(angle: Tensor, axis: tuple[float, float, float] = (0.6, 0.0, 0.8)) ->
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_centre_of_mass_is_bounded_by_20_cm_along_each_axis(axis: int, sign: float) -> None:
+def test_centre_of_mass_is_bounded_by_20_cm_along_each_axis(
+    context: Context, axis: int, sign: float
+) -> None:
     reference = torch.tensor([[5.0, -3.0, 0.9]]).repeat(2, 1)
     com = reference.clone()
     com[:, axis] += sign * torch.tensor([0.199, 0.201])
-    assert com_bound(com, reference, PHASE).tolist() == [False, True]
+    assert ComBound(ComBound.Options(), context)(com, reference, PHASE).tolist() == [False, True]
 
 
-def test_centre_of_mass_bound_is_a_box_and_no_ball() -> None:
+def test_centre_of_mass_bound_is_a_box_and_no_ball(context: Context) -> None:
     com = torch.full((2, 3), 0.19)  # 0.33 m away
-    assert not com_bound(com, torch.zeros(2, 3), PHASE).any()
+    assert not ComBound(ComBound.Options(), context)(com, torch.zeros(2, 3), PHASE).any()
 
 
-def test_root_is_bounded_by_0_7_rad() -> None:
+def test_root_is_bounded_by_0_7_rad(context: Context) -> None:
+    root_bound = RootBound(RootBound.Options(), context)
     reference = turned(torch.tensor([2.0, -1.0]), (0.0, 0.0, 1.0))
     root = rotations.multiply(reference, turned(torch.tensor([0.69, 0.71])))
     assert root_bound(root, reference, PHASE).tolist() == [False, True]
@@ -70,32 +77,50 @@ def test_an_unknown_joint_is_named(context: Context) -> None:
         JointBound(JointBound.Options(joints=("left_nee",)), context)
 
 
-def test_every_end_effector_is_bounded_by_half_a_metre() -> None:
+def test_every_end_effector_is_bounded_by_half_a_metre(context: Context) -> None:
+    bound = EndEffectorBound(EndEffectorBound.Options(), context)
     reference = torch.randn(2, 4, 3, generator=torch.Generator().manual_seed(0))
     for effector in range(4):
         moved = reference.clone()
         direction = torch.tensor([2.0, -1.0, 2.0]) / 3.0
         moved[:, effector] += torch.tensor([[0.499], [0.501]]) * direction
-        assert end_effector_bound(moved, reference, PHASE).tolist() == [False, True]
+        assert bound(moved, reference, PHASE).tolist() == [False, True]
 
 
-def test_a_size_follows_its_knots_over_the_phase() -> None:
+def size_at(size: Size, phase: Tensor) -> Tensor:
+    return BoundSize(size, "here", CPU).at(phase)
+
+
+def test_a_size_follows_its_knots_over_the_phase(context: Context) -> None:
     knots = [[0.75, 0.2], [0.25, 0.6]]  # in any order
     phase = torch.tensor([0.0, 0.25, 0.5, 0.625, 0.75, 0.999])
-    sizes = size_at(knots, phase)
-    torch.testing.assert_close(sizes, torch.tensor([0.6, 0.6, 0.4, 0.3, 0.2, 0.2]))
+    torch.testing.assert_close(size_at(knots, phase), torch.tensor([0.6, 0.6, 0.4, 0.3, 0.2, 0.2]))
     com = torch.tensor([[0.0, 0.35, 0.0]]).repeat(6, 1)
-    left = com_bound(com, torch.zeros(6, 3), phase, size=knots)
+    left = ComBound(ComBound.Options(knots), context)(com, torch.zeros(6, 3), phase)
     assert left.tolist() == [False, False, False, True, True, True]
 
 
 def test_one_knot_and_a_step_are_sizes_too() -> None:
-    assert torch.equal(torch.as_tensor(size_at([[0.3, 0.4]], PHASE)), torch.full((2,), 0.4))
+    torch.testing.assert_close(size_at([[0.3, 0.4]], PHASE), torch.tensor(0.4))
     step = size_at([[0.5, 0.1], [0.5, 0.9]], torch.tensor([0.49, 0.51]))
     torch.testing.assert_close(step, torch.tensor([0.1, 0.9]))
 
 
-@pytest.mark.parametrize("size", [[], [[]], [[0.1]], [[0.1, 0.2], [0.3]], [[0.1, 0.2, 0.3]]])
-def test_knots_that_are_not_pairs_are_refused(size: list[list[float]]) -> None:
-    with pytest.raises(ConfigError, match="phase, size"):
-        size_at(size, PHASE)
+@pytest.mark.parametrize(
+    "size",
+    [[], [[]], [[0.1]], [[0.1, 0.2], [0.3]], [[0.1, 0.2, 0.3]], -0.1, [[0.1, -1.0]], [[1.5, 0.2]]],
+)
+@pytest.mark.parametrize(
+    ("bound", "name"),
+    [
+        (ComBound, "com_bound"),
+        (RootBound, "root_bound"),
+        (JointBound, "joint_bound"),
+        (EndEffectorBound, "end_effector_bound"),
+    ],
+)
+def test_impossible_sizes_are_refused_when_the_task_is_built(
+    context: Context, bound: Any, name: str, size: Size
+) -> None:
+    with pytest.raises(ConfigError, match=rf"spacetime\.{name}: size="):
+        bound(bound.Options(size=size), context)

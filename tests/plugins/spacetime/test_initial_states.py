@@ -12,7 +12,7 @@ from torch import Tensor
 
 from understudy.random import WorldStreams
 from understudy.task import Context, Rollout
-from understudy_humanoid.scene import reference_motion
+from understudy_characters.scene import reference_motion
 from understudy_spacetime.initial_states import (
     Evolution,
     Importance,

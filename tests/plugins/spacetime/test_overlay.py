@@ -150,12 +150,13 @@ def test_a_size_over_phase_needs_the_phase(
 
 
 def marks_of(terms: dict[str, Any], **tracks: np.ndarray) -> list[Gauge | Region]:
-    return list(BoundsOverlay().marks({"termination": {"terms": terms}}, tracks))
+    scene = {"name": "character", "character": "humanoid"}
+    return list(BoundsOverlay().marks({"scene": scene, "termination": {"terms": terms}}, tracks))
 
 
 def test_draws_nothing_of_other_runs() -> None:
     qpos = np.zeros((3, 43))
-    terms = {"fall": {"name": "humanoid.fall"}, "com": None}
+    terms = {"fall": {"name": "characters.fall"}, "com": None}
     assert marks_of(terms, qpos=qpos, reference_qpos=qpos) == []
     assert marks_of({"com": {"name": "spacetime.com_bound"}}, qpos=qpos) == []
 

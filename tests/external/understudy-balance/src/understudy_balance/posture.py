@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder
-from understudy_humanoid.scene import HumanoidScene
+from understudy_characters.scene import CharacterScene
 
 
 class Posture(Encoder):
@@ -13,7 +13,7 @@ class Posture(Encoder):
     reads = ("joint_rotations", "root_rotation", "qvel")
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(HumanoidScene, "encoder 'balance.posture'")
+        scene = context.need_scene(CharacterScene, "encoder 'balance.posture'")
         self.shape = (4 * len(scene.layout.joint_names) + 4 + scene.model.nv,)
 
     def encode(self, joint_rotations: Tensor, root_rotation: Tensor, qvel: Tensor) -> Tensor:

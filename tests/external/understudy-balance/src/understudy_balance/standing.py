@@ -8,7 +8,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates
-from understudy_humanoid.scene import HumanoidScene
+from understudy_characters.scene import CharacterScene
 
 
 class Standing(InitialStates):
@@ -22,7 +22,7 @@ class Standing(InitialStates):
             check_range(self, "noise", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        model = context.need_scene(HumanoidScene, "initial_states 'balance.standing'").model
+        model = context.need_scene(CharacterScene, "initial_states 'balance.standing'").model
         pose = torch.tensor(model.qpos0, dtype=torch.float32, device=context.device)
         self._qpos = pose.repeat(context.num_worlds, 1)
         self._nv, self._noise = model.nv, options.noise

@@ -1,0 +1,184 @@
+"""A character's parts of a task: derived fields, actuation, falling, the end of its motion.
+
+Shapes of fields depend on the character. What a class says that it provides are names; the shapes are
+those of the instance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from understudy import rotations
+from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
+from understudy.task import Actuation, Context, Fields, Shape, box
+from understudy_characters.layout import Layout
+from understudy_characters.scene import CharacterScene, reference_motion
+from understudy_characters.state import character_state
+from understudy_characters.surface import Surface, lowest_points, surface_of
+
+
+class Kinematics(Fields):
+    """Where the links are and how they move; frames and units in
+    :func:`~understudy_characters.state.character_state`."""
+
+    reads = ("qpos", "xpos", "xquat", "xipos", "cvel", "subtree_com")
+    provides: Mapping[str, Shape] = {
+        "com_position": (3,),
+        "root_position": (3,),
+        "root_rotation": (4,),
+        "root_heading": (),
+        "joint_rotations": (0, 4),
+        "link_positions": (0, 3),
+        "link_rotations": (0, 6),
+        "link_linear_velocities": (0, 3),
+        "link_angular_velocities": (0, 3),
+        "end_effector_positions": (0, 3),
+    }
+
+    def __init__(self, options: None, context: Context) -> None:
+        layout = context.need_scene(CharacterScene, "fields 'characters.kinematics'").layout
+        self._layout = layout.to(context.device)
+        self.provides = _sized(self.provides, layout)
+
+    def compute(self, **fields: Tensor) -> Mapping[str, Tensor]:
+        return character_state(self._layout, **fields)
+
+
+class Reference(Fields):
+    """The reference motion at each world's time ``motion_start + episode_time``.
+
+    ``reference_link_clearances`` (N, L) m: how high the lowest point of each link is.
+    ``motion_ended`` (N,) bool: nothing is left of a motion that does not loop.
+    """
+
+    reads = ("motion_start", "episode_time")
+    provides: Mapping[str, Shape] = {
+        "phase": (),
+        "motion_time": (),
+        "motion_ended": (),
+        "reference_qpos": (0,),
+        "reference_com_position": (3,),
+        "reference_root_position": (3,),
+        "reference_root_rotation": (4,),
+        "reference_root_heading": (),
+        "reference_joint_rotations": (0, 4),
+        "reference_end_effector_positions": (0, 3),
+        "reference_link_clearances": (0,),
+        "reference_joint_targets": (0,),
+    }
+
+    def __init__(self, options: None, context: Context) -> None:
+        scene = context.need_scene(CharacterScene, "fields 'characters.reference'")
+        self._reference = reference_motion(context)
+        self.provides = {
+            **_sized(self.provides, scene.layout),
+            "reference_qpos": (scene.model.nq,),
+            "reference_link_clearances": (len(scene.layout.link_names),),
+            "reference_joint_targets": (scene.layout.num_actuators,),
+        }
+
+    def compute(self, motion_start: Tensor, episode_time: Tensor) -> Mapping[str, Tensor]:
+        time = motion_start + episode_time
+        return {"motion_time": time, **self._reference.sample(time)}
+
+
+def _sized(names: Mapping[str, Shape], layout: Layout) -> dict[str, Shape]:
+    """The shapes of the fields of joints, links and end-effectors, for this character."""
+    counts = {
+        "joint_rotations": len(layout.joint_names),
+        "link_": len(layout.link_names),
+        "end_effector_positions": len(layout.end_effectors),
+    }
+    sized = dict(names)
+    for name, shape in names.items():
+        for part, count in counts.items():
+            if name.removeprefix("reference_").startswith(part):
+                sized[name] = (count, *shape[1:])
+    return sized
+
+
+class JointTargets(Actuation):
+    """The action is the target of every servo: angles of hinges, exponential maps of balls, in rad."""
+
+    def __init__(self, options: None, context: Context) -> None:
+        scene = context.need_scene(CharacterScene, "actuation 'characters.joint_targets'")
+        self.action_space = box(scene.layout.num_actuators)
+
+    def control(self, action: Tensor) -> Tensor:
+        return action
+
+
+class _UprightLinks:
+    """The links that should stay off the floor, and how high they are."""
+
+    def __init__(self, bodies: Sequence[str], context: Context, who: str) -> None:
+        scene = context.need_scene(CharacterScene, who)
+        layout = scene.layout
+        for name in bodies:
+            if name not in layout.link_names:
+                raise ConfigError(f"{who}: no body '{name}'.{suggestion(name, layout.link_names)}")
+        self._links = layout.link_bodies.to(context.device)
+        surface = surface_of(scene.character, bodies or layout.upright, layout)
+        self._surface: Surface = surface.to(context.device)
+        self.rows = self._surface.links  #: (B,) rows among the links
+
+    def clearances(self, xpos: Tensor, xquat: Tensor) -> Tensor:
+        """(N, B) m."""
+        up = rotations.to_matrix(xquat[:, self._links])[..., 2, :]
+        return lowest_points(self._surface, xpos[:, self._links, 2], up)
+
+
+class FloorContact:
+    """A body that should stay up touches the floor: its lowest point is at `clearance` m or below."""
+
+    @dataclass(frozen=True)
+    class Options:
+        bodies: tuple[str, ...] = ()  #: empty takes root, trunk and head
+        clearance: float = 0.0
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._upright = _UprightLinks(options.bodies, context, "characters.floor_contact")
+        self._clearance = options.clearance
+
+    def __call__(self, xpos: Tensor, xquat: Tensor) -> Tensor:
+        return (self._upright.clearances(xpos, xquat) <= self._clearance).any(dim=1)
+
+
+class Fall:
+    """A body that should stay up touches the floor, and not because the motion has it there.
+
+    "No undesired contacts" (thesis, eq. 3.3), where the clip says which ones are desired: in a roll
+    the back and the head come down to the floor, in a cartwheel the head comes near it, and that is no
+    fall. So a body's contact counts only while the reference has the same body higher than `margin` m.
+    The margin is the size of the bound on the centre of mass (section 3.5.1): a character that is
+    within its bounds may be so much lower than the reference, or as much as this corresponds to early
+    or late.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        bodies: tuple[str, ...] = ()  #: empty takes root, trunk and head
+        clearance: float = 0.0  #: m; touching is being as low as this
+        margin: float = 0.2  #: m
+
+        def __post_init__(self) -> None:
+            check_range(self, "margin", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._upright = _UprightLinks(options.bodies, context, "characters.fall")
+        self._clearance, self._margin = options.clearance, options.margin
+
+    def __call__(self, xpos: Tensor, xquat: Tensor, reference_link_clearances: Tensor) -> Tensor:
+        touches = self._upright.clearances(xpos, xquat) <= self._clearance
+        meant = reference_link_clearances[:, self._upright.rows] <= self._margin
+        return (touches & ~meant).any(dim=1)
+
+
+def motion_end(motion_ended: Tensor) -> Tensor:
+    """The motion is over (thesis, section 3.4.2); to be used with ``outcome: truncation``. Never, if it
+    loops."""
+    return motion_ended

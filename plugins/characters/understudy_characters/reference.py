@@ -1,0 +1,209 @@
+"""A clip as a character's reference motion: tables of everything a task compares with."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy import rotations
+from understudy_characters.character import Character
+from understudy_characters.layout import Layout
+from understudy_characters.servos import lags
+from understudy_characters.state import Poses
+from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
+
+#: Table rows per control step. Between rows everything is interpolated linearly.
+OVERSAMPLING = 4
+#: Half the time difference of the finite-difference velocities, in s.
+_EPSILON = 1.0 / 120.0
+#: s: a motion has ended when so little of it is left.
+_LAST = 1e-4
+
+
+def difference_qvel(layout: Layout, nv: int, before: Tensor, after: Tensor, dt: float) -> Tensor:
+    """The constant ``qvel`` (F, nv) that takes the figure's ``qpos`` from `before` to `after` (F, nq)
+    in `dt` s, as ``mj_differentiatePos`` does; zero of anything else."""
+    result = before.new_zeros(len(before), nv)
+    at, dof = layout.root_address, layout.root_dof
+    result[:, dof : dof + 3] = after[:, at : at + 3] - before[:, at : at + 3]
+    # Quaternions' velocities are in their own frames. The root's row comes before those of the balls.
+    quaternions = torch.cat([torch.arange(at + 3, at + 7)[None], layout.ball_qpos])
+    dofs = torch.cat([torch.arange(dof + 3, dof + 6)[None], layout.ball_dofs])
+    first, second = (
+        pose[:, quaternions.flatten()].unflatten(1, (-1, 4)) for pose in (before, after)
+    )
+    turned = rotations.multiply(rotations.conjugate(first), second)
+    result[:, dofs.flatten()] = rotations.to_exponential_map(turned).flatten(1)
+    hinges = layout.hinge_used.bool()
+    addresses, columns = layout.hinge_qpos[hinges], layout.hinge_dofs[hinges]
+    result[:, columns] = after[:, addresses] - before[:, addresses]
+    return result / dt
+
+
+class ReferenceMotion:
+    """The character's reference at any time, from one table, on one device.
+
+    The root is lowered or raised by a constant so that the character's lowest point over the clip
+    is on the floor (`ground`). Time runs on forever in a looping clip, whose root displacement and turn
+    accumulate cycle by cycle; another clip ends, and what is asked for later is its last pose.
+    Joint targets look ahead by as much as the character's servos lag, so that they put the joints on the
+    reference.
+    """
+
+    def __init__(
+        self,
+        clip: Clip,
+        character: Character,
+        layout: Layout,
+        *,
+        control_dt: float,
+        device: torch.device | None = None,
+        ground: bool = True,
+    ) -> None:
+        device = device or torch.device("cpu")
+        self.clip, self.duration, self.loop = clip, clip.duration, clip.loop
+        self.control_dt, self._root = control_dt, layout.root_address
+        self._root_dof = layout.root_dof
+        rows = max(2, math.ceil(clip.duration / control_dt * OVERSAMPLING) + 1)
+        times = torch.linspace(0.0, clip.duration, rows, dtype=torch.float64)
+        fields = self._tabulate(character, layout, times, ground)
+        self._shapes = {name: tuple(value.shape[1:]) for name, value in fields.items()}
+        self._table = torch.cat([v.flatten(1) for v in fields.values()], dim=1).float().to(device)
+        self._rows, self._rate = rows, (rows - 1) / clip.duration
+        self._balls = layout.ball_rows.to(device), layout.ball_qpos.flatten().to(device)
+        still = CycleTransform(torch.zeros(2, dtype=torch.float64), 0.0)
+        self._cycle = cycle_transform(clip) if clip.loop else still
+
+    def _tabulate(
+        self, character: Character, layout: Layout, times: Tensor, ground: bool
+    ) -> dict[str, Tensor]:
+        model, at = character.model, layout.root_address
+
+        def qpos_at(when: Tensor) -> Tensor:
+            return character.qpos(self.clip, when)
+
+        qpos = qpos_at(times)
+        for start in (at + 3, *layout.ball_qpos[:, 0].tolist()):
+            qpos[:, start : start + 4] = align_signs(qpos[:, start : start + 4])
+        edge = 0.0 if self.loop else _EPSILON
+        centre = times.clamp(edge, self.duration - edge)
+        before, after = qpos_at(centre - _EPSILON), qpos_at(centre + _EPSILON)
+        qvel = difference_qvel(layout, model.nv, before, after, 2 * _EPSILON)
+        poses = Poses(character, layout)
+        self.height_offset = 0.0
+        if ground:
+            self.height_offset = -float(poses.state(qpos)["link_clearances"].min())
+            qpos[:, at + 2] += self.height_offset
+        state = poses.state(qpos)
+        targets = torch.zeros(len(times), model.nu, dtype=torch.float64)
+        ahead = np.round(lags(model), 3)
+        for lag in np.unique(ahead):
+            columns = np.flatnonzero(ahead == lag)
+            targets[:, columns] = _lengths(model, layout, qpos_at(times + lag))[:, columns]
+        return {
+            "reference_qpos": qpos,
+            "reference_qvel": qvel,
+            "reference_com_position": state["com_position"],
+            "reference_joint_rotations": state["joint_rotations"],
+            "reference_end_effector_positions": state["end_effector_positions"],
+            "reference_link_clearances": state["link_clearances"],
+            "reference_joint_targets": targets,
+        }
+
+    def sample(self, time: Tensor) -> dict[str, Tensor]:
+        """Reference fields at `time` (N,) s, float32: world-frame fields are where the motion has
+        got to by then, ``phase`` is in [0, 1), ``motion_ended`` (bool) where nothing is left of it."""
+        if self.loop:
+            cycles = torch.floor(time / self.duration)
+            local = time - cycles * self.duration
+            ended = torch.zeros_like(time, dtype=torch.bool)
+        else:
+            cycles, local = torch.zeros_like(time), time.clamp(0.0, self.duration)
+            ended = time >= self.duration - _LAST
+        place = local * self._rate
+        row = place.long().clamp(0, self._rows - 2)
+        rows = torch.lerp(self._table[row], self._table[row + 1], (place - row).unsqueeze(1))
+        fields = {
+            name: part.view(-1, *shape)
+            for (name, shape), part in zip(
+                self._shapes.items(),
+                rows.split([math.prod(s) for s in self._shapes.values()], dim=1),
+                strict=True,
+            )
+        }
+        joints = rotations.normalize(fields["reference_joint_rotations"])
+        fields["reference_joint_rotations"] = joints
+        qpos, qvel = fields["reference_qpos"], fields["reference_qvel"]
+        rows_of_balls, addresses = self._balls
+        qpos[:, addresses] = joints[:, rows_of_balls].flatten(1)  # normalised with the joints
+        moved = self._carry(qpos, qvel, fields["reference_com_position"], cycles)
+        at = self._root
+        root = moved["reference_qpos"][:, at : at + 7]
+        return {
+            **fields,
+            **moved,
+            "reference_root_position": root[:, :3],
+            "reference_root_rotation": root[:, 3:],
+            "reference_root_heading": rotations.heading(root[:, 3:]),
+            "phase": (local / self.duration).clamp(0.0, 1.0 - 1e-6),
+            "motion_ended": ended,
+        }
+
+    def _carry(self, qpos: Tensor, qvel: Tensor, com: Tensor, cycles: Tensor) -> dict[str, Tensor]:
+        """Move root, its velocity, and the centre of mass by `cycles` (N,) cycles."""
+        at, dof = self._root, self._root_dof
+        displacement, angle = self._cycle.power(cycles)
+        turn = rotations.from_heading(angle)
+        shift = torch.nn.functional.pad(displacement, (0, 1))
+        vectors = torch.stack([qpos[:, at : at + 3], com, qvel[:, dof : dof + 3]], dim=1)
+        position, com, linear = rotations.rotate(turn.unsqueeze(1), vectors).unbind(1)
+        rotation = rotations.normalize(rotations.multiply(turn, qpos[:, at + 3 : at + 7]))
+        return {
+            "reference_qpos": _replaced(qpos, at, position + shift, rotation),
+            "reference_qvel": _replaced(qvel, dof, linear),
+            "reference_com_position": com + shift,
+        }
+
+    def to_first_cycle(
+        self, qpos: Tensor, qvel: Tensor, time: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """The states (N, nq), (N, nv) at `time` (N,), moved back into the first cycle."""
+        at, dof = self._root, self._root_dof
+        cycles = torch.floor(time / self.duration) if self.loop else torch.zeros_like(time)
+        displacement, angle = self._cycle.power(cycles)
+        back = rotations.from_heading(-angle)
+        shift = torch.nn.functional.pad(displacement, (0, 1))
+        position = rotations.rotate(back, qpos[:, at : at + 3] - shift)
+        rotation = rotations.multiply(back, qpos[:, at + 3 : at + 7])
+        linear = rotations.rotate(back, qvel[:, dof : dof + 3])
+        return (
+            _replaced(qpos, at, position, rotation),
+            _replaced(qvel, dof, linear),
+            time - cycles * self.duration,
+        )
+
+
+def _replaced(whole: Tensor, start: int, *parts: Tensor) -> Tensor:
+    """`whole` (N, D) with `parts` (N, …) in the place of its columns from `start`."""
+    end = start + sum(part.shape[1] for part in parts)
+    return torch.cat([whole[:, :start], *parts, whole[:, end:]], dim=1)
+
+
+def _lengths(model: mujoco.MjModel, layout: Layout, qpos: Tensor) -> Tensor:
+    """(F, U): the actuators' lengths at `qpos`: angles of hinges, exponential maps of balls.
+
+    They follow the pose continuously but where a ball joint passes a half turn, as MuJoCo's do.
+    """
+    balls = qpos[:, layout.ball_qpos.flatten()].unflatten(1, (-1, 4))
+    maps = rotations.to_exponential_map(balls).flatten(1)
+    rows = {address: row for row, address in enumerate(layout.ball_qpos[:, 0].tolist())}
+    columns = []
+    for actuator in range(model.nu):
+        address = int(model.jnt_qposadr[model.actuator_trnid[actuator, 0]])
+        axis = int(model.actuator_gear[actuator, :3].argmax())
+        columns.append(qpos.shape[1] + 3 * rows[address] + axis if address in rows else address)
+    return torch.cat([qpos, maps], dim=1)[:, columns]

@@ -1,0 +1,224 @@
+"""Position servos on all joints of a character: its own, or such that are made for it.
+
+A servo's velocity gain is ``kd + kp * timestep``: with implicit integration of the velocity term that is
+stable PD (Tan et al. 2011), which compares the target with the position one step ahead, ``q + timestep *
+qdot``. Its torque is limited.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from understudy.options import check_range
+from understudy_characters.character import Character
+
+_HINGE, _BALL = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL)
+
+
+#: Of the weight times the length of a figure: torque of a joint that carries all of it. With the cube
+#: root of smaller shares this gives every limit of the DeepMimic character to within a factor of 2.4.
+STRENGTH = 0.45
+
+
+@dataclass(frozen=True)
+class ServoOptions:
+    """How the servos are made that a model has not got.
+
+    With the defaults kd is 0.1 s times kp, the ratio of the released DeepMimic character, whose gains
+    :func:`gains` finds from its torque limits to within a factor of two.
+    """
+
+    keep: bool = True  #: whether a model whose joints are all driven by position servos keeps these
+    natural_frequency: float = 20.0  #: rad/s
+    damping_ratio: float = 1.0
+    #: rad off its target at which a servo gives its whole torque: at least and at most.
+    deflection: tuple[float, float] = (0.1, 0.3)
+
+    def __post_init__(self) -> None:
+        check_range(self, "natural_frequency", "damping_ratio", above=0)
+        if not 0.0 < self.deflection[0] <= self.deflection[1]:
+            raise ValueError(
+                f"deflection={self.deflection} is not possible: give 0 < LEAST <= MOST."
+            )
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One degree of freedom that is driven: a hinge, or one axis of a ball."""
+
+    joint: int  #: id
+    axis: int  #: 0, or which of a ball's three
+    dof: int
+
+
+def drives(character: Character) -> list[Drive]:
+    """The figure's degrees of freedom but the root's, in the model's order."""
+    model = character.model
+    ids = [
+        model.body_jntadr[joint.body] + k
+        for joint in character.joints[1:]
+        for k in range(model.body_jntnum[joint.body])
+    ]
+    return [
+        Drive(int(j), k, int(model.jnt_dofadr[j]) + k)
+        for j in ids
+        for k in range(3 if model.jnt_type[j] == _BALL else 1)
+    ]
+
+
+def _driven(model: mujoco.MjModel, actuator: int) -> tuple[int, int] | None:
+    """Joint and axis that the actuator drives directly, if it is a joint's."""
+    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT:
+        return None
+    joint, gear = int(model.actuator_trnid[actuator, 0]), model.actuator_gear[actuator, :3]
+    if model.jnt_type[joint] == _HINGE:
+        return joint, 0
+    if model.jnt_type[joint] == _BALL and np.count_nonzero(gear) == 1:
+        return joint, int(np.flatnonzero(gear)[0])
+    return None
+
+
+def has_servos(character: Character) -> bool:
+    """Whether the model's actuators are position servos, one for each degree of freedom but the root's."""
+    model = character.model
+    wanted = sorted((drive.joint, drive.axis) for drive in drives(character))
+    found = [_driven(model, actuator) for actuator in range(model.nu)]
+    return sorted(place for place in found if place) == wanted and all(
+        place and _is_servo(model, actuator) for actuator, place in enumerate(found)
+    )
+
+
+def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
+    return bool(
+        model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+        and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+        and gain[0] > 0.0
+        and bias[0] == 0.0
+        and np.isclose(bias[1], -gain[0])
+        and np.isclose(model.actuator_gear[actuator, :3].max(), 1.0)
+    )
+
+
+def torque_limits(character: Character) -> np.ndarray:
+    """(U,) N m: how strong each of :func:`drives` is, from the model where it says so.
+
+    A model says it by the limits of its joints' or actuators' forces, or of motors' controls. Else it is
+    :data:`STRENGTH` of the figure's weight, at a lever as long as the figure is, times the cube root of
+    the share of its mass that hangs on the joint.
+    """
+    model = character.model
+    stated: dict[tuple[int, int], float] = {}
+    for actuator in range(model.nu):
+        place, strength = _driven(model, actuator), _strength(model, actuator)
+        if place is not None and strength is not None:
+            stated[place] = max(strength, stated.get(place, 0.0))
+    mass = float(model.body_subtreemass[character.root])
+    weight = mass * float(np.linalg.norm(model.opt.gravity))
+    found = []
+    for drive in drives(character):
+        beyond = float(model.body_subtreemass[model.jnt_bodyid[drive.joint]]) / mass
+        limit = stated.get((drive.joint, drive.axis), np.inf)
+        if model.jnt_actfrclimited[drive.joint]:
+            limit = min(limit, float(np.abs(model.jnt_actfrcrange[drive.joint]).max()))
+        if not np.isfinite(limit):
+            limit = STRENGTH * weight * character.length * beyond ** (1 / 3)
+        found.append(limit)
+    return np.array(found)
+
+
+def _strength(model: mujoco.MjModel, actuator: int) -> float | None:
+    """N m: the most that the actuator does to its joint, if the model limits it."""
+    gear = float(np.abs(model.actuator_gear[actuator, :3]).max())
+    if model.actuator_forcelimited[actuator]:
+        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
+    motor = (
+        model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+    )
+    if motor and model.actuator_ctrllimited[actuator]:
+        most = float(np.abs(model.actuator_ctrlrange[actuator]).max())
+        return gear * float(np.abs(model.actuator_gainprm[actuator, 0])) * most
+    return None
+
+
+def gains(
+    character: Character, limits: np.ndarray, options: ServoOptions
+) -> tuple[np.ndarray, np.ndarray]:
+    """kp (U,) N m/rad and kd (U,) N m s/rad of servos with the torque `limits` (U,).
+
+    kp = I w^2 and kd = 2 z I w, with w the natural frequency and z the damping ratio. The effective
+    inertia I is what the joint moves: the mass matrix's diagonal in the zero pose, which is what hangs
+    on it. An ankle that carries a light foot also moves all the rest about the foot, and a waist may
+    have legs hanging on it that it cannot swing; what a joint is made to move its strength tells. So I
+    is kept where the servo gives its whole torque within the range of deflections.
+    """
+    model, data = character.model, character.zero_pose
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_crb(model, data)
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    carried = matrix.diagonal()[[drive.dof for drive in drives(character)]]
+    frequency = options.natural_frequency
+    stiff, soft = (limits / deflection / frequency**2 for deflection in options.deflection)
+    inertia = np.clip(carried, soft, stiff)
+    return inertia * frequency**2, 2.0 * options.damping_ratio * inertia * frequency
+
+
+def drive(
+    spec: mujoco.MjSpec, character: Character, timestep: float, options: ServoOptions
+) -> None:
+    """Have every joint of `character`, the compiled `spec`, driven by a position servo at `timestep`.
+
+    Other actuators, what senses them, and key frames (which hold controls) are taken out.
+    """
+    if options.keep and has_servos(character):
+        for actuator in spec.actuators:  # their velocity gain is for the time step they came with
+            actuator.biasprm[2] -= actuator.gainprm[0] * (timestep - spec.option.timestep)
+            actuator.biasprm[2] = min(actuator.biasprm[2], 0.0)
+        return
+    for sensor in list(spec.sensors):
+        if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR:
+            spec.delete(sensor)
+    for item in [*spec.actuators, *spec.keys]:
+        spec.delete(item)
+    limits = torque_limits(character)
+    stiffness, damping = gains(character, limits, options)
+    joints = {joint.id: joint for joint in spec.joints}
+    for one, limit, kp, kd in zip(drives(character), limits, stiffness, damping, strict=True):
+        joint = joints[one.joint]
+        joint.name = joint.name or f"joint{one.joint}"
+        ball = character.model.jnt_type[one.joint] == _BALL
+        add_servo(spec, joint.name, one.axis if ball else None, limit, kp, kd + kp * timestep)
+
+
+def add_servo(
+    spec: mujoco.MjSpec, joint: str, axis: int | None, limit: float, kp: float, kv: float
+) -> None:
+    """A position servo of at most `limit` N m on a hinge, or about one `axis` of a ball joint."""
+    actuator = spec.add_actuator(
+        name=joint if axis is None else f"{joint}_{'xyz'[axis]}",
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        dyntype=mujoco.mjtDyn.mjDYN_NONE,
+        ctrllimited=False,
+        forcelimited=True,
+        forcerange=[-limit, limit],
+        gear=[float(k == (axis or 0)) for k in range(6)],
+    )
+    actuator.gainprm[0] = kp
+    actuator.biasprm[0], actuator.biasprm[1], actuator.biasprm[2] = 0.0, -kp, -kv
+
+
+def lags(model: mujoco.MjModel) -> np.ndarray:
+    """(nu,) s: by how much each servo follows a moving target late, (kd + the joint's damping) / kp."""
+    kp = model.actuator_gainprm[:, 0]
+    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    kd = -model.actuator_biasprm[:, 2] - kp * model.opt.timestep + model.dof_damping[dofs]
+    return np.clip(kd / kp, 0.0, 0.5)

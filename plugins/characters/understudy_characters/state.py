@@ -1,0 +1,138 @@
+"""The character's state as tasks see it, batched over worlds (N) or frames.
+
+The heading frame has its origin at the root, z up, and x along the root's heading: what is expressed
+in it does not change when the character stands elsewhere or faces another way.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy import rotations
+from understudy_characters.character import Character
+from understudy_characters.kinematics import Kinematics
+from understudy_characters.layout import Layout
+from understudy_characters.surface import Surface, lowest_points, surface_of
+
+
+def joint_rotations(layout: Layout, qpos: Tensor) -> Tensor:
+    """(N, J, 4): each joint's rotation from where the zero pose has it, in its body's frame there.
+
+    Several hinges of one body are one joint, turned about one after the other.
+    """
+    balls = qpos[:, layout.ball_qpos.flatten()].view(len(qpos), -1, 4)
+    angles = qpos[:, layout.hinge_qpos.flatten()].view(len(qpos), *layout.hinge_qpos.shape)
+    axes = layout.hinge_axes.to(qpos.dtype)
+    turns = rotations.from_axis_angle(axes, angles * layout.hinge_used.to(qpos.dtype))
+    hinges = turns[:, :, 0]
+    for k in range(1, turns.shape[2]):
+        hinges = rotations.multiply(hinges, turns[:, :, k])
+    return torch.cat([balls, hinges], dim=1)[:, layout.joint_rows]
+
+
+def character_state(
+    layout: Layout,
+    *,
+    qpos: Tensor,
+    xpos: Tensor,
+    xquat: Tensor,
+    xipos: Tensor,
+    cvel: Tensor,
+    subtree_com: Tensor,
+) -> dict[str, Tensor]:
+    """Derived state from MuJoCo's ``qpos`` (N, nq), ``xpos`` (N, bodies, 3) and so on.
+
+    Returns
+    -------
+    com_position (N, 3), root_position (N, 3), root_rotation (N, 4), root_heading (N,) : world frame
+    joint_rotations (N, J, 4) : :func:`joint_rotations`
+    link_positions (N, L, 3) : heading frame
+    link_rotations (N, L, 6) : heading frame, the link's x and z axes
+    link_linear_velocities, link_angular_velocities (N, L, 3) : along the heading frame's axes, of
+        the link's origin, relative to the world; m/s and rad/s
+    end_effector_positions (N, E, 3) : heading frame, the end-effectors' centres of mass
+    """
+    links, at = layout.link_bodies, layout.root_address
+    position, rotation = xpos[:, links], xquat[:, links]
+    root_position, root_rotation = qpos[:, at : at + 3], qpos[:, at + 3 : at + 7]
+    com = subtree_com[:, layout.root_body]
+    yaw = rotations.heading(root_rotation)
+    # cvel is [angular, linear], both along world axes, linear at the character's centre of mass.
+    angular, linear = cvel[:, links].split(3, dim=-1)
+    linear = linear + torch.linalg.cross(angular, position - com.unsqueeze(1))
+    axes = rotations.tangent_normal(rotation).view(*rotation.shape[:2], 2, 3)
+    origin = root_position.unsqueeze(1)
+    vectors = torch.stack([position - origin, linear, angular], dim=2)
+    # One product turns all of a world's vectors into its heading frame, (N, 5 L + E, 3).
+    world = torch.cat([vectors, axes], dim=2).flatten(1, 2)
+    effectors = xipos[:, layout.effector_bodies] - origin
+    local = torch.bmm(torch.cat([world, effectors], dim=1), _turn(yaw))
+    of_links, of_effectors = local.split([world.shape[1], effectors.shape[1]], dim=1)
+    of_links = of_links.view(len(qpos), len(links), 5, 3)
+    return {
+        "com_position": com,
+        "root_position": root_position,
+        "root_rotation": root_rotation,
+        "root_heading": yaw,
+        "joint_rotations": joint_rotations(layout, qpos),
+        "link_positions": of_links[:, :, 0],
+        "link_rotations": of_links[:, :, 3:].flatten(2),
+        "link_linear_velocities": of_links[:, :, 1],
+        "link_angular_velocities": of_links[:, :, 2],
+        "end_effector_positions": of_effectors,
+    }
+
+
+def _turn(yaw: Tensor) -> Tensor:
+    """(N, 3, 3): row vectors of the world times this are those of the heading frame."""
+    return rotations.to_matrix(rotations.from_heading(yaw))
+
+
+class Poses:
+    """What :func:`character_state` gives without velocities, of poses that no simulator has."""
+
+    def __init__(self, character: Character, layout: Layout) -> None:
+        self._kinematics, self._layout = Kinematics(character), layout
+        self._surface: Surface = surface_of(character, layout.link_names, layout)
+        model, data = character.model, character.zero_pose
+        bodies = layout.link_bodies.tolist()
+        root = data.xmat[character.root].reshape(3, 3)
+        carriers = [character.carrier[body] for body in bodies]
+        origins = character.rest_positions[carriers]
+
+        def in_root(points: np.ndarray) -> Tensor:
+            return torch.from_numpy((points - data.xpos[character.root]) @ root - origins)
+
+        #: Of each link in the zero pose, from the joint that carries it, in the root's frame.
+        self._carriers = torch.tensor(carriers)
+        self._offsets = torch.stack([in_root(data.xpos[bodies]), in_root(data.xipos[bodies])])
+        turned = rotations.conjugate(torch.from_numpy(data.xquat[character.root].copy()))
+        self._turns = rotations.multiply(turned, torch.from_numpy(data.xquat[bodies]))
+        masses = torch.from_numpy(model.body_mass[bodies])
+        self._shares = masses / masses.sum()
+        self._effectors = torch.tensor(
+            [bodies.index(body) for body in layout.effector_bodies.tolist()], dtype=torch.long
+        )
+
+    def state(self, qpos: Tensor) -> dict[str, Tensor]:
+        """Of ``qpos`` (F, nq) float64: the fields of :func:`character_state` that have no velocities
+        and are not of links, and ``link_clearances`` (F, L) m, how high each link's lowest point is."""
+        posed = self._kinematics.forward(qpos)
+        turn = posed.rotations[:, self._carriers]
+        places = posed.positions[:, self._carriers] + rotations.rotate(turn, self._offsets[:, None])
+        position, centre = places.unbind(0)
+        root_position, root_rotation = posed.positions[:, 0], posed.rotations[:, 0]
+        yaw = rotations.heading(root_rotation)
+        effectors = centre[:, self._effectors] - root_position[:, None]
+        up = rotations.to_matrix(rotations.multiply(turn, self._turns))[..., 2, :]
+        return {
+            "com_position": (centre * self._shares[:, None]).sum(1),
+            "root_position": root_position,
+            "root_rotation": root_rotation,
+            "root_heading": yaw,
+            "joint_rotations": joint_rotations(self._layout, qpos),
+            "end_effector_positions": torch.bmm(effectors, _turn(yaw)),
+            "link_clearances": lowest_points(self._surface, position[..., 2], up),
+        }

@@ -1,0 +1,205 @@
+"""Curves of metrics against samples, as cards with an SVG in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from understudy_report import words
+from understudy_report.values import Row, number
+
+
+@dataclass(frozen=True)
+class Chart:
+    """What to draw of the metrics, against samples."""
+
+    title: str
+    key: str
+    unit: str = ""  #: with "%", values are shares
+    low: float | None = None  #: the axis begins here; None: where the values do
+    high: float | None = None
+    cut: tuple[float, float] = (-math.inf, math.inf)  #: the axis never extends beyond
+    dots: bool = False  #: whether each value is marked, where there are few
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something that happened during the training: a vertical line with a label."""
+
+    samples: float
+    label: str
+
+
+#: Size of a chart and of the margins around its plot, in the SVG's own pixels.
+_WIDTH, _HEIGHT = 340.0, 176.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 44.0, 14.0, 8.0, 34.0
+#: Long curves are drawn as means over this many stretches, in a band from least to greatest.
+_STRETCHES = 120
+#: The room that a mark's label needs: across in pixels, along in characters.
+_LABEL_ROOM, _LABEL_LENGTH = 11.0, 26
+
+
+def draw_chart(
+    chart: Chart, rows: Sequence[Row], marks: Sequence[Mark] = (), end: float | None = None
+) -> str:
+    """One curve as a card; nothing if no row has the value.
+
+    Parameters
+    ----------
+    chart
+        Which metric, and how.
+    rows
+        The metrics; values that are no finite numbers are counted and left out.
+    marks
+        What to mark on the samples' axis.
+    end
+        Where the samples' axis ends; by default at the curve's last point.
+    """
+    values = [(row.get("samples"), row[chart.key]) for row in rows if chart.key in row]
+    numbers = [(number(x), number(y)) for x, y in values]
+    points = np.array([(x, y) for x, y in numbers if x is not None and y is not None])
+    if not values:
+        return ""
+    title, missing = escape(chart.title), len(values) - len(points)
+    note = f"<small>{missing:,} not finite</small>" if missing else ""
+    if not len(points):
+        return f'<div class="card chart"><h4>{title}</h4>{note}</div>'
+    if chart.unit == "%":
+        points = points * [1, 100]
+    unit = f" {chart.unit}" if chart.unit else ""
+    last = f"{words.short(points[-1, 1])}{unit}"
+    end = max(float(points[:, 0].max()), 1.0, end or 0.0)
+    plot = _plot(chart, points, marks, end)
+    return (
+        f'<div class="card chart"><h4>{title}{note}<b>{escape(last)}</b></h4>'
+        f'<svg viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img" aria-label="{title} against samples" '
+        f'xmlns="http://www.w3.org/2000/svg">{plot}</svg></div>'
+    )
+
+
+class _Axes:
+    """Where samples and values are in the SVG."""
+
+    def __init__(self, low: float, high: float, end: float) -> None:
+        self.low, self.high, self.end = low, high, end
+        self.right, self.bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+
+    def across(self, samples: float) -> float:
+        return _LEFT + (self.right - _LEFT) * max(samples, 0.0) / self.end
+
+    def down(self, value: float) -> float:
+        height = (min(max(value, self.low), self.high) - self.low) / (self.high - self.low)
+        return self.bottom - (self.bottom - _TOP) * height
+
+    def path(self, points: Sequence[tuple[float, float]]) -> str:
+        return "M" + "L".join(f"{self.across(x):.1f} {self.down(y):.1f}" for x, y in points)
+
+
+def _plot(chart: Chart, points: np.ndarray, marks: Sequence[Mark], end: float) -> str:
+    """Axes, marks and the curve through `points` (n, 2) of samples and values."""
+    axes = _Axes(*_range(points[:, 1], chart), end)
+    return _grid(axes) + _marks(marks, axes) + _curve(points, axes, chart.dots)
+
+
+def _range(values: np.ndarray, chart: Chart) -> tuple[float, float]:
+    """Where the value axis begins and ends."""
+    low = float(values.min()) if chart.low is None else chart.low
+    high = float(values.max()) if chart.high is None else chart.high
+    low, high = max(low, chart.cut[0]), min(high, chart.cut[1])
+    if high - low <= 1e-6 * max(abs(low), abs(high), 1e-6):
+        pad = 0.5 * max(abs(low), 0.1)
+        return (low if chart.low is not None else low - pad), low + pad
+    pad = 0.05 * (high - low)
+    return (low if chart.low is not None else low - pad), (
+        high if chart.high is not None else high + pad
+    )
+
+
+def _grid(axes: _Axes) -> str:
+    parts = []
+    ticks, step = _ticks(axes.low, axes.high, 4)
+    for tick in ticks:
+        y = axes.down(tick)
+        parts.append(
+            f'<path class="grid" d="M{_LEFT:g} {y:.1f}H{axes.right:g}"/>'
+            f'<text x="{_LEFT - 6:g}" y="{y + 3.5:.1f}" text-anchor="end">{_label(tick, step)}</text>'
+        )
+    ticks, step = _ticks(0.0, axes.end, 5)
+    for tick in ticks:
+        x = axes.across(tick)
+        parts.append(
+            f'<path class="grid" d="M{x:.1f} {_TOP:g}V{axes.bottom:g}"/>'
+            f'<text x="{x:.1f}" y="{axes.bottom + 14:g}" text-anchor="middle">{_label(tick, step)}</text>'
+        )
+    parts.append(
+        f'<path class="axis" d="M{_LEFT:g} {_TOP:g}V{axes.bottom:g}H{axes.right:g}"/>'
+        f'<text x="{(_LEFT + axes.right) / 2:g}" y="{_HEIGHT - 5:g}" text-anchor="middle">samples</text>'
+    )
+    return "".join(parts)
+
+
+def _marks(marks: Sequence[Mark], axes: _Axes) -> str:
+    """A vertical line each, and labels along those that have room; pointing at one tells it."""
+    parts = []
+    free = -math.inf  # where the next label has room
+    for mark in sorted((m for m in marks if m.samples <= axes.end), key=lambda m: m.samples):
+        x, label = axes.across(mark.samples), mark.label
+        parts.append(
+            f'<path class="mark" d="M{x:.1f} {_TOP:g}V{axes.bottom:g}">'
+            f"<title>{escape(label)} ({mark.samples:,.0f} samples)</title></path>"
+        )
+        if x >= free:
+            short = label if len(label) <= _LABEL_LENGTH else f"{label[: _LABEL_LENGTH - 1]}…"
+            parts.append(
+                f'<text class="mark-label" transform="translate({x - 3:.1f} {_TOP + 2:g}) rotate(-90)" '
+                f'text-anchor="end">{escape(short)}</text>'
+            )
+            free = x + _LABEL_ROOM
+    return "".join(parts)
+
+
+def _curve(points: np.ndarray, axes: _Axes, dots: bool) -> str:
+    short = len(points) <= 2 * _STRETCHES
+    stretches = np.array_split(points, len(points) if short else _STRETCHES)
+    means = [(s[:, 0].mean(), s[:, 1].mean()) for s in stretches]
+    parts = []
+    if not short:
+        upper = [(x, s[:, 1].max()) for (x, _), s in zip(means, stretches, strict=True)]
+        lower = [(x, s[:, 1].min()) for (x, _), s in zip(means, stretches, strict=True)]
+        parts.append(f'<path class="band" d="{axes.path(upper + lower[::-1])}Z"/>')
+    if len(means) > 1:
+        parts.append(f'<path class="line" d="{axes.path(means)}"/>')
+    if len(means) == 1 or (dots and short):
+        radius = 3.5 if len(means) == 1 else 2.5
+        parts += [
+            f'<circle class="dot" cx="{axes.across(x):.1f}" cy="{axes.down(y):.1f}" r="{radius}"/>'
+            for x, y in means
+        ]
+    return "".join(parts)
+
+
+def _ticks(low: float, high: float, count: int) -> tuple[list[float], float]:
+    """Round values from `low` to `high`, at most about `count` of them, and the step between."""
+    rough = (high - low) / count
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(m * power for m in (1, 2, 5, 10) if m * power >= rough * (1 - 1e-9))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [i * step for i in range(first, last + 1)], step
+
+
+def _label(tick: float, step: float) -> str:
+    """`tick` as text in which ticks `step` apart (1, 2 or 5 times a power of ten) differ."""
+    largest = max(abs(tick), step)
+    if largest >= 1e12 or step < 1e-4:
+        return f"{tick:.3g}"
+    suffix, size = next(
+        (s, v)
+        for s, v in (("G", 1e9), ("M", 1e6), ("k", 1e3), ("", 1.0))
+        if largest >= v or v == 1.0
+    )
+    decimals = max(0, -math.floor(math.log10(step / size) + 1e-9))
+    return f"{tick / size:.{decimals}f}{suffix}" if tick else "0"

@@ -1,0 +1,75 @@
+"""What the last evaluation found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+
+from understudy.records.runs import Run
+from understudy_report import words
+from understudy_report.headline import percent_interval
+from understudy_report.markup import bar, grid, table
+from understudy_report.section import ReportSection
+from understudy_report.values import Row, interval, mapping, number, read_evaluation
+
+
+class EvaluationSection(ReportSection):
+    """The last evaluation: all episodes, what they violated, and the measures of the task."""
+
+    title = "Evaluation"
+    order = 40
+
+    def html(self, run: Run) -> str | None:
+        evaluation = read_evaluation(run)
+        if not evaluation:
+            return None
+        facts = table((k, escape(words.text(v))) for k, v in _facts(evaluation) if v is not None)
+        violated = table(
+            (name, bar(share))
+            for name, value in mapping(evaluation.get("violated")).items()
+            if (share := number(value)) is not None
+        )
+        measures = grid(
+            ("Measure", "Over an episode", "Mean", "95 % interval", "Spread"), _measures(evaluation)
+        )
+        cards = f"<div><h3>All episodes</h3>{facts}</div>" + (
+            f"<div><h3>Episodes that violated a bound</h3>{violated}</div>" if violated else ""
+        )
+        if measures:
+            measures = f'<div class="card"><h3>Measures</h3>{measures}</div>'
+        return f'<div class="card columns">{cards}</div>{measures}'
+
+
+def _facts(evaluation: Row) -> Iterator[tuple[str, object]]:
+    rate, length, lasted, samples = (
+        number(evaluation.get(k))
+        for k in ("success_rate", "seconds", "mean_episode_seconds", "samples")
+    )
+    objective = mapping(evaluation.get("objective"))
+    reached = number(objective.get("value"))
+    yield "Policy", evaluation.get("policy")
+    yield "Samples learned from", None if samples is None else f"{samples:,.0f}"
+    yield "Episodes", evaluation.get("episodes")
+    yield "Starts", evaluation.get("starts")
+    yield "Longest possible", None if length is None else f"{length:g} s"
+    yield "Mean length", None if lasted is None else f"{lasted:.2f} s"
+    yield "Success means", evaluation.get("success")
+    yield "Succeeded", None if rate is None else words.share(rate)
+    yield "95 % interval", percent_interval(evaluation) or None
+    if reached is not None:
+        yield "Objective", f"{words.text(objective.get('name', ''))} {reached:.4g}".strip()
+
+
+def _measures(evaluation: Row) -> Iterator[tuple[str, ...]]:
+    """Rows of the table of measures, those without a number as dashes."""
+    for name, value in mapping(evaluation.get("measures")).items():
+        found = mapping(value)
+        mean, spread = number(found.get("mean")), number(found.get("spread"))
+        ends = interval(found.get("mean_95"))
+        yield (
+            words.text(name),
+            words.text(found.get("reduce", "–")),
+            "–" if mean is None else f"{mean:.3g}",
+            "–" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}",
+            "–" if spread is None else f"{spread:.3g}",
+        )

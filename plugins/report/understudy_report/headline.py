@@ -1,0 +1,101 @@
+"""The result of a run in a sentence, and the figures to remember."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from understudy.records.runs import Run
+from understudy_report import words
+from understudy_report.section import ReportSection
+from understudy_report.values import Row, interval, mapping, number, read_evaluation
+
+
+class Headline(ReportSection):
+    """The result: how many episodes succeeded, what that means, and what it cost."""
+
+    title = ""
+    order = 0
+
+    def html(self, run: Run) -> str:
+        evaluation, rows = read_evaluation(run), run.metrics()
+        meaning = evaluation.get("success")
+        explained = (
+            f"<p>An episode counts as a success by this: {escape(words.text(meaning))}.</p>"
+            if meaning
+            else ""
+        )
+        return (
+            f'<p class="headline">{escape(_sentence(run.info, evaluation, rows))}</p>{explained}'
+            f'<div class="tiles">{_tiles(evaluation, rows)}</div>'
+        )
+
+
+def percent_interval(evaluation: Row) -> str:
+    """The 95 % interval of the success rate in words, or nothing."""
+    found = interval(evaluation.get("success_rate_95"))
+    return "" if found is None else f"{100 * found[0]:.0f}–{100 * found[1]:.0f} %"
+
+
+def _sentence(info: Row, evaluation: Row, rows: Sequence[Row]) -> str:
+    samples, seconds = _effort(evaluation, rows)
+    rate, episodes = number(evaluation.get("success_rate")), number(evaluation.get("episodes"))
+    effort = []
+    if samples is not None:
+        effort.append(f"{samples:,.0f} samples")
+    if seconds is not None:
+        effort.append(f"{words.duration(seconds)} of training{_hardware(info)}")
+    after = " and ".join(effort)
+    if rate is None or episodes is None:
+        return f"Not evaluated yet, after {after}." if after else "Nothing has been learned yet."
+    length = number(evaluation.get("seconds"))
+    of_length = "" if length is None else f" of {length:g} s"
+    bounds = percent_interval(evaluation)
+    within = f" (95 % interval {bounds})" if bounds else ""
+    return (
+        f"{words.share(rate)} of {episodes:,.0f} episodes{of_length} succeeded{within}"
+        + (f", after {after}" if after else "")
+        + "."
+    )
+
+
+def _effort(evaluation: Row, rows: Sequence[Row]) -> tuple[float | None, float | None]:
+    """Samples and training seconds behind the evaluated policy, or spent so far."""
+    samples = number(evaluation.get("samples"))
+    seconds = None
+    for row in rows:
+        seen = number(row.get("samples"))
+        if seen is None or (evaluation and samples is not None and seen > samples):
+            continue
+        if "seconds" in row:  # not every row is one of an iteration
+            seconds = number(row["seconds"])
+        if not evaluation:
+            samples = seen
+    return samples, seconds
+
+
+def _hardware(info: Row) -> str:
+    device = mapping(info.get("config")).get("device", "cpu")
+    cores = number(mapping(info.get("machine")).get("cores"))
+    if device != "cpu":
+        return f" on {words.text(device)}"
+    return f" on {cores:.0f} core{'s' if cores > 1 else ''}" if cores else ""
+
+
+def _tiles(evaluation: Row, rows: Sequence[Row]) -> str:
+    samples, seconds = _effort(evaluation, rows)
+    rate, lasted = (number(evaluation.get(k)) for k in ("success_rate", "mean_episode_seconds"))
+    objective = mapping(evaluation.get("objective"))
+    name, reached = words.text(objective.get("name", "objective")), number(objective.get("value"))
+    tiles = [
+        ("succeeded", None if rate is None else words.share(rate)),
+        (name, None if reached is None or name == "success_rate" else words.short(reached)),
+        ("mean episode", None if lasted is None else f"{lasted:.1f} s"),
+        ("samples", None if samples is None else words.short(samples)),
+        ("training", None if seconds is None else words.duration(seconds)),
+    ]
+    return "".join(
+        f'<div class="tile"><b>{escape(value)}</b><span>{escape(label)}</span></div>'
+        for label, value in tiles
+        if value is not None
+    )

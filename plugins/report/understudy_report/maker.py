@@ -1,0 +1,56 @@
+"""Makes the report of a run when it was judged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from understudy.errors import UnderstudyError
+from understudy.records.observer import RunObserver
+from understudy.records.recording import Recording
+from understudy.records.runs import Run
+from understudy_report.motion import FIGURES, VIDEO, Figures
+from understudy_report.page import write_report
+from understudy_report.video import write_video
+
+#: Of a video, in pixels. Frames are often drawn without a GPU, in time proportional to these.
+WIDTH, HEIGHT = 640, 360
+#: A video shows every frame of the recording up to about this rate, and every n-th beyond, in Hz.
+FRAME_RATE = 30.0
+
+
+class ReportMaker(RunObserver):
+    """Leaves ``stick_figures.npz``, ``video.mp4`` where that can be drawn, and ``report.html``."""
+
+    def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
+        for name in (FIGURES, VIDEO):  # of an earlier recording
+            (run.path / name).unlink(missing_ok=True)
+        if recording is not None and recording.tracks:
+            self._try("stick figures", tell, lambda: _draw_figures(run, recording))
+            self._try("video", tell, lambda: tell(_draw_video(run, recording)))
+        tell(f"The report is {write_report(run)}.")
+
+    def _try(self, what: str, tell: Callable[[str], None], draw: Callable[[], None]) -> None:
+        """The page is worth having without a picture, whatever kept its scene from drawing."""
+        try:
+            draw()
+        except UnderstudyError as error:
+            tell(f"No {what}: {error}")
+        except Exception as error:  # a scene may come from any plugin
+            tell(f"No {what}: {type(error).__name__}: {error}")
+
+
+def _draw_figures(run: Run, recording: Recording) -> None:
+    learned, reference = recording.scene.outlines(recording.tracks)
+    if learned is not None:
+        Figures(learned, reference, recording.control_dt).save(run.path / FIGURES)
+
+
+def _draw_video(run: Run, recording: Recording) -> str:
+    """Draws and encodes at once; returns how long that took."""
+    began = time.perf_counter()
+    every = max(1, round(1.0 / (FRAME_RATE * recording.control_dt)))
+    tracks = {name: track[::every] for name, track in recording.tracks.items()}
+    frames = recording.scene.draw(tracks, WIDTH, HEIGHT)
+    write_video(run.path / VIDEO, frames, 1.0 / (every * recording.control_dt))
+    return f"Video drawn in {time.perf_counter() - began:.0f} s."

@@ -1,0 +1,62 @@
+"""What is needed to repeat a run, and whom to credit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+
+from understudy.records.runs import Run
+from understudy_report import words
+from understudy_report.markup import nested, table
+from understudy_report.section import ReportSection
+from understudy_report.values import Row, mapping, sequence
+
+
+class Provenance(ReportSection):
+    """Command, machine, versions, sources with their licences, components, citations."""
+
+    title = "Provenance"
+    order = 80
+
+    def html(self, run: Run) -> str | None:
+        info = run.info
+        facts = {
+            "Created": info.get("created"),
+            "Command": " ".join(map(words.text, sequence(info.get("command")))),
+            "Overrides": " ".join(map(words.text, sequence(info.get("overrides")))),
+            "Seed": mapping(info.get("config")).get("seed"),
+            **{str(k).capitalize(): v for k, v in mapping(info.get("machine")).items()},
+        }
+        cited = "".join(
+            f"<li>{escape(words.text(c))}</li>" for c in sequence(info.get("citations"))
+        )
+        parts = {
+            "Run": table(
+                (k, escape(words.text(v))) for k, v in facts.items() if v not in (None, "")
+            ),
+            "Versions": nested(mapping(info.get("versions"))),
+            "Sources": "".join(
+                f"<h4>{escape(words.text(k))}</h4>{nested(v)}"
+                for k, v in mapping(info.get("sources")).items()
+            ),
+            "Components": _components(map(mapping, sequence(info.get("components")))),
+            "Please cite": f"<ul>{cited}</ul>" if cited else "",
+        }
+        cards = "".join(
+            f'<div class="card"><h3>{title}</h3>{content}</div>'
+            for title, content in parts.items()
+            if content
+        )
+        return f'<div class="masonry">{cards}</div>' if cards else None
+
+
+def _components(components: Iterable[Row]) -> str:
+    """Each part of the experiment with the plugin it is from."""
+    return table(
+        (
+            f"{words.text(c.get('kind', ''))}/{words.text(c.get('name', ''))}",
+            f"{escape(words.text(c.get('plugin', '')))} <small>"
+            f"{escape(words.text(c.get('distribution', '')))} {escape(words.text(c.get('version', '')))}</small>",
+        )
+        for c in components
+    )

@@ -1,0 +1,42 @@
+"""Values of a run's files, which may be missing, damaged or of any type."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.records.runs import Run
+
+Row = Mapping[str, Any]
+
+
+def read_evaluation(run: Run) -> Row:
+    """The last evaluation; empty if there is none or it cannot be read."""
+    try:
+        return mapping(json.loads((run.path / "evaluation.json").read_bytes()))
+    except (OSError, ValueError, RecursionError):
+        return {}
+
+
+def mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def sequence(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else []
+
+
+def number(value: Any) -> float | None:
+    """`value` as a number that can be drawn, if it is one."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if abs(value) < 1e30 else None  # false for NaN too
+
+
+def interval(value: Any) -> tuple[float, float] | None:
+    """`value` as the two ends of an interval, if it is one."""
+    match [number(end) for end in sequence(value)]:
+        case [float(low), float(high)]:
+            return low, high
+    return None

@@ -1,0 +1,98 @@
+"""Videos of frames, encoded as they are drawn."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from fractions import Fraction
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from understudy.errors import RunError
+
+
+def write_video(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
+    """Write `frames`, each (H, W, 3) uint8, as an H.264 video that every browser plays.
+
+    The file appears when it is complete; until then, and after an error, what was there stays.
+
+    Raises
+    ------
+    RunError
+        if there are no frames, no encoder, or no room on the disk.
+    """
+    first = next(frames, None)
+    if first is None:
+        raise RunError(f"{path} was not written: there are no frames to show.")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        reason = _encode(temporary, chain([first], frames), first.shape, fps)
+        if reason is None:
+            reason = _move(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    if reason is not None:
+        raise RunError(f"{path} could not be written: {reason}.")
+
+
+def _encode(
+    path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], fps: float
+) -> str | None:
+    """Encode `frames` of one `shape` (H, W, 3) into `path`; returns why it failed, if it did."""
+    height, width, _ = shape
+    try:
+        import imageio_ffmpeg  # a training needs no encoder, so only this fails without one
+
+        command = [imageio_ffmpeg.get_ffmpeg_exe()]
+    except (ImportError, RuntimeError):
+        return "there is no ffmpeg, which imageio-ffmpeg brings or the system provides"
+    command += ["-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+    command += ["-s", f"{width}x{height}", "-r", str(Fraction(fps).limit_denominator(1001))]
+    # Colour is stored for blocks of 2×2 pixels, so odd sizes are padded.
+    command += ["-i", "-", "-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
+    # Frames are often drawn on the same cores, and are few: a quick encoding is small enough.
+    command += ["-c:v", "libx264", "-preset", "veryfast"]
+    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path)]
+    # A file and not a pipe takes the messages: nobody reads them while frames are written.
+    with tempfile.TemporaryFile() as messages:
+        try:
+            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=messages)
+        except OSError as error:
+            return f"ffmpeg cannot be started ({error.strerror})"
+        assert encoder.stdin is not None
+        try:
+            for frame in frames:
+                if frame.shape != shape or frame.dtype != np.uint8:
+                    raise ValueError(f"a frame is {frame.dtype} {frame.shape}, not uint8 {shape}")
+                try:
+                    encoder.stdin.write(np.ascontiguousarray(frame).data)
+                except BrokenPipeError:
+                    break
+        except BaseException:
+            encoder.kill()
+            raise
+        finally:
+            with suppress(BrokenPipeError):  # it has given up; its messages say why
+                encoder.stdin.close()
+            status = encoder.wait()
+        messages.seek(0)
+        text = messages.read().decode(errors="replace")
+    if status == 0:
+        return None
+    if "No space left" in text:
+        return "the disk is full"
+    lines = text.strip().splitlines()
+    return f"ffmpeg says '{lines[-1].strip(' .')}'" if lines else f"ffmpeg ended with {status}"
+
+
+def _move(temporary: Path, path: Path) -> str | None:
+    try:
+        os.replace(temporary, path)
+    except OSError as error:
+        return str(error.strerror)
+    return None

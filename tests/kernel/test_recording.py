@@ -1,0 +1,88 @@
+"""What observers are told when an evaluation was recorded."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import worlds
+from worlds import PADDLE_TASK, SMALL, PaddleScene
+
+from understudy.command import workflow
+from understudy.records.observer import RunObserver
+from understudy.records.recording import Recording
+from understudy.records.runs import Run
+from understudy.setup.config import load_experiment
+from understudy.setup.plugins import hookimpl, load
+
+QUICK = (
+    *PADDLE_TASK, *SMALL, "budget.samples=128", "evaluation.episodes=4", "evaluation.seconds=0.2",
+    "run.video_seconds=0.1", "control.frequency=50",
+)  # fmt: skip
+
+
+class Watcher(RunObserver):
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[Recording, set[str]]] = []
+
+    def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
+        self.seen.append((recording, {f.name for f in run.path.iterdir()}))
+        tell("I have seen it.")
+
+
+class Breaking(RunObserver):
+    """Fails at the first recording."""
+
+    def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
+        raise ValueError("too dark")
+
+
+class Watch:
+    """The plugin of both."""
+
+    def __init__(self, watcher: Watcher) -> None:
+        self.watcher = watcher
+
+    @hookimpl
+    def understudy_run_observers(self) -> list[RunObserver]:
+        return [Breaking(), self.watcher]
+
+
+@pytest.mark.parametrize("fields", [("qpos",), ()])
+def test_observers_are_told_after_training_and_render(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    fields: tuple[str, ...],
+) -> None:
+    watcher, path = Watcher(), tmp_path / "run"
+    plugins = load(
+        only=["mujoco", "ppo"],
+        extra=[("test", sys.modules[worlds.__name__]), ("watch", Watch(watcher))],
+    )
+    monkeypatch.setattr(workflow, "installed", lambda: plugins)
+    monkeypatch.setattr(PaddleScene, "recorded", fields)
+    overrides = [*QUICK, f"run.dir={path}"]
+    assert workflow.train(load_experiment(overrides, plugins), overrides) == 0
+    assert workflow.render(str(path), []) == 0
+    messages = capsys.readouterr().err
+    assert messages.count("The observer Breaking is left out: ValueError: too dark") == 2
+    assert messages.count("I have seen it.") == 2
+    assert len(watcher.seen) == 2
+    for recording, files in watcher.seen:
+        assert "evaluation.json" in files
+        assert ("recording.npz" in files) == bool(fields)
+        assert isinstance(recording.scene, PaddleScene)
+        assert recording.control_dt == pytest.approx(0.02)
+        assert {k: v.shape for k, v in recording.tracks.items()} == dict.fromkeys(fields, (5, 8))
+    first, second = (recording for recording, _ in watcher.seen)
+    for field in fields:  # the same policy shows the same motion
+        np.testing.assert_array_equal(first.tracks[field], second.tracks[field])
+        with np.load(path / "recording.npz") as arrays:
+            np.testing.assert_array_equal(arrays[field], second.tracks[field])
+            assert int(arrays["first_episode"]) == second.first_episode

@@ -1,0 +1,203 @@
+"""Reference tables: consistent velocities, seamless loops, faithful to the clip."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import pytest
+import torch
+from torch import Tensor
+
+from understudy import rotations
+from understudy.errors import FileError
+from understudy_characters.character import Character
+from understudy_characters.layout import Layout, layout_of
+from understudy_characters.reference import ReferenceMotion
+from understudy_humanoid.character import build_spec
+from understudy_humanoid.clips import generated_walk
+from understudy_motion import library
+from understudy_motion.clip import Clip
+from understudy_motion.readers import deepmimic
+
+DT = 1 / 30
+
+
+@pytest.fixture(scope="module")
+def character() -> Character:
+    return Character("humanoid", build_spec().compile())
+
+
+@pytest.fixture(scope="module")
+def layout(character: Character) -> Layout:
+    return layout_of(character)
+
+
+def turning(turn: float) -> Clip:
+    """The walk on an arc: `turn` rad further left after every cycle."""
+    clip = generated_walk()
+    yaw = turn * clip.times / clip.duration
+    pose = clip.rotations.clone()
+    pose[:, 0] = rotations.multiply(rotations.from_heading(yaw), pose[:, 0])
+    radius = clip.root_position[-1, 0] / turn
+    _, y, z = clip.root_position.unbind(1)
+    centre = radius - y
+    place = torch.stack((centre * yaw.sin(), radius - centre * yaw.cos(), z), dim=1)
+    return replace(clip, rotations=pose, root_position=place)
+
+
+def somersault() -> Clip:
+    """The walk with one whole turn about y: the root's quaternion ends as minus itself."""
+    clip = generated_walk()
+    pitch = 2.0 * math.pi * clip.times / clip.duration
+    over = rotations.from_axis_angle(torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64), pitch)
+    pose = clip.rotations.clone()
+    pose[:, 0] = rotations.multiply(over, pose[:, 0])
+    return replace(clip, rotations=pose)
+
+
+CLIPS = {"walk": generated_walk, "arc": lambda: turning(0.5), "somersault": somersault}
+
+
+@pytest.fixture(params=CLIPS)
+def reference(
+    request: pytest.FixtureRequest, character: Character, layout: Layout
+) -> ReferenceMotion:
+    return ReferenceMotion(CLIPS[request.param](), character, layout, control_dt=DT)
+
+
+def test_matches_the_clip(reference: ReferenceMotion, character: Character, layout: Layout) -> None:
+    times = torch.rand(64, generator=torch.Generator().manual_seed(0)) * 7.0 * reference.duration
+    expected = character.qpos(reference.clip, times)
+    expected[:, 2] += reference.height_offset
+    found = reference.sample(times)
+    torch.testing.assert_close(
+        found["reference_root_position"].double(), expected[:, :3], atol=2e-3, rtol=0.0
+    )
+    error = rotations.angle_between(found["reference_root_rotation"].double(), expected[:, 3:7])
+    assert error.max() < 0.01
+    hinge = layout.hinge_qpos
+    assert (found["reference_qpos"][:, hinge] - expected[:, hinge]).abs().max() < 0.02
+    assert ((found["phase"] >= 0.0) & (found["phase"] < 1.0)).all()
+
+
+def test_nothing_jumps_at_the_seam(reference: ReferenceMotion) -> None:
+    gap = 1e-4
+    seams = torch.arange(1, 6) * reference.duration
+    before, after = reference.sample(seams - gap), reference.sample(seams + gap)
+    for name in before:
+        if name.endswith("rotation") or name.endswith("rotations"):
+            assert rotations.angle_between(before[name], after[name]).max() < 0.01, name
+        elif name not in (
+            "phase",
+            "motion_ended",
+            "reference_qpos",
+            "reference_qvel",
+            "reference_root_heading",
+        ):
+            assert (before[name] - after[name]).abs().max() < 0.01, name
+    assert (before["reference_qvel"] - after["reference_qvel"]).abs().max() < 0.3
+
+
+def test_velocities_integrate_to_positions(
+    reference: ReferenceMotion, character: Character, layout: Layout
+) -> None:
+    steps = 400
+    dt = 2.0 * reference.duration / steps
+    fields = reference.sample(torch.linspace(0.0, 2.0 * reference.duration, steps + 1))
+    qpos, qvel = fields["reference_qpos"].double(), fields["reference_qvel"].double()
+    middle: Tensor = 0.5 * (qvel[1:] + qvel[:-1])
+    state = qpos[0].numpy().copy()
+    for velocity in middle.numpy():
+        mujoco.mj_integratePos(character.model, state, velocity, dt)
+    end = torch.from_numpy(state)
+    assert (end[:3] - qpos[-1, :3]).abs().max() < 0.01
+    assert rotations.angle_between(end[3:7], qpos[-1, 3:7]) < 0.02
+    for start in layout.ball_qpos[:, 0].tolist():
+        ball = slice(start, start + 4)
+        assert rotations.angle_between(end[ball], qpos[-1, ball]) < 0.03
+    assert (end[layout.hinge_qpos] - qpos[-1, layout.hinge_qpos]).abs().max() < 0.03
+
+
+def test_a_clip_that_does_not_loop_ends_in_its_last_pose(
+    character: Character, layout: Layout
+) -> None:
+    clip = replace(generated_walk(), loop=False)
+    reference = ReferenceMotion(clip, character, layout, control_dt=DT)
+    found = reference.sample(torch.tensor([clip.duration, clip.duration + 5.0, -1.0]))
+    qpos = found["reference_qpos"]
+    torch.testing.assert_close(qpos[1], qpos[0])
+    assert qpos[1, 0].item() == pytest.approx(clip.root_position[-1, 0].item(), abs=1e-4)
+    assert qpos[2, 0].item() == pytest.approx(0.0, abs=1e-5)
+    assert found["phase"].max() < 1.0
+    assert found["motion_ended"].tolist() == [True, True, False]
+
+
+def test_a_looping_clip_never_ends(reference: ReferenceMotion) -> None:
+    assert not reference.sample(torch.linspace(0.0, 100.0, 1001))["motion_ended"].any()
+
+
+def test_states_fold_back_into_the_first_cycle(reference: ReferenceMotion) -> None:
+    times = torch.tensor([0.3, 0.3 + reference.duration, 0.3 + 4.0 * reference.duration])
+    fields = reference.sample(times)
+    qpos, qvel, local = reference.to_first_cycle(
+        fields["reference_qpos"], fields["reference_qvel"], times
+    )
+    torch.testing.assert_close(local, torch.full((3,), 0.3), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(qpos[:, :3], qpos[:1, :3].expand(3, 3), atol=1e-4, rtol=0.0)
+    assert rotations.angle_between(qpos[:, 3:7], qpos[:1, 3:7]).max() < 1e-3
+    torch.testing.assert_close(qvel, qvel[:1].expand(3, -1), atol=1e-3, rtol=1e-3)
+
+
+def test_grounding_puts_the_lowest_point_on_the_floor(character: Character, layout: Layout) -> None:
+    clip = generated_walk()
+    raised = replace(clip, root_position=clip.root_position + torch.tensor([0.0, 0.0, 0.3]))
+    reference = ReferenceMotion(raised, character, layout, control_dt=DT)
+    assert reference.height_offset == pytest.approx(-0.3, abs=0.002)
+
+
+def test_missing_joint_is_named(character: Character, layout: Layout) -> None:
+    clip = generated_walk()
+    names = tuple("right_nee" if name == "right_knee" else name for name in clip.joint_names)
+    with pytest.raises(FileError, match=r"no joint 'right_knee'.*Did you mean 'right_nee'"):
+        ReferenceMotion(replace(clip, joint_names=names), character, layout, control_dt=DT)
+
+
+def recorded_clips() -> list[Path]:
+    folder = library.data_folder()
+    found = sorted(folder.glob("motions/*/*.txt")) if folder else []
+    return [path for path in found if not path.stem.endswith("character")]
+
+
+@pytest.mark.skipif(
+    not recorded_clips(),
+    reason="no recorded clips: UNDERSTUDY_DATA is not set and ../shared is absent",
+)
+def test_every_recorded_clip_becomes_a_finite_reference_on_the_floor(
+    character: Character, layout: Layout
+) -> None:
+    for path in recorded_clips():
+        reference = ReferenceMotion(
+            deepmimic.DeepMimicReader().read(path), character, layout, control_dt=DT
+        )
+        assert abs(reference.height_offset) < 0.3, path
+        fields = reference.sample(torch.linspace(0.0, 2.5 * reference.duration, 301))
+        for name, value in fields.items():
+            assert value.isfinite().all(), (path, name)
+        assert ((fields["phase"] >= 0.0) & (fields["phase"] < 1.0)).all(), path
+        norm = fields["reference_joint_rotations"].norm(dim=-1)
+        assert (norm - 1.0).abs().max() < 1e-5, path
+        balls = fields["reference_qpos"][:, layout.ball_qpos.flatten()].view(301, -1, 4)
+        assert (balls.norm(dim=-1) - 1.0).abs().max() < 1e-5, path
+        back = reference.to_first_cycle(
+            fields["reference_qpos"],
+            fields["reference_qvel"],
+            torch.linspace(0.0, 2.5 * reference.duration, 301),
+        )
+        if reference.loop:
+            assert (back[2] <= reference.duration).all(), path
+            again = reference.sample(back[2])
+            place = (back[0][:, :3] - again["reference_root_position"]).abs().amax(1)
+            assert (place < 0.02).float().mean() > 0.98, path  # but at the seam itself

@@ -1,0 +1,146 @@
+"""Servos: kept where a model has them, made where it has not, as strong as the model says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from robots import MOTORS, robot_file, robot_xml
+
+from understudy.errors import ConfigError
+from understudy_characters.character import Character
+from understudy_characters.scene import CharacterScene
+from understudy_characters.servos import ServoOptions, gains, has_servos, lags, torque_limits
+from understudy_humanoid.character import build_spec
+
+HUMANOID = build_spec().compile()
+
+
+def scene_of(named: str | Path, **options: object) -> CharacterScene:
+    return CharacterScene(CharacterScene.Options(str(named), **options))  # type: ignore[arg-type]
+
+
+def test_a_models_own_servos_are_kept() -> None:
+    model = scene_of("humanoid").model
+    for name in ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "actuator_gear"):
+        np.testing.assert_allclose(getattr(model, name), getattr(HUMANOID, name), atol=1e-9)
+    np.testing.assert_allclose(lags(model), 0.1)
+
+
+def test_motors_become_servos_as_strong_as_they_were(tmp_path: Path) -> None:
+    character = Character("robot", mujoco.MjModel.from_xml_string(robot_xml()))
+    assert not has_servos(character)
+    model = scene_of(robot_file(tmp_path)).model
+    assert model.nu == model.nv - 6
+    assert has_servos(Character("robot", model))
+    for joint, gear in MOTORS.items():
+        for side in ("left", "right"):
+            assert model.actuator(f"{side}_{joint}").forcerange.tolist() == [-gear, gear]
+    assert not model.actuator_ctrllimited.any()
+
+
+def test_strength_that_no_model_states_is_near_the_known_humanoids() -> None:
+    spec = build_spec()
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    character = Character("humanoid", spec.compile())
+    ratio = (
+        torque_limits(character)
+        / HUMANOID.actuator_forcerange[
+            [
+                HUMANOID.actuator(f"{HUMANOID.joint(j).name}{axis}").id
+                for j, axis in _axes(HUMANOID)
+            ],
+            1,
+        ]
+    )
+    assert (ratio < 2.5).all()
+    assert (ratio > 1 / 2.5).all()
+
+
+def test_gains_from_strength_are_near_the_known_humanoids() -> None:
+    character = Character("humanoid", HUMANOID)
+    order = [HUMANOID.actuator(f"{HUMANOID.joint(j).name}{axis}").id for j, axis in _axes(HUMANOID)]
+    kp, kd = gains(character, torque_limits(character), ServoOptions())
+    ratio = kp / HUMANOID.actuator_gainprm[order, 0]
+    assert (ratio < 2.1).all()
+    assert (ratio > 0.5).all()
+    np.testing.assert_allclose(kd, 0.1 * kp)
+
+
+def _axes(model: mujoco.MjModel) -> list[tuple[int, str]]:
+    ball = mujoco.mjtJoint.mjJNT_BALL
+    return [
+        (joint, axis)
+        for joint in range(1, model.njnt)
+        for axis in (("_x", "_y", "_z") if model.jnt_type[joint] == ball else ("",))
+    ]
+
+
+def test_joint_limits_of_force_hold(tmp_path: Path) -> None:
+    text = robot_xml().replace('name="left_knee"', 'name="left_knee" actuatorfrcrange="-15 15"')
+    file = tmp_path / "weak.xml"
+    file.write_text(text)
+    assert scene_of(file).model.actuator("left_knee").forcerange[1] == 15.0
+    assert scene_of(file).model.actuator("right_knee").forcerange[1] == MOTORS["knee"]
+
+
+def test_unlimited_strong_and_single_motors_are_replaced(tmp_path: Path) -> None:
+    """A position actuator on one joint only is no servo of all; what senses it goes with it."""
+    text = robot_xml()
+    start, end = text.index("<actuator>"), text.index("</actuator>")
+    text = text[:start] + '<actuator><position name="p" joint="waist" kp="50"/>' + text[end:]
+    text = text.replace("</mujoco>", '<sensor><actuatorpos actuator="p"/></sensor></mujoco>')
+    file = tmp_path / "one.xml"
+    file.write_text(text)
+    model = scene_of(file).model
+    assert (model.nu, model.nsensor) == (model.nv - 6, 0)
+
+
+@pytest.mark.parametrize("target", [0.4, -0.3])
+def test_a_servo_holds_a_hinge_on_its_target_without_overshoot(
+    tmp_path: Path, target: float
+) -> None:
+    spec = scene_of(robot_file(tmp_path)).spec()
+    spec.option.gravity = [0, 0, 0]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    knee = model.joint("left_elbow" if target > 0 else "left_shoulder_x")
+    data.ctrl[model.actuator(knee.name).id] = target
+    track = []
+    for _ in range(1200):
+        mujoco.mj_step(model, data)
+        track.append(float(data.qpos[knee.qposadr[0]]))
+    assert track[-1] == pytest.approx(target, abs=0.02)
+    assert max(np.sign(target) * np.array(track)) < 1.1 * abs(target)
+
+
+def test_servos_keep_their_damping_at_other_time_steps() -> None:
+    model = scene_of("humanoid")._spec.copy()
+    from understudy_characters.servos import drive
+
+    before = {a.name: -a.biasprm[2] for a in model.actuators}
+    drive(model, Character("humanoid", model.compile()), 1 / 300, ServoOptions())
+    for actuator in model.actuators:
+        kp = actuator.gainprm[0]
+        assert -actuator.biasprm[2] == pytest.approx(before[actuator.name] + kp / 600)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (('axis="0 0 1"/>\n    <geom type="box" size=".08', 'type="slide"/>\n    <geom type="box" size=".08'), "joints other than"),
+        (("<freejoint/>", ""), "none of its bodies has a freejoint"),
+        (('name="waist"', 'name="waist" ref="0.3"'), "reference angle"),
+    ],
+)  # fmt: skip
+def test_what_is_no_character_is_refused(
+    tmp_path: Path, change: tuple[str, str], reason: str
+) -> None:
+    assert change[0] in robot_xml()
+    file = tmp_path / "odd.xml"
+    file.write_text(robot_xml().replace(*change))
+    with pytest.raises(ConfigError, match=reason):
+        scene_of(file)
