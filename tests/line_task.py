@@ -15,8 +15,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from understudy.command import workflow
+from understudy.outer import sweep
 from understudy.random import WorldStreams
 from understudy.running.environment import Environment, Parts, Step
+from understudy.setup import config
+from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.task import (
@@ -333,3 +337,9 @@ def push(environment: Environment, *forces: float) -> Step:
     """A decision: each world's force, or the same for all."""
     action = torch.tensor(forces or (0.0,)).view(-1, 1).expand(environment.num_worlds, 1)
     return environment.step(action)
+
+
+def install(monkeypatch: Any, plugins: Plugins) -> None:
+    """Make `plugins` those that commands find installed."""
+    for module in (setup_plugins, config, sweep, workflow):
+        monkeypatch.setattr(module, "installed", lambda: plugins)
