@@ -319,6 +319,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         if key not in known:
             raise ConfigError(
                 f"There is no configuration key '{key}'.{suggestion(str(key), known)}"
+                + registry.absent()
             )
     filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in _GROUPS)}
     root = make_options(Root, filled, "")
