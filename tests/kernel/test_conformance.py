@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import Line, Push, Starts, Where, line, term
+from counted_task import Line, Push, Starts, Where, line, term
 from torch import Tensor
 
 from understudy.setup.plugins import Plugins, hookimpl, load
@@ -217,8 +217,10 @@ def test_check_plugin(tmp_path: Path) -> None:
 def test_check_plugin_refuses_what_did_not_load(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="plugin 'yours' is not installed"):
         check_plugin("yours", mine(tmp_path))
-    with pytest.raises(AssertionError, match="plugin 'mine' is PluginError: .*'reward' exists|register"):
-        check_plugin("mine", mine(tmp_path / "again", reward=fake.near_origin, scene=None))
+    with pytest.raises(
+        AssertionError, match=r"plugin 'mine' is PluginError: it registers 'mine\.more' as a 'lerner'"
+    ):
+        check_plugin("mine", mine(tmp_path / "again", lerner=Documented))
 
 
 def infinite(qpos: Tensor) -> Tensor:

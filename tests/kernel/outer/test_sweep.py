@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import pytest
 import torch
-from line_task import LINE_TASK, Starts, install, line_plugins
+from counted_task import LINE_TASK, Starts, install, line_plugins
 from torch import Tensor
 
 from understudy.command.cli import main

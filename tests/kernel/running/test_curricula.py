@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import LINE_TASK, Starts, line, line_plugins, push, term
+from counted_task import LINE_TASK, Starts, line, line_plugins, push, term
 from torch import Tensor
 from worlds import assert_same_state, make_training, resumed
 

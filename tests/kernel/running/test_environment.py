@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import Line, Push, Starts, Where, line, push, term
+from counted_task import Line, Push, Starts, Where, line, push, term
 from worlds import PADDLE_TASK, assert_same_state
 
 from understudy.errors import ConfigError, TrainingError

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import LINE_TASK, Starts, line_plugins
+from counted_task import LINE_TASK, Starts, line_plugins
 from torch import Tensor
 from worlds import make_training
 

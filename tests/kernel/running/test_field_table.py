@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import LINE_TASK, Where, bound, line, line_plugins, push, term
+from counted_task import LINE_TASK, Where, bound, line, line_plugins, push, term
 from torch import Tensor
 
 from understudy.errors import ConfigError

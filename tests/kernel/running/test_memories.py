@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import bound, line, push, term
+from counted_task import bound, line, push, term
 from torch import Tensor
 from worlds import assert_same_state
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import LINE_TASK, install, line_plugins
+from counted_task import LINE_TASK, install, line_plugins
 from torch import nn
 from worlds import assert_same_state, make_training, resumed
 

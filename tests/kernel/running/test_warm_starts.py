@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from line_task import LINE_TASK, Certain, Push, Starts, Where, line_plugins
+from counted_task import LINE_TASK, Certain, Push, Starts, Where, line_plugins
 from torch import Tensor
 from worlds import assert_same_state, make_training, resumed
 

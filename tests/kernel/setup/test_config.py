@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import line_task
+import counted_task
 import pytest
-from line_task import LINE_TASK, install, line_plugins
+from counted_task import LINE_TASK, install, line_plugins
 from worlds import SMALL, make_training
 
 from understudy.errors import ConfigError
@@ -125,7 +125,7 @@ TASKS = {
 
 @pytest.mark.parametrize("task", TASKS)
 def test_the_effective_configuration_is_the_same_configuration(task: str) -> None:
-    plugins = load(extra=[("fake", fake), ("line", line_task)])
+    plugins = load(extra=[("fake", fake), ("line", counted_task)])
     experiment = load_experiment(TASKS[task], plugins)
     effective = json.loads(json.dumps(experiment.effective()))
     again = validate(effective, plugins.registry)
@@ -193,7 +193,7 @@ def test_the_command_shows_defaults(
     ],
 )  # fmt: skip
 def test_errors_are_our_own_sentences(override: str, message: str) -> None:
-    plugins = load(extra=[("fake", fake), ("line", line_task)])
+    plugins = load(extra=[("fake", fake), ("line", counted_task)])
     with pytest.raises(ConfigError, match=message):
         load_experiment([*FAKE_TASK, "+policy={name: line.steady}", override], plugins)
 
