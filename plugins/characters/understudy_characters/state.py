@@ -87,7 +87,7 @@ def character_state(
 
 def _turn(yaw: Tensor) -> Tensor:
     """(N, 3, 3): row vectors of the world times this are those of the heading frame."""
-    return rotations.to_matrix(rotations.from_heading(yaw))
+    return rotations.turn_matrix(yaw)
 
 
 class Poses:
