@@ -144,3 +144,25 @@ def test_what_is_no_character_is_refused(
     file.write_text(robot_xml().replace(*change))
     with pytest.raises(ConfigError, match=reason):
         scene_of(file)
+
+
+def test_a_light_limb_does_not_shake(tmp_path: Path) -> None:
+    """Targets that jump by 0.1 rad, as exploration has them, move a hand of 50 g by no more than that."""
+    text = robot_xml().replace('size=".04" mass=".4"/>', 'size=".04" mass=".05"/>')
+    text = text.replace('armature=".01"', 'armature="0"')
+    text = text.replace(
+        '<body name="left_hand" pos="0 0 -.25">',
+        '<body name="left_hand" pos="0 0 -.25"><joint name="left_wrist" axis="1 0 0"/>',
+    )
+    file = tmp_path / "light.xml"
+    file.write_text(text)
+    model = scene_of(file).model
+    data = mujoco.MjData(model)
+    rng, address = np.random.default_rng(0), int(model.joint("left_wrist").qposadr[0])
+    largest = 0.0
+    for step in range(600):
+        if step % 20 == 0:
+            data.ctrl[:] = 0.1 * rng.choice([-1.0, 1.0], model.nu)
+        mujoco.mj_step(model, data)
+        largest = max(largest, abs(data.qpos[address]))
+    assert largest < 0.15
