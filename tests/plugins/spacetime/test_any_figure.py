@@ -36,6 +36,16 @@ def robot(tmp_path_factory: pytest.TempPathFactory, plugins: Plugins) -> tuple[s
     return (f"scene.character={file}", f"motion.file={motion}")
 
 
+def test_scenes_of_other_plugins_can_be_chosen() -> None:
+    chosen = {
+        override: load_experiment([*WALK, override]).scene.options.character
+        for override in ("scene=humanoid", "scene.character=jumper", "seed=1")
+    }
+    assert list(chosen.values()) == ["humanoid", "jumper", "humanoid"]
+    other = load_experiment([*WALK, "scene=character", "scene.character=jumper"])
+    assert other.scene.options.character == "jumper"
+
+
 def test_the_jumper_walks_within_bounds() -> None:
     environment = build_environment(load_experiment([*WALK, "scene.character=jumper"])).environment
     check_environment(environment, steps=12)
