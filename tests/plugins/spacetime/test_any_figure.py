@@ -38,7 +38,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory, plugins: Plugins) -> tuple[s
 
 def test_scenes_of_other_plugins_can_be_chosen() -> None:
     chosen = {
-        override: load_experiment([*WALK, override]).scene.options.character
+        override: load_experiment([*WALK, override]).need("scene").options.character
         for override in ("scene=humanoid", "scene.character=jumper", "seed=1")
     }
     assert list(chosen.values()) == ["humanoid", "jumper", "humanoid"]

@@ -45,7 +45,7 @@ def episode(plugins: Plugins) -> tuple[dict[str, Any], Tracks, dict[str, np.ndar
         environment.step(0.7 * environment.table["reference_joint_targets"])
     environment.close()
     stacked = {name: np.stack(values) for name, values in tracks.items()}
-    return dict(experiment.raw), stacked, {k: np.stack(v) for k, v in outside.items()}
+    return experiment.effective(), stacked, {k: np.stack(v) for k, v in outside.items()}
 
 
 def verdicts(environment: Environment) -> dict[str, np.ndarray]:
