@@ -20,7 +20,8 @@ from understudy.task import ActionSpace, Box, Distribution
 _Layer = TypeVar("_Layer", nn.Linear, nn.Conv2d)
 
 
-Precision = Literal["float32", "bfloat16"]
+Precision = Literal["float32", "tf32", "bfloat16"]
+"""Number format of matrix products; tf32 is NVIDIA's, and float32 on CPUs."""
 
 
 class Network(nn.Sequential):
@@ -39,19 +40,24 @@ class Network(nn.Sequential):
 
 
 def set_precision(policy: nn.Module, precision: Precision) -> None:
-    """Let every :class:`Network` in `policy` compute in `precision`, acting and learning alike.
+    """Let the networks of `policy` compute in `precision`, acting and learning alike.
+
+    TF32 is the process's setting (which environments leave out, decision 8), bfloat16 that of every
+    :class:`Network` in the policy.
 
     Raises
     ------
     ConfigError
-        if a reduced precision is asked for and the policy has none that knows it.
+        if bfloat16 is asked for and the policy has no network that knows it.
     """
     networks = [module for module in policy.modules() if isinstance(module, Network)]
-    if precision != "float32" and not networks:
+    if precision == "bfloat16" and not networks:
         raise ConfigError(
-            f"This policy ({type(policy).__name__}) has no network that computes in {precision}. "
+            f"This policy ({type(policy).__name__}) has no network that computes in bfloat16. "
             "Use learner.precision=float32 or another policy."
         )
+    torch.backends.cuda.matmul.allow_tf32 = precision == "tf32"
+    torch.backends.cudnn.allow_tf32 = precision == "tf32"
     for network in networks:
         network.precision = precision
 

@@ -14,9 +14,7 @@ from understudy.task import State
 
 def adam(parameters: Sequence[nn.Parameter], rate: Tensor, *, weight_decay: float = 0.0) -> Adam:
     """Adam (Kingma and Ba 2015). `rate` () is read at every step; decay is added to the gradient."""
-    return Adam(
-        parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda
-    )
+    return Adam(parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda)
 
 
 def sgd(
@@ -60,11 +58,11 @@ def load_state(optimiser: Optimizer, state: State) -> None:
             optimiser.state[p] = {k: v.clone().to(p.device) for k, v in state[str(i)].items()}
 
 
-def refuse_hopeless(bad_steps: int, patience: int) -> None:
-    """An error once `patience` steps in a row were not finite."""
-    if bad_steps >= patience:
+def refuse_hopeless(bad: int, patience: int, what: str = "optimiser steps") -> None:
+    """An error once `patience` of `what` in a row were not finite."""
+    if bad >= patience:
         raise TrainingError(
-            f"{bad_steps} optimiser steps in a row had a non-finite loss or gradient. The usual causes "
+            f"{bad} {what} in a row had a non-finite loss or gradient. The usual causes "
             "are too high a learning rate, or rewards that are huge; the weights are those before "
             "the first of them."
         )

@@ -32,8 +32,8 @@ class Captured:
             return
         if not self._inputs:
             self._inputs = {name: torch.empty_like(value) for name, value in minibatch.items()}
-        if minibatch:
-            torch._foreach_copy_([*self._inputs.values()], [minibatch[k] for k in self._inputs])
+        for name, value in minibatch.items():
+            self._inputs[name].copy_(value)
         if self._graph is not None:
             self._graph.replay()
             return

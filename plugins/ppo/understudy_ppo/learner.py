@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from understudy import distributed
 from understudy.errors import ConfigError
-from understudy.nn import set_precision
+from understudy.nn import Precision, set_precision
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Learner, Policy, Rollout, State
@@ -70,7 +70,7 @@ class PPO(Learner):
         target_kl: float | None = None
         #: Number format of the networks' matrix products, acting and learning. tf32 is float32 on
         #: CPUs; bfloat16 leaves weights, optimiser and each network's last layer in float32.
-        precision: Literal["float32", "tf32", "bfloat16"] = "float32"
+        precision: Precision = "float32"
         #: Non-finite optimiser steps in a row after which the training stops.
         patience: int = 20
 
@@ -87,7 +87,9 @@ class PPO(Learner):
                     "give exactly one of them and set the other to null."
                 )
             if self.momentum and self.optimiser != "sgd":
-                raise ValueError(f"momentum={self.momentum} is not possible: it needs optimiser=sgd.")
+                raise ValueError(
+                    f"momentum={self.momentum} is not possible: it needs optimiser=sgd."
+                )
             if self.clip is None and self.kl_penalty is None:
                 raise ValueError(
                     "clip=null is not possible without kl_penalty: nothing would hold the policy near "
@@ -99,10 +101,7 @@ class PPO(Learner):
         self.rollout_steps = options.rollout_steps
         samples = options.rollout_steps * context.num_worlds
         self._steps, self._batch_size = _minibatches(options, samples)
-        # The process's and the policy's setting, so that acting and learning compute alike.
-        torch.backends.cuda.matmul.allow_tf32 = options.precision == "tf32"
-        torch.backends.cudnn.allow_tf32 = options.precision == "tf32"
-        set_precision(policy, "bfloat16" if options.precision == "bfloat16" else "float32")
+        set_precision(policy, options.precision)
         device = context.device
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
