@@ -33,7 +33,8 @@ def make_policy(kind: type, options: object, context: Context) -> Policy:
 
 
 class Line:
-    """Worlds at x in [-2, 2]; reward exp(-x²) where they go, failure beyond 3, cut after 10 steps."""
+    """Worlds at x in [-2, 2] that go up to 0.5 a step; reward exp(-x²) where they arrive, failure
+    beyond 3, cut after 10 steps."""
 
     def __init__(self, context: Context, policy: Policy) -> None:
         assert context.action_space is not None
@@ -51,8 +52,10 @@ class Line:
     def _move(self, action: Tensor) -> Tensor:
         parts = self.space.split(action)
         if "side" in parts:
-            return (2.0 * parts["side"] - 1.0) * parts["step"][:, 0].abs()
-        return parts["action"][:, 0]
+            move = (2.0 * parts["side"] - 1.0) * parts["step"][:, 0].abs()
+        else:
+            move = parts["action"][:, 0]
+        return move.clamp(-0.5, 0.5)
 
     @torch.no_grad()
     def collect(self, steps: int) -> Rollout:

@@ -107,7 +107,10 @@ def columns(action: torch.Tensor) -> list[torch.Tensor]:
 def test_a_hybrid_equals_torchs_distributions() -> None:
     assert (SPACE.size, head_size(SPACE), box_columns(SPACE)) == (5, 8, 3)
     out, other = outputs(0, 4, 6), outputs(1, 4, 6)
-    hybrid, second = action_distribution(SPACE, out, STD), action_distribution(SPACE, other, 2 * STD)
+    hybrid, second = (
+        action_distribution(SPACE, out, STD),
+        action_distribution(SPACE, other, 2 * STD),
+    )
     theirs, seconds = reference(out, STD), reference(other, 2 * STD)
     action = torch.cat(
         [
@@ -155,7 +158,9 @@ def test_divergence_is_nonnegative_and_zero_of_itself(
     q = action_distribution(SPACE, outputs(two, 16, scale=scale).double(), spread * STD.double())
     assert float(p.divergence(q).min()) >= -1e-9
     assert float(p.divergence(p).abs().max()) < 1e-9
-    torch.testing.assert_close(p.divergence(p.detach()), torch.zeros(16).double(), atol=1e-9, rtol=0)
+    torch.testing.assert_close(
+        p.divergence(p.detach()), torch.zeros(16).double(), atol=1e-9, rtol=0
+    )
 
 
 @settings(max_examples=8, deadline=None)
@@ -185,7 +190,9 @@ def test_a_network_in_bfloat16_keeps_its_last_layer() -> None:
     x = torch.randn(64, 6, generator=torch.Generator().manual_seed(0))
     exact = net(x)
     net.precision = "bfloat16"
-    hidden = torch.relu(nn.functional.linear(x.bfloat16(), net[0].weight.bfloat16(), net[0].bias.bfloat16()))  # type: ignore[arg-type, union-attr]
+    hidden = torch.relu(
+        nn.functional.linear(x.bfloat16(), net[0].weight.bfloat16(), net[0].bias.bfloat16())
+    )  # type: ignore[arg-type, union-attr]
     torch.testing.assert_close(net(x), net[2](hidden.float()))
     assert not torch.equal(net(x), exact)
     assert net(x.double().float()).dtype == torch.float32

@@ -82,7 +82,9 @@ def test_rows_do_not_depend_on_one_another(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["mlp", "cnn"])
 def test_every_learned_weight_is_the_actors_or_the_critics(kind: str, learn_noise: bool) -> None:
     policy = make(kind, learn_noise=learn_noise)
-    actor, critic = ({id(p) for p in f()} for f in (policy.actor_parameters, policy.critic_parameters))
+    actor, critic = (
+        {id(p) for p in f()} for f in (policy.actor_parameters, policy.critic_parameters)
+    )
     assert not actor & critic
     assert actor | critic == {id(p) for p in policy.parameters() if p.requires_grad}
     distribution, value = policy.distribution(seen(6)), policy.value(seen(6))
@@ -126,14 +128,19 @@ def test_coordinates_say_where_a_pixel_is() -> None:
     assert out.shape == (2, 3, 3, 5)
     assert out[1, 1, :, 0].tolist() == [-1, 0, 1]
     assert out[1, 2, 0].tolist() == [-1, -0.5, 0, 0.5, 1]
-    for coordinates in (True, False):  # a shifted image gives other features only by its place
-        policy = make("cnn", coordinates=coordinates, kernels=(1, 1), pool=1)
-        image = torch.zeros(1, 2, 32, 32)
-        image[0, 0, 4, 4] = 1.0
-        shifted = image.roll((7, 9), (2, 3))
-        assert isinstance(policy, CNNPolicy)
-        sums = [policy.actor_eye[:-3](x).sum() for x in (image, shifted)]
-        assert bool(torch.isclose(*sums)) is not coordinates
+
+
+@pytest.mark.parametrize("coordinates", [True, False])
+def test_only_with_coordinates_it_matters_where_a_shape_is(coordinates: bool) -> None:
+    policy = make("cnn", coordinates=coordinates, pool=1)
+    assert isinstance(policy, CNNPolicy)
+    convolutions = policy.actor_eye[:-3]
+    image = torch.zeros(1, 2, 32, 32)
+    image[:, :, 8:12, 9:13] = torch.rand(2, 4, 4, generator=torch.Generator().manual_seed(0))
+    there = convolutions(image.roll((7, 9), (2, 3)))
+    moved = convolutions(image).roll((7, 9), (2, 3))
+    assert there.abs().max() > 0.1
+    assert torch.allclose(there, moved, atol=1e-6) is not coordinates
 
 
 @pytest.mark.parametrize("kind", ["mlp", "cnn"])
@@ -147,7 +154,9 @@ def test_bfloat16_is_near_and_keeps_weights_in_float32(kind: str) -> None:
         assert not torch.equal(a, b)
         torch.testing.assert_close(a, b, atol=0.05, rtol=0.05)
     found[1].sum().backward()
-    assert all(p.grad is not None and p.grad.dtype == torch.float32 for p in policy.critic_parameters())
+    assert all(
+        p.grad is not None and p.grad.dtype == torch.float32 for p in policy.critic_parameters()
+    )
     set_precision(policy, "float32")
     assert torch.equal(policy.value(seen(6)), exact[1])
 

@@ -62,7 +62,7 @@ def test_learns_to_stay_near(options: dict[str, Any], space: ActionSpace) -> Non
     line, learner = make(options, space)
     rows = train(line, learner.update, STEPS, 20)
     assert sum(row["reward"] for row in rows[:2]) / 2 < 0.55
-    assert sum(row["reward"] for row in rows[-2:]) / 2 > 0.75  # 0.81 at best with this noise
+    assert sum(row["reward"] for row in rows[-2:]) / 2 > 0.8  # 0.9 at best with this noise
     assert all(row["skipped_steps"] == 0 for row in rows)
     assert max(row["kl"] for row in rows) < 0.2
     assert max(row["explained_variance"] for row in rows) > 0.15
@@ -80,15 +80,18 @@ def test_bfloat16_acts_as_it_learns() -> None:
     """The first ratio is one to a few of bfloat16's roundings of the hidden units."""
     ratios = {}
     for acting in ("bfloat16", "float32"):
-        line, learner = make({"precision": "bfloat16"}, hidden=(256, 128), noise=Schedule(0.05, 0.05))
-        network, = (m for m in line.policy.modules() if type(m).__name__ == "Network" and m is line.policy.actor)  # type: ignore[attr-defined]
-        torch.nn.init.normal_(network[-1].weight, 0.0, 0.1)
+        line, _ = make(
+            {"precision": "bfloat16"}, hidden=(256, 128), noise=Schedule(0.05, 0.05)
+        )
+        assert isinstance(line.policy, MLPPolicy)
+        network = line.policy.actor
+        torch.nn.init.normal_(network[-1].weight, 0.0, 0.1)  # type: ignore[arg-type]
         network.precision = acting
         rollout = line.collect(STEPS)
         network.precision = "bfloat16"
         seen = {k: v.flatten(0, 1) for k, v in rollout.observations.items()}
         new = line.policy.distribution(seen).log_prob(rollout.actions.flatten(0, 1))
-        ratios[acting] = float((new - rollout.log_probs.flatten()).abs().mean())
+        ratios[acting] = float((new.detach() - rollout.log_probs.flatten()).abs().mean())
     assert ratios["bfloat16"] < 1e-3
     assert ratios["float32"] > 10 * ratios["bfloat16"]
 
@@ -204,7 +207,7 @@ def test_gradient_descent_with_momentum_is_what_it_says() -> None:
 @pytest.mark.parametrize("options", [ADAM, SGD, ADAM | {"kl_penalty": KLPenalty()}])
 def test_a_step_that_is_not_finite_changes_nothing(options: dict[str, Any]) -> None:
     """From the very first step on, when optimisers make their state."""
-    line, learner = make(options)
+    line, learner = make(options | {"patience": 100})
     dumped: list[Any] = []
     learner.on_fault = dumped.append
     before = {k: v.clone() for k, v in line.policy.state_dict().items()}
@@ -260,5 +263,5 @@ def test_batch_size_takes_whole_batches() -> None:
     line, learner = make({"minibatches": None, "batch_size": 100, "epochs": 3})
     bad = line.collect(STEPS)
     bad.rewards[:] = float("nan")
-    with pytest.raises(TrainingError, match="^30 optimiser steps"):
+    with pytest.raises(TrainingError, match=r"^30 optimiser steps"):
         learner.update(bad)

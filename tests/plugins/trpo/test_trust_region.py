@@ -44,7 +44,7 @@ def test_learns_to_stay_near(space: ActionSpace, options: dict[str, Any]) -> Non
     line, learner = make(space, value_epochs=3, **options)
     rows = train(line, learner.update, STEPS, 25)
     assert sum(row["reward"] for row in rows[:2]) / 2 < 0.55
-    assert sum(row["reward"] for row in rows[-2:]) / 2 > 0.75
+    assert sum(row["reward"] for row in rows[-2:]) / 2 > 0.8
     assert all(row["skipped_steps"] == 0 for row in rows)
     assert max(row["kl"] for row in rows) <= learner.options.kl_limit
     assert all(row["gain"] > 0 for row in rows if row["step_share"])
@@ -56,9 +56,9 @@ def test_a_step_uses_its_limit(limit: float) -> None:
     """Without damping the first step's divergence, measured afresh, is the limit or a little less."""
     line, learner = make(kl_limit=limit, damping=1e-5, conjugate_gradient_steps=30)
     rollout = line.collect(STEPS)
+    before = line.policy.distribution(rollout.observations).detach()
+    row = learner.update(rollout)
     with torch.no_grad():
-        before = line.policy.distribution(rollout.observations)
-        row = learner.update(rollout)
         found = float(before.divergence(line.policy.distribution(rollout.observations)).mean())
     assert found == pytest.approx(row["kl"], rel=1e-3)
     assert 0.3 * limit < found <= limit
@@ -85,7 +85,6 @@ def test_a_step_that_is_not_finite_changes_nothing() -> None:
     bad = line.collect(STEPS)
     bad.rewards[3, 5] = float("nan")
     assert learner.update(bad)["skipped_steps"] >= 1 + 8  # one of eight batches holds the number
-    assert dict.fromkeys(before) == dict.fromkeys(line.policy.state_dict())
     actor = [k for k in before if k.startswith("actor")]
     assert all(torch.equal(before[k], line.policy.state_dict()[k]) for k in actor)
     assert all(torch.isfinite(v).all() for v in line.policy.state_dict().values())
@@ -93,9 +92,10 @@ def test_a_step_that_is_not_finite_changes_nothing() -> None:
     assert learner.update(line.collect(STEPS))["skipped_steps"] == 0
     bad = line.collect(STEPS)
     bad.rewards[:] = float("inf")
-    with pytest.raises(TrainingError, match="^3 updates in a row"):
-        for _ in range(3):
-            learner.update(bad)
+    for _ in range(2):
+        learner.update(bad)
+    with pytest.raises(TrainingError, match=r"^3 updates in a row"):
+        learner.update(bad)
 
 
 def test_nothing_to_improve_is_no_fault() -> None:
