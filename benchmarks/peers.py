@@ -116,9 +116,7 @@ def train_ours(
     return evaluate(task, act, seed)
 
 
-def train_peer(
-    task: str, samples: int, seed: int, algorithm: Any, **hyperparameters: Any
-) -> float:
+def train_peer(task: str, samples: int, seed: int, algorithm: Any, **hyperparameters: Any) -> float:
     """Mean return of a Stable-Baselines3 algorithm's deterministic policy after `samples`."""
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecNormalize

@@ -20,6 +20,7 @@ from understudy_basics import optimisers
 from understudy_basics.returns import digest, explained_variance, observations_of
 from understudy_ppo.graphs import Captured
 from understudy_ppo.losses import KLPenalty, clipped_surrogate
+from understudy_ppo.threads import SideBySide
 
 #: By what an adaptive learning rate changes in an update, and its limits.
 RATE_STEP, RATE_RANGE = 1.5, (1e-6, 1e-2)
@@ -120,6 +121,10 @@ class PPO(Learner):
         self._bad_steps = torch.zeros((), dtype=torch.int64, device=device)
         #: (6,) a minibatch's losses, entropy, KL divergence, clipped share, and 1; sums of sound ones.
         self._row, self._sums = torch.zeros(2, 6, device=device)
+        self._row[-1] = 1.0
+        #: (2,) the norms of the actor's and the critic's gradient.
+        self._norms = torch.zeros(2, device=device)
+        self._beside = SideBySide(device)
         self._capture()
 
     def _capture(self) -> None:
@@ -140,14 +145,10 @@ class PPO(Learner):
         if self._collecting is not None:
             self._collecting.load_state_dict(self.policy.state_dict())
         self._sums.zero_()
-        for _ in range(options.epochs):
-            for minibatch in self._shuffled(batch):
-                self._captured_differentiate(minibatch)
-                if distributed.size() > 1:
-                    parameters = [*self._actor, *self._critic]
-                    self._row.copy_(distributed.average_gradients(parameters, self._row))
-                self._captured_apply({})
-                self._report_fault(minibatch)
+        with self._beside.sharing():
+            for _ in range(options.epochs):
+                for minibatch in self._shuffled(batch):
+                    self._step(minibatch)
         *totals, taken = self._sums.tolist()  # the update's one wait for the device
         actor_loss, value_loss, entropy, kl, outside = (x / max(1.0, taken) for x in totals)
         optimisers.refuse_hopeless(int(self._bad_steps), options.patience)
@@ -170,6 +171,14 @@ class PPO(Learner):
         shuffled = {name: value[order].split(self._batch_size) for name, value in batch.items()}
         for i in range(self._steps):
             yield {name: parts[i] for name, parts in shuffled.items()}
+
+    def _step(self, minibatch: Mapping[str, Tensor]) -> None:
+        self._captured_differentiate(minibatch)
+        if distributed.size() > 1:
+            parameters = [*self._actor, *self._critic]
+            self._row.copy_(distributed.average_gradients(parameters, self._row))
+        self._captured_apply({})
+        self._report_fault(minibatch)
 
     def losses(self, minibatch: Mapping[str, Tensor]) -> Losses:
         """Of a minibatch such as a fault dump holds: ``observations/…``, ``actions``,
@@ -195,33 +204,45 @@ class PPO(Learner):
         return (values - minibatch["returns"]).square().mean()
 
     def _differentiate(self, minibatch: Mapping[str, Tensor]) -> None:
-        """Set the gradients and the statistics of `minibatch`; one network after the other, since a
-        CPU's caches hold one."""
-        for optimiser in (self._actor_optimiser, self._critic_optimiser):
-            optimiser.zero_grad(set_to_none=True)
-        actor_loss, entropy, ratio = self._actor_loss(minibatch)
-        actor_loss.backward()
-        value_loss = self._value_loss(minibatch)
-        value_loss.backward()
+        """Set the gradients and the statistics of `minibatch`."""
+        self._beside(
+            lambda: self._differentiate_actor(minibatch),
+            lambda: self._differentiate_critic(minibatch),
+        )
+
+    def _differentiate_actor(self, minibatch: Mapping[str, Tensor]) -> None:
+        self._actor_optimiser.zero_grad(set_to_none=True)
+        loss, entropy, ratio = self._actor_loss(minibatch)
+        loss.backward()
         with torch.no_grad():
             kl = (ratio - 1 - ratio.log()).mean()  # Schulman's k3 estimator
-            clip = self.options.clip
-            outside = torch.zeros_like(kl)
-            if clip is not None:
-                outside = ((ratio - 1).abs() > clip).to(kl.dtype).mean()
-            row = [actor_loss, value_loss, entropy, kl, outside, torch.ones_like(kl)]
-            self._row.copy_(torch.stack(row))
+            clip = self.options.clip if self.options.clip is not None else torch.inf
+            outside = ((ratio - 1).abs() > clip).to(kl.dtype).mean()
+            self._row[0] = loss
+            self._row[2:5] = torch.stack([entropy, kl, outside])
+
+    def _differentiate_critic(self, minibatch: Mapping[str, Tensor]) -> None:
+        self._critic_optimiser.zero_grad(set_to_none=True)
+        loss = self._value_loss(minibatch)
+        loss.backward()
+        with torch.no_grad():
+            self._row[1] = loss
 
     @torch.no_grad()
     def _apply(self) -> None:
         """One optimiser step; if losses or gradients are not finite, nothing changes but the count."""
-        norm = self.options.max_gradient_norm
-        norms = [nn.utils.clip_grad_norm_(group, norm) for group in (self._actor, self._critic)]
-        sound = torch.isfinite(torch.cat([torch.stack(norms), self._row[:2]])).all()
-        optimisers.step(self._actor_optimiser, sound)
-        optimisers.step(self._critic_optimiser, sound)
+        self._beside(lambda: self._clip(0, self._actor), lambda: self._clip(1, self._critic))
+        sound = torch.isfinite(torch.cat([self._norms, self._row[:2]])).all()
+        self._beside(
+            lambda: optimisers.step(self._actor_optimiser, sound),
+            lambda: optimisers.step(self._critic_optimiser, sound),
+        )
         self._bad_steps.copy_(torch.where(sound, 0, self._bad_steps + 1))
         self._sums += torch.where(sound, self._row, 0.0)
+
+    @torch.no_grad()
+    def _clip(self, i: int, parameters: list[nn.Parameter]) -> None:
+        self._norms[i] = nn.utils.clip_grad_norm_(parameters, self.options.max_gradient_norm)
 
     def _report_fault(self, minibatch: Mapping[str, Tensor]) -> None:
         """Hand out the first minibatch that went wrong; on a GPU that would cost a wait in each step."""

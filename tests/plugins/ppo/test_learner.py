@@ -80,9 +80,7 @@ def test_bfloat16_acts_as_it_learns() -> None:
     """The first ratio is one to a few of bfloat16's roundings of the hidden units."""
     ratios = {}
     for acting in ("bfloat16", "float32"):
-        line, _ = make(
-            {"precision": "bfloat16"}, hidden=(256, 128), noise=Schedule(0.05, 0.05)
-        )
+        line, _ = make({"precision": "bfloat16"}, hidden=(256, 128), noise=Schedule(0.05, 0.05))
         assert isinstance(line.policy, MLPPolicy)
         network = line.policy.actor
         torch.nn.init.normal_(network[-1].weight, 0.0, 0.1)  # type: ignore[arg-type]
