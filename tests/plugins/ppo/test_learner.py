@@ -263,3 +263,20 @@ def test_batch_size_takes_whole_batches() -> None:
     bad.rewards[:] = float("nan")
     with pytest.raises(TrainingError, match=r"^30 optimiser steps"):
         learner.update(bad)
+
+
+def test_side_by_side_gives_what_one_after_the_other_gives() -> None:
+    """On two threads actor and critic are updated at once."""
+    weights = []
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            line, learner = make(ADAM)
+            train(line, learner.update, STEPS, 2)
+            assert torch.get_num_threads() == threads
+            weights.append(dict(line.policy.named_parameters()))
+    finally:
+        torch.set_num_threads(before)
+    for name, value in weights[0].items():
+        torch.testing.assert_close(value, weights[1][name], rtol=1e-4, atol=1e-6)
