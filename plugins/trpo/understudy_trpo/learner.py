@@ -149,12 +149,12 @@ class TRPO(Learner):
 
     def _fit_values(self, batch: Mapping[str, Tensor]) -> dict[str, float]:
         """Regress the values on the returns; returns metrics."""
-        losses, sound_steps, steps = torch.zeros_like(batch["returns"][0]), 0.0, 0
+        seen, returns = observations_of(batch), batch["returns"]
+        losses, sound_steps, steps = torch.zeros_like(returns[0]), 0.0, 0
         for _ in range(self.options.value_epochs):
-            for rows in self._minibatches(batch["returns"]):
-                minibatch = {name: value[rows] for name, value in batch.items()}
-                values = self.policy.value(observations_of(minibatch))
-                loss = (values - minibatch["returns"]).square().mean()
+            for rows in self._minibatches(returns):
+                values = self.policy.value({name: value[rows] for name, value in seen.items()})
+                loss = (values - returns[rows]).square().mean()
                 self._optimiser.zero_grad(set_to_none=True)
                 loss.backward()
                 loss = distributed.average_gradients(self._critic, loss.detach().view(1))
