@@ -7,7 +7,7 @@ boxes' deviation does not depend on the state; it is scheduled or learned.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -23,12 +23,13 @@ from understudy.nn import (
     box_columns,
     head_size,
     mlp,
+    relu,
     scaled,
 )
 from understudy.options import check_range
 from understudy.task import ActionSpace, Context, Distribution, Policy
 
-ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
+ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {"relu": relu, "elu": nn.ELU, "tanh": nn.Tanh}
 
 
 class MLPPolicy(Policy):
@@ -195,7 +196,7 @@ def _eye(options: CNNPolicy.Options, shape: tuple[int, int, int]) -> Network:
         channels += 2
     for filters, kernel in zip(options.filters, options.kernels, strict=True):
         convolution = nn.Conv2d(channels, filters, kernel, padding=kernel // 2)
-        layers += [scaled(convolution), nn.ReLU(), nn.MaxPool2d(options.pool)]
+        layers += [scaled(convolution), relu(), nn.MaxPool2d(options.pool)]
         channels, height, width = filters, height // options.pool, width // options.pool
     if height * width == 0:
         raise ConfigError(
@@ -203,7 +204,7 @@ def _eye(options: CNNPolicy.Options, shape: tuple[int, int, int]) -> Network:
             f"of {shape[1]} × {shape[2]} pixels. Give fewer filters, or policy.pool=1."
         )
     linear = nn.Linear(channels * height * width, options.features)
-    return Network(*layers, nn.Flatten(), scaled(linear), nn.ReLU())
+    return Network(*layers, nn.Flatten(), scaled(linear), relu())
 
 
 def action_space(context: Context, who: str) -> ActionSpace:
