@@ -17,10 +17,10 @@ import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from torch import Tensor
 
-from understudy.nn import Schedule
 from understudy.random import WorldStreams, private_rng
 from understudy.records.runs import versions
 from understudy.task import Context, Learner, Policy, Rollout, box
+from understudy_basics.nn import Schedule
 from understudy_basics.policies import MLPPolicy
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks"

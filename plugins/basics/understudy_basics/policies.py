@@ -15,7 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from understudy.errors import ConfigError, suggestion
-from understudy.nn import (
+from understudy.options import check_range
+from understudy.task import ActionSpace, Context, Distribution, Policy
+from understudy_basics.nn import (
     Network,
     RunningNormaliser,
     Schedule,
@@ -26,8 +28,6 @@ from understudy.nn import (
     relu,
     scaled,
 )
-from understudy.options import check_range
-from understudy.task import ActionSpace, Context, Distribution, Policy
 
 ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {"relu": relu, "elu": nn.ELU, "tanh": nn.Tanh}
 

@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 
 UNIT_TOLERANCE = 0.5
 """How far from 1 the norm of a given quaternion may be before it is an error.

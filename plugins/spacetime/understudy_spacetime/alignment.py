@@ -14,8 +14,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from understudy.rotations import canonical, conjugate, multiply, turn_matrix
 from understudy.task import Context, Fields, Shape
+from understudy_basics.rotations import canonical, conjugate, multiply, turn_matrix
 from understudy_characters.scene import CharacterScene
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from torch import Tensor, nn
 
 from understudy.errors import ConfigError
-from understudy.nn import DiagonalGaussian
 from understudy.task import Context, Policy
+from understudy_basics.nn import DiagonalGaussian
 from understudy_basics.policies import MLPPolicy, observation_size
 
 

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 
 from understudy import distributed
 from understudy.errors import ConfigError
-from understudy.nn import set_precision
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
 from understudy_basics import optimisers
+from understudy_basics.nn import set_precision
 from understudy_basics.returns import digest, explained_variance, observations_of
 from understudy_trpo.natural_gradient import (
     Product,

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.nn import DiagonalGaussian, Joint, Schedule, set_precision
 from understudy.options import make_options
 from understudy.random import WorldStreams
 from understudy.setup.plugins import Plugins
 from understudy.task import ActionSpace, Box, Choice, Context, Policy, box
 from understudy.testing import check_plugin
+from understudy_basics.nn import DiagonalGaussian, Joint, Schedule, set_precision
 from understudy_basics.policies import CNNPolicy, Coordinates, MLPPolicy
 
 HYBRID = ActionSpace({"skill": Choice(4), "target": Box(2)})

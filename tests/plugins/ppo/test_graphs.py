@@ -10,8 +10,8 @@ import torch
 from line_task import STEP, Line, line_context, make_policy
 from torch import Tensor
 
-from understudy.nn import Schedule
 from understudy.task import Rollout
+from understudy_basics.nn import Schedule
 from understudy_basics.policies import MLPPolicy
 from understudy_ppo.graphs import Captured
 from understudy_ppo.learner import PPO

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins
+from understudy_basics import rotations
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_spacetime.overlay import BoundsOverlay
 

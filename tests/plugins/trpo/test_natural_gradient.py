@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector
 
-from understudy.nn import action_distribution, box_columns, head_size, mlp
 from understudy.task import ActionSpace, Box, Choice, Distribution
+from understudy_basics.nn import action_distribution, box_columns, head_size, mlp
 from understudy_trpo.natural_gradient import (
     conjugate_gradient,
     gradient,

@@ -10,10 +10,10 @@ from line_task import SIDE_AND_STEP, STEP, Line, line_context, make_policy, trai
 from worlds import assert_same_state
 
 from understudy.errors import ConfigError, TrainingError
-from understudy.nn import Schedule
 from understudy.setup.plugins import Plugins
 from understudy.task import ActionSpace
 from understudy.testing import check_plugin
+from understudy_basics.nn import Schedule
 from understudy_basics.policies import MLPPolicy
 from understudy_trpo.learner import TRPO
 

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from understudy.nn import (
+from understudy.random import WorldStreams
+from understudy.task import ActionSpace, Box, Choice
+from understudy_basics.nn import (
     DiagonalGaussian,
     RunningNormaliser,
     Schedule,
@@ -17,8 +19,6 @@ from understudy.nn import (
     head_size,
     mlp,
 )
-from understudy.random import WorldStreams
-from understudy.task import ActionSpace, Box, Choice
 
 
 def test_mlp() -> None:
