@@ -3,7 +3,10 @@
 1. Environment: control steps of ``experiment=spacetime/walk`` while collecting, against bare
    ``mujoco.batch.Batch`` stepping the same model with the same controls.
 2. End to end (collect and learn), against Stable-Baselines3's PPO on Gymnasium's Humanoid-v5 with
-   networks of the same size.
+   networks of the same size. Each side does its own number of epochs and minibatches, which are in
+   the record.
+3. The update alone, both sides with the same samples, networks, epochs and batch size
+   (``--parts update``).
 
 Prints a table and appends it, with the hardware, to ``docs/benchmarks/cpu.jsonl``. Each ratio is the
 median over rounds in which both sides run in turn, so drift of the machine's speed cancels.
@@ -16,6 +19,7 @@ import json
 import platform
 import statistics
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +32,9 @@ from understudy.running.collector import Collector
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.config import load_experiment
+from understudy.task import Context, Rollout, box
+from understudy_basics.policies import MLPPolicy
+from understudy_ppo.learner import PPO
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "cpu.jsonl"
 
@@ -119,8 +126,12 @@ def end_to_end_against_sb3(rounds: int, seconds: float, overrides: list[str]) ->
     training.close()
     peer_environment.close()
     ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+    work = training.experiment.learner.options  # pyright: ignore[reportOptionalMemberAccess]
     return {
         "hidden": hidden,
+        "epochs": work.epochs,
+        "minibatches": work.minibatches,
+        "precision": work.precision,
         "samples_per_second": statistics.median(ours),
         "peer": "stable-baselines3 PPO, Humanoid-v5, 2 environments, 5 epochs of 256",
         "peer_samples_per_second": statistics.median(theirs),
@@ -130,6 +141,101 @@ def end_to_end_against_sb3(rounds: int, seconds: float, overrides: list[str]) ->
     }
 
 
+#: Humanoid-v5's observation and action.
+OBSERVATION, ACTION = 348, 17
+HIDDEN, UPDATE_EPOCHS = (1024, 512), 5
+
+
+def update_alone(rounds: int) -> dict[str, Any]:
+    """Samples times epochs that an update digests a second, for batches of 256 and of 4096, and the
+    ratio to Stable-Baselines3's PPO doing the same work in float32."""
+    result: dict[str, Any] = {"hidden": HIDDEN, "epochs": UPDATE_EPOCHS}
+    for batch in (256, 4096):
+        samples = max(2048, batch)
+        sides = {
+            "float32": _our_update(samples, batch, "float32"),
+            "bfloat16": _our_update(samples, batch, "bfloat16"),
+            "peer": _peer_update(samples, batch),
+        }
+        times: dict[str, list[float]] = {name: [] for name in sides}
+        for update in sides.values():
+            update()
+        for _ in range(rounds):
+            for name, update in sides.items():
+                began = time.perf_counter()
+                update()
+                times[name].append(time.perf_counter() - began)
+        for name, taken in times.items():
+            rate = samples * UPDATE_EPOCHS / statistics.median(taken)
+            result[f"batch_{batch}_{name}_per_second"] = rate
+        for name in ("float32", "bfloat16"):
+            pairs = zip(times["peer"], times[name], strict=True)
+            result[f"batch_{batch}_{name}_ratio"] = statistics.median(a / b for a, b in pairs)
+    return result
+
+
+def _our_update(samples: int, batch: int, precision: Any) -> Callable[[], Any]:
+    worlds = 256
+    steps = samples // worlds
+    context = Context(
+        seed=0,
+        device=torch.device("cpu"),
+        num_worlds=worlds,
+        control_dt=1 / 30,
+        substeps=1,
+        action_space=box(ACTION),
+        observation_shapes={"state": (OBSERVATION,)},
+    )
+    policy = MLPPolicy(MLPPolicy.Options(hidden=HIDDEN), context)
+    options = PPO.Options(
+        rollout_steps=steps,
+        epochs=UPDATE_EPOCHS,
+        minibatches=None,
+        batch_size=batch,
+        precision=precision,
+    )
+    learner = PPO(options, context, policy)
+    chance = torch.Generator().manual_seed(0)
+    seen = torch.randn(steps, worlds, OBSERVATION, generator=chance)
+    with torch.no_grad():
+        distribution = policy.distribution({"state": seen})
+        noise = 0.1 * torch.randn(steps, worlds, ACTION, generator=chance)
+        actions = distribution.mode() + noise
+    never, zero = torch.zeros(steps, worlds, dtype=torch.bool), torch.zeros(steps, worlds)
+    rollout = Rollout(
+        observations={"state": seen},
+        last_observations={"state": seen[0]},
+        actions=actions,
+        log_probs=distribution.log_prob(actions),
+        rewards=torch.rand(steps, worlds, generator=chance),
+        terminated=never,
+        truncated=never,
+        failed=never,
+        final_values=zero,
+        episode_returns=zero,
+        records={},
+    )
+    return lambda: learner.update(rollout)
+
+
+def _peer_update(samples: int, batch: int) -> Callable[[], Any]:
+    import gymnasium
+    from stable_baselines3 import PPO as PeerPPO
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    peer = PeerPPO(
+        "MlpPolicy",
+        DummyVecEnv([lambda: gymnasium.make("Humanoid-v5")] * 2),
+        n_steps=samples // 2,
+        batch_size=batch,
+        n_epochs=UPDATE_EPOCHS,
+        policy_kwargs={"net_arch": list(HIDDEN), "activation_fn": torch.nn.ReLU},
+        device="cpu",
+    )
+    peer.learn(samples)
+    return peer.train
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -137,7 +243,12 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=32)
     parser.add_argument("--seconds", type=float, default=12.0)
-    parser.add_argument("--skip-peer", action="store_true")
+    parser.add_argument(
+        "--parts",
+        nargs="+",
+        choices=("environment", "end_to_end", "update"),
+        default=["environment", "end_to_end", "update"],
+    )
     parser.add_argument("overrides", nargs="*", help="Hydra overrides of experiment=spacetime/walk")
     options = parser.parse_args()
     result: dict[str, Any] = {
@@ -145,14 +256,19 @@ def main() -> None:
         "processor": _processor(),
         "threads": torch.get_num_threads(),
         "versions": versions(),
-        "environment": environment_against_batch(options.rounds, options.steps, options.overrides),
     }
-    if not options.skip_peer:
-        result["end_to_end"] = end_to_end_against_sb3(
+    measure: dict[str, Callable[[], dict[str, Any]]] = {
+        "environment": lambda: environment_against_batch(
+            options.rounds, options.steps, options.overrides
+        ),
+        "end_to_end": lambda: end_to_end_against_sb3(
             options.rounds, options.seconds, options.overrides
-        )
-    for part in ("environment", "end_to_end"):
-        for key, value in result.get(part, {}).items():
+        ),
+        "update": lambda: update_alone(options.rounds),
+    }
+    for part in options.parts:
+        result[part] = measure[part]()
+        for key, value in result[part].items():
             shown = f"{value:,.2f}" if isinstance(value, float) else str(value)
             print(f"{part:12} {key:32} {shown}")
     with open(RESULTS, "a", encoding="utf-8") as file:

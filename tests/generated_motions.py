@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import layout_of
 from understudy_characters.state import Poses

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers import deepmimic
 from understudy_motion.writers.bvh import BvhWriter

@@ -20,7 +20,7 @@ from understudy_ppo.learner import PPO
 
 #: 8 steps × 16 worlds / 32 = 4 minibatches × 2 epochs = 8 optimiser steps an iteration.
 STEPS = 8
-IGNORED = ("/learner/generator", "/policy/log_deviation")
+IGNORED = ("/learner/generator", "/learner/bad_steps", "/policy/log_deviation")
 
 
 def spoil_rewards(training: Training, monkeypatch: pytest.MonkeyPatch) -> None:

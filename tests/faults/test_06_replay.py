@@ -11,12 +11,12 @@ from counted_task import LINE_TASK, Push, Starts, line_plugins
 from worlds import PADDLE_TASK, SMALL, make_training, same_bits
 
 from understudy.errors import RunError
-from understudy.nn import RunningNormaliser
 from understudy.records import checkpoint
 from understudy.records.replay import replay_step
 from understudy.running.environment import Fault
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
+from understudy_basics.nn import RunningNormaliser
 
 
 def test_engine_failure_replays(

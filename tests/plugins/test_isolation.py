@@ -18,7 +18,7 @@ NAMES = sorted(
 
 
 #: Plugins for any figure: what their tests and tasks move is the humanoid, with what that needs.
-FIGURE = {"humanoid", "characters", "motion", "mujoco"}
+FIGURE = {"basics", "humanoid", "characters", "motion", "mujoco"}
 MATERIAL = {
     "characters": FIGURE,
     "doctor": FIGURE,

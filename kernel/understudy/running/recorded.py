@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Generic, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import torch
 from torch import Tensor
@@ -20,6 +21,18 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _WARM_UP = 3
+
+
+@dataclass(frozen=True)
+class _Recording(Generic[T]):
+    """A recorded step, and the tensors that each replay overwrites."""
+
+    graph: torch.cuda.CUDAGraph
+    pool: Any  #: the memory that the recording allocated
+    action: Tensor
+    result: T
+    values: dict[str, Tensor]  #: of the field table after the step
+    observations: dict[str, Tensor]
 
 
 class Recorded(Generic[T]):
@@ -33,7 +46,7 @@ class Recorded(Generic[T]):
         self._work, self._environment = work, environment
         self._on = environment.device.type == "cuda"
         self._calls: dict[int, int] = {}
-        self._graphs: dict[int, tuple[torch.cuda.CUDAGraph, Tensor, T, dict, dict]] = {}
+        self._graphs: dict[int, _Recording[T]] = {}
         self._stream = torch.cuda.Stream(environment.device) if self._on else None
 
     @property
@@ -47,12 +60,12 @@ class Recorded(Generic[T]):
             return self._work(action)
         kind = environment.decision
         if kind in self._graphs:
-            graph, given, result, values, observations = self._graphs[kind]
-            given.copy_(action)
-            graph.replay()
-            environment.table.values = values
-            environment.observations = observations
-            return result
+            recording = self._graphs[kind]
+            recording.action.copy_(action)
+            recording.graph.replay()
+            environment.table.values = recording.values
+            environment.observations = recording.observations
+            return recording.result
         self._calls[kind] = self._calls.get(kind, 0) + 1
         return self._warm(action) if self._calls[kind] <= _WARM_UP else self._record(action, kind)
 
@@ -67,10 +80,12 @@ class Recorded(Generic[T]):
 
     def _record(self, action: Tensor, kind: int) -> T:
         environment = self._environment
-        given, graph = action.clone(), torch.cuda.CUDAGraph()
+        given, graph, pool = action.clone(), torch.cuda.CUDAGraph(), torch.cuda.MemPool()
         before = environment.table.values
         try:
-            with torch.cuda.graph(graph, stream=self._stream):
+            # A pool of its own: a simulator may end and resume the capture, after which torch no
+            # longer knows that its allocations belong to it.
+            with torch.cuda.use_mem_pool(pool), torch.cuda.graph(graph, stream=self._stream):
                 environment.refresh()  # values computed before are not in the recording
                 result = self._work(given)
         except RuntimeError as error:
@@ -83,7 +98,8 @@ class Recorded(Generic[T]):
                 stacklevel=2,
             )
             return self._work(action)
-        found = (graph, given, result, environment.table.values, environment.observations)
-        self._graphs[kind] = found
+        self._graphs[kind] = _Recording(
+            graph, pool, given, result, environment.table.values, environment.observations
+        )
         graph.replay()
         return result

@@ -18,9 +18,9 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton, sample
 from understudy_mujoco.scene import MjcfFile
 

@@ -7,7 +7,7 @@ import torch
 from scipy.spatial import ConvexHull
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.shapes import shapes
 from understudy_motion.clip import Clip

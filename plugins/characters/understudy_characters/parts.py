@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Fields, Shape, box
+from understudy_basics import rotations
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.state import character_state

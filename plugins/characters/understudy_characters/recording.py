@@ -86,8 +86,8 @@ def _character(experiment: Experiment) -> Character:
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
     )
-    scene = experiment.scene.build(context)
-    name = experiment.scene.component.name
+    chosen = experiment.need("scene")
+    scene, name = chosen.build(context), chosen.component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
     if isinstance(scene, CharacterScene):

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout
 from understudy_characters.servos import lags
@@ -160,7 +160,8 @@ class ReferenceMotion:
         turn = rotations.from_heading(angle)
         shift = torch.nn.functional.pad(displacement, (0, 1))
         vectors = torch.stack([qpos[:, at : at + 3], com, qvel[:, dof : dof + 3]], dim=1)
-        position, com, linear = rotations.rotate(turn.unsqueeze(1), vectors).unbind(1)
+        matrix = rotations.turn_matrix(angle).transpose(1, 2)
+        position, com, linear = torch.bmm(vectors, matrix).unbind(1)
         rotation = rotations.normalize(rotations.multiply(turn, qpos[:, at + 3 : at + 7]))
         return {
             "reference_qpos": _replaced(qpos, at, position + shift, rotation),

@@ -52,8 +52,9 @@ class CharacterScene(MujocoScene):
         if options.solver == "fast":
             staging.solve_fast(spec.option)
         staging.collide(spec, set(character.carrier), options.self_collision)
-        spec.bodies[character.root].name = character.joint_names[0]
-        staging.stage(spec, character.joint_names[0])
+        root = next(body for body in spec.bodies if body.id == character.root)
+        root.name = character.joint_names[0]
+        staging.stage(spec, root.name)
         self._spec = spec
         self.character = _compiled(name, self.spec())
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.kinematics import Kinematics
 from understudy_characters.layout import Layout
@@ -87,7 +87,7 @@ def character_state(
 
 def _turn(yaw: Tensor) -> Tensor:
     """(N, 3, 3): row vectors of the world times this are those of the heading frame."""
-    return rotations.to_matrix(rotations.from_heading(yaw))
+    return rotations.turn_matrix(yaw)
 
 
 class Poses:

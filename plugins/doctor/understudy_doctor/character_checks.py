@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.dynamics import CUTOFF
 from understudy_doctor.findings import Finding, Places, Severity, intervals, severity

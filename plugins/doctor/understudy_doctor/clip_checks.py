@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from scipy.ndimage import median_filter
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_doctor.findings import Finding, Places, Severity, intervals, severity
 from understudy_motion.clip import Clip, cycle_transform
 from understudy_motion.editing import EVEN

@@ -5,7 +5,7 @@ Each ``mend_…`` returns the repaired clip and what was done, in words.
 
 from __future__ import annotations
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_doctor.clip_checks import duplicates, find_spikes
 from understudy_motion.clip import Clip
 from understudy_motion.editing import (

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.contacts import feet
 from understudy_characters.shapes import shapes

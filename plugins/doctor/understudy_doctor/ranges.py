@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 
 MARGIN = np.radians(20.0)

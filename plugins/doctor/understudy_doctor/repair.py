@@ -16,8 +16,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
-from understudy import rotations
 from understudy.errors import ConfigError
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.character_checks import STANDS_ON
 from understudy_doctor.clip_repairs import mend_frames, mend_seam, mend_spikes

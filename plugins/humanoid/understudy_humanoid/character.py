@@ -130,8 +130,6 @@ BODIES: tuple[Body, ...] = (
     *_arm("left", 0.183),
 )
 
-END_EFFECTORS = ("right_ankle", "right_wrist", "left_ankle", "left_wrist")
-
 #: Height of the root above the soles in the zero pose: thigh, shin, and the foot's depth.
 STANDING_HEIGHT = 0.422 + 0.41 + 0.05
 
@@ -173,7 +171,7 @@ def build_spec(
     solve_fast(spec.option)
     add_sky(spec)
     add_floor(spec)
-    add_character(spec, self_collision=self_collision, bodies=bodies)
+    _add_character(spec, self_collision, bodies)
     add_sun(spec, "root")
     return spec
 
@@ -185,59 +183,47 @@ def build_humanoid() -> mujoco.MjSpec:
     return spec
 
 
-def add_character(
-    spec: mujoco.MjSpec,
-    *,
-    prefix: str = "",
-    colour: tuple[float, float, float, float] = COLOUR,
-    collides: bool = True,
-    self_collision: bool = False,
-    bodies: Sequence[Body] = BODIES,
-) -> None:
-    """Add the character's bodies, and actuators if it `collides`, with names after `prefix`."""
+def _add_character(spec: mujoco.MjSpec, self_collision: bool, bodies: Sequence[Body]) -> None:
+    """Add the character's bodies and actuators."""
     made: dict[str, mujoco.MjsBody] = {}
     for row in bodies:
         parent = spec.worldbody if row.parent is None else made[row.parent]
         offset = row.offset if row.parent is not None else (0, 0, STANDING_HEIGHT)
-        body = made[row.name] = parent.add_body(name=prefix + row.name, pos=offset)
+        body = made[row.name] = parent.add_body(name=row.name, pos=offset)
         geom = body.add_geom(
-            name=prefix + row.name,
+            name=row.name,
             type=_SHAPES[row.shape],
             size=[*row.size, 0, 0][:3],
             pos=row.centre,
             mass=row.mass,
-            rgba=colour,
+            rgba=COLOUR,
         )
         # Bit 1: floor to character; bit 2: character to character.
-        geom.contype = 2 if collides else 0
-        geom.conaffinity = (1 | (2 if self_collision else 0)) if collides else 0
+        geom.contype = 2
+        geom.conaffinity = 1 | (2 if self_collision else 0)
         geom.condim = 3
         geom.friction = [1.0, 0.005, 0.0001]
         if row.parent is None:
-            body.add_freejoint(name=prefix + row.name)
+            body.add_freejoint(name=row.name)
         elif row.joint is not None:
-            _add_joint(spec, body, prefix + row.name, row.joint, actuated=collides)
+            _add_joint(spec, body, row.name, row.joint)
 
 
-def add_trunk(
-    spec: mujoco.MjSpec, *, prefix: str = "", colour: tuple[float, float, float, float] = COLOUR
-) -> None:
+def add_trunk(spec: mujoco.MjSpec) -> None:
     """Join the character's links by shapes without mass or contact, for pictures only."""
     for name, start, end, radius in _TRUNK:
-        spec.body(prefix + name).add_geom(
+        spec.body(name).add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             fromto=[*start, *end],
             size=[radius, 0, 0],
             mass=0,
             contype=0,
             conaffinity=0,
-            rgba=colour,
+            rgba=COLOUR,
         )
 
 
-def _add_joint(
-    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, row: Joint, actuated: bool
-) -> None:
+def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, row: Joint) -> None:
     ball = row.kind == "ball"
     joint = body.add_joint(
         name=name,
@@ -248,8 +234,6 @@ def _add_joint(
         joint.axis = row.axis
         if row.range is not None:
             joint.limited, joint.range = True, row.range
-    if not actuated:
-        return
     damping = row.kd + row.kp * spec.option.timestep
     torques = row.torque if isinstance(row.torque, tuple) else (row.torque,) * 3
     for axis in range(3) if ball else (None,):

@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 
 UNIT_TOLERANCE = 0.5
 """How far from 1 the norm of a given quaternion may be before it is an error.
@@ -149,14 +149,13 @@ class CycleTransform:
             The displacement (N, 2) and the heading change (N,), from the closed form of
             ``sum_k turn(k heading) displacement``; no loop, no branch on tensor values.
         """
-        angle = cycles * self.heading
+        x, y = self.displacement.tolist()
         if abs(self.heading) < 1e-9:
-            length = cycles
-        else:
-            length = torch.sin(0.5 * angle) / math.sin(0.5 * self.heading)
+            return torch.stack((cycles * x, cycles * y), dim=-1), torch.zeros_like(cycles)
+        angle = cycles * self.heading
+        length = torch.sin(0.5 * angle) / math.sin(0.5 * self.heading)
         direction = 0.5 * (angle - self.heading)
         cos, sin = length * direction.cos(), length * direction.sin()
-        x, y = self.displacement.tolist()
         return torch.stack((cos * x - sin * y, sin * x + cos * y), dim=-1), angle
 
 

@@ -10,8 +10,8 @@ import torch
 from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import ConfigError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, align_signs, cycle_transform, resample, sample, velocities
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.contacts import latched
 
 LOW, SLOW = 0.025, 0.3

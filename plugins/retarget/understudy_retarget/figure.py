@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_motion.clip import Skeleton
 from understudy_retarget.anatomy import SIDES, Parts, path_up, rest_positions
 

@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics
 from understudy_retarget import feet

@@ -14,14 +14,14 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from understudy.rotations import canonical, conjugate, from_heading, multiply, to_matrix
 from understudy.task import Context, Fields, Shape
+from understudy_basics.rotations import canonical, conjugate, multiply, turn_matrix
 from understudy_characters.scene import CharacterScene
 
 
 def turned(angle: Tensor, vectors: Tensor) -> Tensor:
     """`vectors` (N, K, 3) turned by `angle` (N,) rad about the vertical."""
-    return torch.bmm(vectors, to_matrix(from_heading(angle)).transpose(1, 2))
+    return torch.bmm(vectors, turn_matrix(angle).transpose(1, 2))
 
 
 class Alignment(Fields):

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy.rotations import angle_between
 from understudy.task import Context
+from understudy_basics.rotations import angle_between
 from understudy_characters.scene import CharacterScene
 
 Size = float | list[list[float]]

@@ -7,7 +7,6 @@ import math
 import torch
 from torch import Tensor
 
-from understudy.rotations import from_heading, inverse_rotate
 from understudy.task import Context, Encoder, Shape
 from understudy_characters.scene import CharacterScene
 from understudy_spacetime.alignment import turned
@@ -48,8 +47,8 @@ class StateEncoder(Encoder):
         aligned_end_effector_positions: Tensor,
         **links: Tensor,
     ) -> Tensor:
-        frame = from_heading(reference_root_heading)
-        error = inverse_rotate(frame, root_position - reference_root_position)
+        away = (root_position - reference_root_position).unsqueeze(1)
+        error = turned(-reference_root_heading, away).squeeze(1)
         vectors = torch.cat([v.reshape(len(v), -1, 3) for v in links.values()], dim=1)
         turn = heading_deviation
         angle = phase * (2 * math.pi)

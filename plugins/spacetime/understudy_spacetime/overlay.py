@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.options import make_options
-from understudy.rotations import angle_between
 from understudy.task import Context
+from understudy_basics import rotations
+from understudy_basics.rotations import angle_between
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_characters.scene import CharacterScene
 from understudy_spacetime import bounds

@@ -14,8 +14,8 @@ from random_characters import random_model, random_poses
 from scipy.spatial.transform import Rotation
 from worlds import all_plugins
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError
+from understudy_basics import rotations
 from understudy_characters.character import Character, load_character
 from understudy_characters.shapes import shapes
 from understudy_motion.kinematics import forward_kinematics

@@ -11,8 +11,8 @@ import pytest
 import torch
 from recorded_runs import NQ, croucher_plugins, make_run, record, track
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError, RunError
+from understudy_basics import rotations
 from understudy_characters import recording
 from understudy_characters.recording import recorded_clips, run_character
 

@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion

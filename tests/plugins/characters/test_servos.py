@@ -12,7 +12,14 @@ from robots import MOTORS, robot_file, robot_xml
 from understudy.errors import ConfigError
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
-from understudy_characters.servos import ServoOptions, gains, has_servos, lags, torque_limits
+from understudy_characters.servos import (
+    ServoOptions,
+    drive,
+    gains,
+    has_servos,
+    lags,
+    torque_limits,
+)
 from understudy_humanoid.character import build_spec
 
 HUMANOID = build_spec().compile()
@@ -118,14 +125,12 @@ def test_a_servo_holds_a_hinge_on_its_target_without_overshoot(
 
 
 def test_servos_keep_their_damping_at_other_time_steps() -> None:
-    model = scene_of("humanoid")._spec.copy()
-    from understudy_characters.servos import drive
-
-    before = {a.name: -a.biasprm[2] for a in model.actuators}
-    drive(model, Character("humanoid", model.compile()), 1 / 300, ServoOptions())
-    for actuator in model.actuators:
-        kp = actuator.gainprm[0]
-        assert -actuator.biasprm[2] == pytest.approx(before[actuator.name] + kp / 600)
+    spec = build_spec(timestep=1 / 600)
+    before = {a.name: -a.biasprm[2] for a in spec.actuators}
+    drive(spec, Character("humanoid", spec.compile()), 1 / 300, ServoOptions())
+    for actuator in spec.actuators:
+        expected = before[actuator.name] + actuator.gainprm[0] / 600
+        assert -actuator.biasprm[2] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -144,3 +149,26 @@ def test_what_is_no_character_is_refused(
     file.write_text(robot_xml().replace(*change))
     with pytest.raises(ConfigError, match=reason):
         scene_of(file)
+
+
+def test_a_light_limb_does_not_shake(tmp_path: Path) -> None:
+    """Targets that jump by more than where a servo's torque ends, which takes away its implicit damping,
+    move a hand of 50 g not much farther than where they are."""
+    text = robot_xml().replace('size=".04" mass=".4"/>', 'size=".04" mass=".05"/>')
+    text = text.replace('damping=".2" armature=".01"', 'armature="0"')
+    text = text.replace(
+        '<body name="left_hand" pos="0 0 -.25">',
+        '<body name="left_hand" pos="0 0 -.25"><joint name="left_wrist" axis="1 0 0"/>',
+    )
+    file = tmp_path / "light.xml"
+    file.write_text(text)
+    model = scene_of(file).model
+    data = mujoco.MjData(model)
+    rng, address = np.random.default_rng(0), int(model.joint("left_wrist").qposadr[0])
+    wrist, largest = model.actuator("left_wrist").id, 0.0
+    for step in range(600):
+        if step % 20 == 0:
+            data.ctrl[wrist] = 0.2 * rng.choice([-1.0, 1.0])
+        mujoco.mj_step(model, data)
+        largest = max(largest, abs(data.qpos[address]))
+    assert largest < 0.3

@@ -11,7 +11,7 @@ import torch
 from random_characters import random_model, random_poses
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import difference_qvel

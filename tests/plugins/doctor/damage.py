@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, sample
 from understudy_motion.editing import reach, shift
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.ranges import MARGIN, beyond, range_of
 

@@ -16,8 +16,8 @@ from motion_files import walker
 from moving_figures import angle_error, boxes, clips, position_error
 from scipy.spatial import cKDTree
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_export.gltf import GlbWriter, GltfWriter
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics

@@ -17,8 +17,8 @@ from moving_figures import angle_error, boxes, clips, position_error
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_export.gltf import GlbWriter
 from understudy_export.usd import UsdaWriter, UsdcWriter, UsdWriter
 from understudy_motion.clip import Clip

@@ -9,7 +9,6 @@ import pytest
 from understudy_humanoid.character import (
     BODIES,
     STANDING_HEIGHT,
-    add_character,
     add_trunk,
     build_spec,
 )
@@ -134,19 +133,6 @@ def test_knee_flexion_takes_the_heel_back_and_elbow_flexion_the_hand_forward(
     mujoco.mj_kinematics(model, data)
     assert data.body("left_ankle").xpos[0] < ankle[0] - 0.1
     assert data.body("left_wrist").xpos[0] > wrist[0] + 0.1
-
-
-def test_a_second_character_for_show_changes_no_physics(model: mujoco.MjModel) -> None:
-    spec = build_spec()
-    add_character(spec, prefix="reference_", collides=False)
-    both = spec.compile()
-    assert both.nu == model.nu
-    assert both.nq == 2 * model.nq
-    one, two = mujoco.MjData(model), mujoco.MjData(both)
-    for _ in range(60):
-        mujoco.mj_step(model, one)
-        mujoco.mj_step(both, two)
-    np.testing.assert_allclose(two.qpos[:43], one.qpos, atol=1e-6)
 
 
 def test_shapes_for_pictures_weigh_nothing_and_touch_nothing(model: mujoco.MjModel) -> None:

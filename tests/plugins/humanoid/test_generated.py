@@ -13,10 +13,10 @@ from generated_motions import Played, largest_slide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy import rotations
 from understudy.errors import ConfigError
 from understudy.options import checked_options
 from understudy.setup.plugins import Plugins
+from understudy_basics import rotations
 from understudy_humanoid import clips as generated
 from understudy_motion.clip import Clip, cycle_transform, velocities
 from understudy_motion.library import load

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from generated_motions import MODEL, Played
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_humanoid.clips import generated_backflip, generated_cartwheel
 from understudy_humanoid.clips.backflip import OFF, ON
 from understudy_motion.clip import Clip, resample, sample

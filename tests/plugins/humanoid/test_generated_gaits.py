@@ -10,8 +10,8 @@ import pytest
 import torch
 from generated_motions import Played, resting
 
-from understudy import rotations
 from understudy.errors import ConfigError
+from understudy_basics import rotations
 from understudy_humanoid.clips import generated_hop, generated_run
 from understudy_motion.clip import cycle_transform, sample
 from understudy_motion.mirror import mirrored

@@ -10,8 +10,8 @@ import pytest
 import torch
 from generated_motions import MODEL, Played
 
-from understudy import rotations
 from understudy.errors import ConfigError
+from understudy_basics import rotations
 from understudy_humanoid.character import BODIES
 from understudy_humanoid.clips import (
     generated_backflip,

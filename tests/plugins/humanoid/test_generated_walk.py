@@ -9,8 +9,8 @@ import pytest
 import torch
 from generated_motions import Played, resting
 
-from understudy import rotations
 from understudy.errors import ConfigError
+from understudy_basics import rotations
 from understudy_humanoid.clips import generated_walk
 from understudy_humanoid.clips.walk import TOE_OFF
 from understudy_motion.clip import Clip, cycle_transform, sample

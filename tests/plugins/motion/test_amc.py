@@ -12,8 +12,8 @@ import torch
 from motion_files import ASF, amc_text, write_amc
 from scipy.spatial.transform import Rotation
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError
+from understudy_basics import rotations
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics, tip_positions

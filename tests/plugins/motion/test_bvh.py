@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from motion_files import walker, write_bvh
 from scipy.spatial.transform import Rotation
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.bvh import BvhReader
 from understudy_motion.reading import Axis, ReadOptions, Unit

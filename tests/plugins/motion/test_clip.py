@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import (
     Clip,
     CycleTransform,

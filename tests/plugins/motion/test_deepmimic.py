@@ -16,9 +16,9 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from understudy import rotations
 from understudy.errors import FileError
 from understudy.setup.plugins import installed
+from understudy_basics import rotations
 from understudy_motion import library
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers import deepmimic

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from motion_files import SKELETON, walker
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError
+from understudy_basics import rotations
 from understudy_motion import editing
 from understudy_motion.clip import Clip, cycle_transform, sample, velocities
 from understudy_motion.kinematics import forward_kinematics

@@ -9,8 +9,8 @@ import pytest
 import torch
 from motion_files import SKELETON, walker
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Skeleton
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 

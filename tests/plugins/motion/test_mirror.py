@@ -10,8 +10,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_humanoid.clips import generated_turn_left, generated_turn_right, generated_walk
 from understudy_motion.clip import Clip, Skeleton, cycle_transform, sample
 from understudy_motion.mirror import mirrored

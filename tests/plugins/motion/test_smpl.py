@@ -14,8 +14,8 @@ import pytest
 import torch
 from motion_files import smpl_arrays, write_smpl
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers.smpl import SmplReader

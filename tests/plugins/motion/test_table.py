@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from motion_files import walker, write_csv, write_npz
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.table import CsvReader, NpzReader
 from understudy_motion.reading import UNSAID, ReadOptions

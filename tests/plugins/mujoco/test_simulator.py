@@ -11,11 +11,7 @@ import torch
 from arena import arena, check_derived, check_fields, check_parameters, everywhere, states
 
 from understudy.errors import ConfigError
-<<<<<<< HEAD
-from understudy.task import Context, Scene
-=======
 from understudy.task import Context, Scene, Simulator
->>>>>>> simulators
 from understudy.testing import check_simulator
 from understudy.testing.fake import FakeScene
 from understudy_mujoco.scene import MujocoScene

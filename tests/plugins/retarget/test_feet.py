@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy import rotations
+from understudy_basics import rotations
 from understudy_retarget.feet import (
     EASE,
     Contacts,

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from motion_files import walker
 from worlds import all_plugins
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError
+from understudy_basics import rotations
 from understudy_characters.character import Character, load_character
 from understudy_humanoid.character import build_spec
 from understudy_motion.clip import Clip, Skeleton, cycle_transform

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from understudy.setup.plugins import Plugins
-from understudy.task import Context, Rollout
+from understudy.task import Context, Rollout, box
 from understudy_characters.scene import CharacterScene
 from understudy_motion.section import Motion, MotionOptions
 
@@ -30,7 +30,7 @@ def make_context(plugins: Plugins) -> MakeContext:
             substeps=20,
             sections={"motion": motion},
             scene=scene,
-            action_size=28,
+            action_space=box(28),
             observation_shapes={"state": (5,), "feedforward": (28,)},
         )
 
@@ -53,6 +53,8 @@ def rollout_of(records: dict[str, torch.Tensor], returns: torch.Tensor) -> Rollo
         rewards=none,
         terminated=none.bool(),
         truncated=none.bool(),
+        failed=none.bool(),
+        episode_returns=none,
         final_values=none,
         records=records,
         values=none,

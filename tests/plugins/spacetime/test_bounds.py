@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy import rotations
 from understudy.errors import ConfigError
 from understudy.task import Context
+from understudy_basics import rotations
 from understudy_spacetime.bounds import (
     BoundSize,
     ComBound,

@@ -17,6 +17,7 @@ from understudy_spacetime.initial_states import (
     Evolution,
     Importance,
     Uniform,
+    boltzmann_draws,
     segment_probabilities,
 )
 
@@ -192,6 +193,41 @@ def test_some_episodes_still_begin_in_the_reference(
     states.update(rollout)
     evolved = (states.sample(streams())["qvel"][:, 10] == 99.0).float().mean()
     assert evolved.item() == pytest.approx(0.7, abs=0.01)
+
+
+def test_draws_go_by_their_weights_and_repeat_exactly() -> None:
+    returns = torch.tensor([0.0, 2.0, 5.0, 5.0, 9.0])
+    of_segment = torch.tensor([[1, 1, 0, 0, 0], [0, 0, 1, 1, 0], [0, 0, 0, 0, 0]]).bool()
+    bits = streams(3).bits(50_000)
+    rows, counts = boltzmann_draws(of_segment, returns, bits, sign=-1.0)
+    assert counts.tolist() == [2, 2, 0]
+    assert set(rows[0].tolist()) == {0, 1}
+    assert set(rows[1].tolist()) == {2, 3}
+    odds = (rows[0] == 0).float().mean() / (rows[0] == 1).float().mean()
+    assert odds.item() == pytest.approx(torch.tensor(1.0).exp().item(), rel=0.03)
+    assert (rows[1] == 2).float().mean().item() == pytest.approx(0.5, abs=0.01)
+    again, _ = boltzmann_draws(of_segment, returns, bits, sign=-1.0)
+    assert torch.equal(rows, again)
+
+
+@pytest.mark.parametrize("kind", [Importance, Evolution])
+def test_what_a_recorded_step_reads_stays_where_it_is(
+    kind: type[Importance] | type[Evolution], context: Context, make_rollout: MakeRollout
+) -> None:
+    """Learning and loading change the tensors that draws are made from in place."""
+    states = kind(kind.Options(segments=SEGMENTS), context)  # type: ignore[arg-type]
+
+    def tensors() -> list[Tensor]:
+        found = list(vars(states._segments).values())
+        found += getattr(states, "_buffer", {}).values()
+        return [value for value in found if isinstance(value, Tensor)]
+
+    before, values = tensors(), [value.clone() for value in tensors()]
+    states.update(walked(context, make_rollout))
+    states.load_state_dict(states.state_dict())
+    after = tensors()
+    assert [value.data_ptr() for value in after] == [value.data_ptr() for value in before]
+    assert any(not torch.equal(a, b) for a, b in zip(after, values, strict=True))
 
 
 @pytest.mark.parametrize("kind", [Importance, Evolution])

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from understudy import rotations
 from understudy.errors import ConfigError, FileError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins
+from understudy_basics import rotations
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_spacetime.overlay import BoundsOverlay
 
@@ -45,7 +45,7 @@ def episode(plugins: Plugins) -> tuple[dict[str, Any], Tracks, dict[str, np.ndar
         environment.step(0.7 * environment.table["reference_joint_targets"])
     environment.close()
     stacked = {name: np.stack(values) for name, values in tracks.items()}
-    return dict(experiment.raw), stacked, {k: np.stack(v) for k, v in outside.items()}
+    return experiment.effective(), stacked, {k: np.stack(v) for k, v in outside.items()}
 
 
 def verdicts(environment: Environment) -> dict[str, np.ndarray]:

@@ -23,8 +23,8 @@ from typing import NoReturn
 import numpy as np
 import torch
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.frames import product_of_turns, to_world
 from understudy_motion.readers.text import LARGEST, is_number, shown

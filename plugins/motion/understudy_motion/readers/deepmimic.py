@@ -23,8 +23,8 @@ from typing import Any, NoReturn
 import numpy as np
 import torch
 
-from understudy import rotations
 from understudy.errors import FileError, suggestion
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, provenance, read_bytes
 

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.frames import to_world
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names

@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from understudy import rotations
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.readers.text import is_number, number_rows, shown

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from understudy.rotations import tangent_normal
+from understudy_basics.rotations import tangent_normal
 
 
 def upright(root_rotation: Tensor, *, scale: float = 0.5) -> Tensor:

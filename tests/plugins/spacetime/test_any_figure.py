@@ -9,13 +9,13 @@ import torch
 from robots import robot_file
 
 from understudy.errors import ConfigError
-from understudy.nn import DiagonalGaussian
 from understudy.running.evaluation import Evaluator
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Policy
 from understudy.testing import check_environment
+from understudy_basics.nn import DiagonalGaussian
 from understudy_characters.character import load_character
 from understudy_motion.clip import Clip
 from understudy_motion.writing import write_clip
@@ -34,6 +34,16 @@ def robot(tmp_path_factory: pytest.TempPathFactory, plugins: Plugins) -> tuple[s
     motion = folder / "walk.npz"
     write_clip(clip, motion, plugins.registry)
     return (f"scene.character={file}", f"motion.file={motion}")
+
+
+def test_scenes_of_other_plugins_can_be_chosen() -> None:
+    chosen = {
+        override: load_experiment([*WALK, override]).need("scene").options.character
+        for override in ("scene=humanoid", "scene.character=jumper", "seed=1")
+    }
+    assert list(chosen.values()) == ["humanoid", "jumper", "humanoid"]
+    other = load_experiment([*WALK, "scene=character", "scene.character=jumper"])
+    assert other.scene.options.character == "jumper"
 
 
 def test_the_jumper_walks_within_bounds() -> None:
@@ -77,7 +87,7 @@ def test_a_clip_that_does_not_loop_ends_the_episode(robot: tuple[str, ...]) -> N
         assert not step.terminated.any()
 
     evaluator = Evaluator(experiment)
-    result = evaluator.run(_Still(evaluator.built.environment.action_size))
+    result = evaluator.run(_Still(evaluator.built.environment.action_size), "test", 64)
     evaluator.close()
     assert result.mean_episode_seconds < duration
     assert result.success_rate == 1.0

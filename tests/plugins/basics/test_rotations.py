@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from understudy import rotations as rot
+from understudy_basics import rotations as rot
 
 SHAPES = st.sampled_from([(), (1,), (5,), (2, 3)])
 CASES = settings(max_examples=30, deadline=None)

@@ -39,11 +39,8 @@ def conjugate(q: Tensor) -> Tensor:
 
 def multiply(a: Tensor, b: Tensor) -> Tensor:
     """Hamilton product: rotate by ``b``, then by ``a``. (..., 4), (..., 4) broadcast -> (..., 4)."""
-    aw, av = a[..., :1], a[..., 1:]
-    bw, bv = b[..., :1], b[..., 1:]
-    scalar = aw * bw - (av * bv).sum(dim=-1, keepdim=True)
-    vector = aw * bv + bw * av + _cross(av, bv)
-    return torch.cat((scalar, vector), dim=-1)
+    products = (a[..., :, None] * b[..., None, :]).flatten(-2)
+    return products @ _hamilton(products.dtype, products.device)
 
 
 def rotate(q: Tensor, v: Tensor) -> Tensor:
@@ -106,15 +103,31 @@ def heading(q: Tensor) -> Tensor:
 
     Undefined (some finite angle) where the rotated x axis is vertical.
     """
-    w, x, y, z = q.unbind(dim=-1)
-    return torch.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    sine, cosine = (_products(q) @ _heading_of_products(q.dtype, q.device)).unbind(-1)
+    return torch.atan2(sine, cosine)
 
 
 def from_heading(angle: Tensor) -> Tensor:
     """Turn by ``angle`` (...) about world z -> (..., 4)."""
-    half = 0.5 * angle
-    zero = torch.zeros_like(half)
-    return torch.stack((half.cos(), zero, zero, half.sin()), dim=-1)
+    return _circle(0.5 * angle) @ _axes(((1, 0, 0, 0), (0, 0, 0, 1)), angle.dtype, angle.device)
+
+
+def turn_matrix(angle: Tensor) -> Tensor:
+    """Matrices of the turns by ``angle`` (...) about world z -> (..., 3, 3)."""
+    rows = ((1, 0, 0, 0, 1, 0, 0, 0, 0), (0, -1, 0, 1, 0, 0, 0, 0, 0))
+    upright = _axes(((0, 0, 0, 0, 0, 0, 0, 0, 1),), angle.dtype, angle.device)
+    return (_circle(angle) @ _axes(rows, angle.dtype, angle.device) + upright).unflatten(-1, (3, 3))
+
+
+def _circle(angle: Tensor) -> Tensor:
+    """Cosine and sine, (...) -> (..., 2)."""
+    return torch.stack((angle.cos(), angle.sin()), dim=-1)
+
+
+@lru_cache
+def _axes(rows: tuple[tuple[int, ...], ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """The constant matrix of these rows, made once."""
+    return torch.tensor(rows, dtype=dtype, device=device)
 
 
 def heading_rotation(q: Tensor) -> Tensor:
@@ -159,6 +172,36 @@ def _products(q: Tensor) -> Tensor:
     return (q[..., :, None] * q[..., None, :]).flatten(-2)
 
 
+def _table(
+    rows: list[list[tuple[int, int, int]]], dtype: torch.dtype, device: torch.device
+) -> Tensor:
+    """(16, len(rows)): each row's entries (i, j, factor) of products of components."""
+    table = torch.zeros(16, len(rows), dtype=dtype)
+    for column, terms in enumerate(rows):
+        for i, j, factor in terms:
+            table[4 * i + j, column] = factor
+    return table.to(device)
+
+
+@lru_cache
+def _hamilton(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """(16, 4): the product's components are linear in the products of components."""
+    w, x, y, z = range(4)
+    rows = [
+        [(w, w, 1), (x, x, -1), (y, y, -1), (z, z, -1)],
+        [(w, x, 1), (x, w, 1), (y, z, 1), (z, y, -1)],
+        [(w, y, 1), (y, w, 1), (z, x, 1), (x, z, -1)],
+        [(w, z, 1), (z, w, 1), (x, y, 1), (y, x, -1)],
+    ]
+    return _table(rows, dtype, device)
+
+
+@lru_cache
+def _heading_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """(16, 2): y and x of the rotated x axis."""
+    return _matrix_of_products(dtype, device)[:, [3, 0]].contiguous()
+
+
 @lru_cache
 def _matrix_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
     """(16, 9): the row-major rotation matrix is linear in the products of components."""
@@ -174,11 +217,7 @@ def _matrix_of_products(dtype: torch.dtype, device: torch.device) -> Tensor:
         [(y, z, 2), (w, x, 2)],
         [(w, w, 1), (x, x, -1), (y, y, -1), (z, z, 1)],
     ]
-    table = torch.zeros(16, 9, dtype=dtype)
-    for entry, terms in enumerate(rows):
-        for i, j, factor in terms:
-            table[4 * i + j, entry] = factor
-    return table.to(device)
+    return _table(rows, dtype, device)
 
 
 @lru_cache

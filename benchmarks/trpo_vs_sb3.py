@@ -1,0 +1,64 @@
+"""Our TRPO against sb3-contrib's on one Gymnasium task: return at the same number of samples.
+
+Both get the same hyper-parameters (sb3-contrib's defaults), networks, number of environments and
+evaluation. Prints each seed's mean return and both means with standard errors, and appends them to
+``docs/benchmarks/trpo_vs_sb3.jsonl``.
+"""
+
+from __future__ import annotations
+
+from peers import RESULTS, STEPS, compare, train_ours, train_peer
+
+from understudy.task import Context, Policy
+from understudy_trpo.learner import TRPO
+
+GAMMA, LAMBDA, KL_LIMIT, RATE = 0.99, 0.95, 0.01, 1e-3
+CG_STEPS, DAMPING, SEARCH_STEPS, SHRINK = 15, 0.1, 10, 0.8
+VALUE_EPOCHS, VALUE_BATCH = 10, 128
+
+
+def make_learner(context: Context, policy: Policy) -> TRPO:
+    options = TRPO.Options(
+        rollout_steps=STEPS,
+        gamma=GAMMA,
+        gae_lambda=LAMBDA,
+        td_lambda=LAMBDA,
+        kl_limit=KL_LIMIT,
+        conjugate_gradient_steps=CG_STEPS,
+        damping=DAMPING,
+        line_search_steps=SEARCH_STEPS,
+        line_search_shrink=SHRINK,
+        value_epochs=VALUE_EPOCHS,
+        value_batch_size=VALUE_BATCH,
+        critic_learning_rate=RATE,
+    )
+    return TRPO(options, context, policy)
+
+
+def ours(task: str, samples: int, seed: int) -> float:
+    return train_ours(task, samples, seed, make_learner)
+
+
+def theirs(task: str, samples: int, seed: int) -> float:
+    from sb3_contrib import TRPO as PeerTRPO
+
+    return train_peer(
+        task,
+        samples,
+        seed,
+        PeerTRPO,
+        batch_size=VALUE_BATCH,
+        gamma=GAMMA,
+        gae_lambda=LAMBDA,
+        target_kl=KL_LIMIT,
+        learning_rate=RATE,
+        cg_max_steps=CG_STEPS,
+        cg_damping=DAMPING,
+        line_search_max_iter=SEARCH_STEPS,
+        line_search_shrinking_factor=SHRINK,
+        n_critic_updates=VALUE_EPOCHS,
+    )
+
+
+if __name__ == "__main__":
+    compare(__doc__ or "", ours, theirs, RESULTS / "trpo_vs_sb3.jsonl", samples=200_000)

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from understudy_ppo.threads import SideBySide
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_both_run_at_once_on_a_thread_each() -> None:
+    beside, meeting = SideBySide(torch.device("cpu")), threading.Barrier(2, timeout=30)
+    seen: list[tuple[str, int]] = []
+
+    def work() -> None:
+        meeting.wait()  # breaks unless both are here at once
+        seen.append((threading.current_thread().name, torch.get_num_threads()))
+
+    with beside.sharing():
+        beside(work, work)
+        beside(work, work)
+    assert len({name for name, _ in seen}) == 2
+    assert {threads for _, threads in seen} == {1}
+    assert torch.get_num_threads() == 2
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_an_error_in_either_comes_out_and_threads_are_given_back() -> None:
+    beside = SideBySide(torch.device("cpu"))
+
+    def fail() -> None:
+        raise ArithmeticError
+
+    for first, second in ((fail, lambda: None), (lambda: None, fail)):
+        with pytest.raises(ArithmeticError), beside.sharing():
+            beside(first, second)
+        assert torch.get_num_threads() == 2
+
+
+def test_on_one_thread_or_unshared_they_follow_one_another() -> None:
+    beside, order = SideBySide(torch.device("cpu")), []
+    beside(lambda: order.append(1), lambda: order.append(2))
+    assert order == [1, 2]
