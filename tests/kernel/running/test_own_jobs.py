@@ -93,7 +93,7 @@ class Regression(Job):
         )
 
     def products(self, run: Run) -> None:
-        run.write_json("curve.json", [float(v) for v in self.net(torch.linspace(0, 1, 5).view(5, 1))])
+        run.write_json("curve.json", self.net(torch.linspace(0, 1, 5).view(5, 1)).detach().tolist())
 
     def sources(self) -> dict[str, Any]:
         return {"data": {"licence": "CC0"}}
