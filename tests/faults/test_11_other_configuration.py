@@ -28,7 +28,10 @@ def run(plugins: Plugins, tmp_path: Path) -> Path:
     ("override", "message"),
     [
         ("policy.hidden=[24]", r"'policy/actor.0.weight' is \(24, 2\) here and \(16, 2\) there"),
-        ("policy.hidden=[16, 16]", r"'policy/actor.2.weight' is \(16, 16\) here and \(1, 16\) there"),
+        (
+            "policy.hidden=[16, 16]",
+            r"'policy/actor.2.weight' is \(16, 16\) here and \(1, 16\) there",
+        ),
         ("num_worlds=8", r"it has 16 worlds, and num_worlds=8\. Resume with"),
     ],
 )

@@ -16,7 +16,13 @@ from torch import Tensor
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Component, Registrar
 from understudy.task import Encoder
-from understudy.testing import check_component, check_environment, check_plugin, check_simulator, fake
+from understudy.testing import (
+    check_component,
+    check_environment,
+    check_plugin,
+    check_simulator,
+    fake,
+)
 
 
 def component(target: Any, kind: str = "encoder") -> Component:
@@ -218,7 +224,8 @@ def test_check_plugin_refuses_what_did_not_load(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="plugin 'yours' is not installed"):
         check_plugin("yours", mine(tmp_path))
     with pytest.raises(
-        AssertionError, match=r"plugin 'mine' is PluginError: it registers 'mine\.more' as a 'lerner'"
+        AssertionError,
+        match=r"plugin 'mine' is PluginError: it registers 'mine\.more' as a 'lerner'",
     ):
         check_plugin("mine", mine(tmp_path / "again", lerner=Documented))
 

@@ -387,9 +387,7 @@ def test_a_key_asked_for_twice(tmp_path: Path, scripted: Any, monkeypatch: Any) 
         script(tmp_path)
 
 
-def test_keys_of_trials_stay_in_the_folder(
-    tmp_path: Path, scripted: Any, monkeypatch: Any
-) -> None:
+def test_keys_of_trials_stay_in_the_folder(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(scripted, "trials", [Trial("../../out")])
     script(tmp_path / "deep/sweep")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["deep"]

@@ -60,7 +60,9 @@ def test_no_states(tmp_path: Path, states: dict[str, torch.Tensor]) -> None:
         bank.load(tmp_path / "bank")
 
 
-@pytest.mark.parametrize("state", [{"policy": {}}, {"states": 3}, {"states": {"qpos": 3}}, {"states": [1]}])
+@pytest.mark.parametrize(
+    "state", [{"policy": {}}, {"states": 3}, {"states": {"qpos": 3}}, {"states": [1]}]
+)
 def test_what_is_no_bank(tmp_path: Path, state: dict[str, Any]) -> None:
     checkpoint.save(tmp_path / "bank", state, {})
     with pytest.raises(FileError, match="is no bank of states"):

@@ -68,7 +68,12 @@ class High(Starts):
 
 
 PARTS = {"curriculum": {"my.stairs": Stairs}, "initial_states": {"my.high": High}}
-TASK = (*LINE_TASK[:5], "+initial_states={name: my.high}", *LINE_TASK[6:], "+curriculum={name: my.stairs}")
+TASK = (
+    *LINE_TASK[:5],
+    "+initial_states={name: my.high}",
+    *LINE_TASK[6:],
+    "+curriculum={name: my.stairs}",
+)
 
 
 def climbing(**more: Any) -> tuple[Any, Stairs]:
@@ -77,7 +82,9 @@ def climbing(**more: Any) -> tuple[Any, Stairs]:
 
 
 def test_fields_for_initial_states_terms_and_the_simulator() -> None:
-    env, stairs = climbing(measures=[term(lambda stair, difficulty, gain: stair + difficulty + gain, "s")])
+    env, stairs = climbing(
+        measures=[term(lambda stair, difficulty, gain: stair + difficulty + gain, "s")]
+    )
     stairs.stair = 4
     assert env.reset()["state"][:, 0].tolist() == [54] * 4, "stair + 100 × difficulty"
     assert env.measure()["s"].tolist() == [4 + 0.5 + 5] * 4
@@ -178,11 +185,13 @@ def test_rollouts_have_the_returns_of_episodes() -> None:
     assert found[:, 0].tolist() == [1, 1 + 2, 1 + 2 + 3, 1]
 
 
-@pytest.mark.parametrize("difficulty", [1.0, 0.5])
+@pytest.mark.parametrize("difficulty", [1.0, 0.5, 0.125])
 def test_evaluations_stand_at_the_difficulty(difficulty: float) -> None:
     """Whatever the training's curriculum has come to, and for as long as evaluations last."""
     plugins = line_plugins(**PARTS)
-    experiment = load_experiment([*TASK, f"difficulty={difficulty}", "+measure.at={name: line.value}"], plugins)
+    experiment = load_experiment(
+        [*TASK, f"difficulty={difficulty}", "+measure.at={name: line.value}"], plugins
+    )
     evaluator = Evaluator(experiment)
     policy = make_training(plugins, TASK).job.policy
     found = evaluator.run(policy, "a", 4)

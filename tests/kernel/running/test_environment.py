@@ -303,7 +303,9 @@ def test_who_failed_succeeded_or_violated() -> None:
     def watch(
         failed: torch.Tensor, succeeded: torch.Tensor, violated: torch.Tensor
     ) -> torch.Tensor:
-        seen.update(failed=failed.tolist(), succeeded=succeeded.tolist(), violated=violated.tolist())
+        seen.update(
+            failed=failed.tolist(), succeeded=succeeded.tolist(), violated=violated.tolist()
+        )
         return failed.float()
 
     env = line(
@@ -437,7 +439,9 @@ def test_a_parameter_that_the_simulator_does_not_know() -> None:
 def test_state_of_everything_that_lasts(plugins: Plugins) -> None:
     """What varies, what is constant in an episode and what is previous continues exactly."""
 
-    def still_there(x: torch.Tensor, previous_x: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+    def still_there(
+        x: torch.Tensor, previous_x: torch.Tensor, action: torch.Tensor
+    ) -> torch.Tensor:
         return (x + 2 * previous_x + 4 * action)[:, 0]
 
     def fresh() -> Any:

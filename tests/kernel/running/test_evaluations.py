@@ -106,7 +106,9 @@ def far(limit: float, outcome: str = "failure", name: str = "far") -> str:
 
 def test_survival() -> None:
     """World 3 reaches 7 in its last step, world 2 does not; an episode ends with its failure."""
-    found = evaluated(far(6), "+measure.at={name: line.value}", "+measure.low={name: line.value, reduce: min}")
+    found = evaluated(
+        far(6), "+measure.at={name: line.value}", "+measure.low={name: line.value, reduce: min}"
+    )
     assert (found.episodes, found.success_rate, found.complete) == (4, 0.5, True)
     assert found.success == "survived 4 s without far"
     assert found.violated == {"far": 0.5}
@@ -123,7 +125,9 @@ def test_survival() -> None:
 
 
 def test_what_is_written_of_it() -> None:
-    found = evaluated(far(6), "+measure.at={name: line.value}", "evaluation.objective=at").as_json(96)
+    found = evaluated(far(6), "+measure.at={name: line.value}", "evaluation.objective=at").as_json(
+        96
+    )
     assert found["success_rate_95"] == list(wilson_interval(0.5, 4))
     assert (found["samples"], found["episodes"], found["seconds"]) == (96, 4, 4.0)
     assert found["violated"] == {"far": 0.5}
@@ -152,7 +156,10 @@ def test_survival_beside_a_success_term() -> None:
     """Worlds that come to an end by success survived."""
     found = evaluated(far(6, "success", "there"), far(100), "evaluation.success=survived")
     assert found.success_rate == 1.0
-    assert evaluated(far(6, "success", "there"), far(2), "evaluation.success=survived").success_rate == 0.0
+    assert (
+        evaluated(far(6, "success", "there"), far(2), "evaluation.success=survived").success_rate
+        == 0.0
+    )
 
 
 def test_a_failure_in_the_same_step_is_no_success_term_of_another() -> None:
@@ -283,6 +290,7 @@ def test_several_batches_are_one_evaluation(episodes: int) -> None:
     batches = taken(made)[:: len(taken(made)) // math.ceil(episodes / 4)]
     starts = torch.cat(batches)[:episodes].tolist()
     assert found.episodes == episodes
+    assert len(set(starts)) == episodes
     at = found.measures["at"]
     assert at.mean == pytest.approx(statistics.fmean(starts))
     if episodes > 1:
@@ -299,13 +307,35 @@ def test_giving_up_when_success_is_out_of_reach(
 ) -> None:
     """Two of four worlds fail in each batch at once: 4 of 8, 2 more than 0.75 allows, or in the first
     batch already 2 more than 1.0 allows."""
-    made = evaluator(far(6), "evaluation.seconds=60", "policy.push=0", "+measure.at={name: line.value}")
+    made = evaluator(
+        far(6), "evaluation.seconds=60", "policy.push=0", "+measure.at={name: line.value}"
+    )
     still = policy("policy.push=0")
     made.built.environment.parts.initial_states.sample = (  # type: ignore[method-assign]
         lambda streams, **fields: {"x": torch.tensor([[0.0], [6.0], [0.0], [7.0]])}
     )
     found = made.run(still, "a", 8, give_up_below=criterion)
     assert (found.complete, found.episodes) == (complete, episodes)
+
+
+def test_only_first_episodes_count() -> None:
+    """Worlds 2 and 3 succeed early, and what they begin with next fails at once."""
+    made = evaluator(far(5, "success", "there"), far(50), "+measure.at={name: line.value}")
+    initial: Any = made.built.environment.parts.initial_states
+    first = initial.sample
+
+    def sample(streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        again = bool(initial.taken)
+        return {"x": first(streams)["x"] + 100 * again}
+
+    initial.sample = sample
+    found = made.run(policy(), "a", 4)
+    assert found.success_rate == 0.75
+    assert found.violated["far"] == 0
+    assert found.mean_episode_seconds == (4 + 4 + 3 + 2) / 4
+    assert found.measures["at"].mean == (4 + 5 + 5 + 5) / 4
+    returns = [1 + 2 + 3 + 4, 2 + 3 + 4 + 5, 3 + 4 + 5, 4 + 5]
+    assert found.measures["return"].mean == statistics.fmean(returns)
 
 
 def test_evaluations_before_are_no_matter() -> None:
@@ -319,8 +349,6 @@ def test_evaluations_before_are_no_matter() -> None:
 
 
 # ---------------------------------------------------------------------- the criterion
-
-
 
 
 def test_the_criterion_needs_both_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,7 +70,9 @@ PARTS = {
 }
 
 
-def ratio(top: Tensor, bottom: Tensor, offset: Tensor | None = None, *, factor: float = 1.0) -> Tensor:
+def ratio(
+    top: Tensor, bottom: Tensor, offset: Tensor | None = None, *, factor: float = 1.0
+) -> Tensor:
     """`factor` × top / bottom + offset."""
     return factor * top / bottom + (0.0 if offset is None else offset)
 
@@ -202,7 +204,9 @@ def test_a_field_of_another_shape_than_promised() -> None:
 
     odd = fields(("x",), "y")()
     odd.provides = {"y": (3,)}
-    with pytest.raises(ConfigError, match=r"^the field 'y' of part has shape \(4,\); it must be \(4, 3\)"):
+    with pytest.raises(
+        ConfigError, match=r"^the field 'y' of part has shape \(4,\); it must be \(4, 3\)"
+    ):
         line(fields=[bound(odd)]).reset()
     odd.provides = {"y": (), "w": ()}
     with pytest.raises(ConfigError, match=r"^part promises the field 'w' and does not return it"):

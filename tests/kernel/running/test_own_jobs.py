@@ -237,7 +237,9 @@ def test_slots_of_plugins() -> None:
         load_experiment([*TASK, "+data.pich=5"], plugins())
     with pytest.raises(ConfigError, match=r"^There is no data 'my\.wave' \(asked for at data\)"):
         load_experiment([*TASK, "data.name=my.wave"], plugins())
-    with pytest.raises(ConfigError, match=r"^data is not set\. .* a data \(data=…\)\. Known: my\.waves\."):
+    with pytest.raises(
+        ConfigError, match=r"^data is not set\. .* a data \(data=…\)\. Known: my\.waves\."
+    ):
         make_training(plugins(), ["+job={name: my.regression}"])
 
 
@@ -245,6 +247,8 @@ def test_a_plugin_that_breaks_leaves_neither_kinds_nor_slots() -> None:
     loaded = plugins(broken=True)
     assert not {"data", "filters"} & (loaded.registry.kinds.keys() | loaded.registry.slots.keys())
     assert not loaded.registry.owners
-    with pytest.raises(ConfigError, match=r"no configuration key 'data'.*'regression' did not load"):
+    with pytest.raises(
+        ConfigError, match=r"no configuration key 'data'.*'regression' did not load"
+    ):
         load_experiment(["data={name: my.waves}"], loaded)
     load_experiment([*fake.FAKE_TASK], loaded)

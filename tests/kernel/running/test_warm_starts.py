@@ -169,7 +169,9 @@ DONE = {"actor": 3.0, "critic": 5.0, "normaliser": 3.0, "initial_states": 3.0, "
     [(), *((part,) for part in DONE), ("actor", "curriculum"), tuple(DONE)],
     ids=lambda parts: "+".join(parts) or "default",
 )
-def test_what_is_named_is_taken_over_and_nothing_else(tmp_path: Path, parts: tuple[str, ...]) -> None:
+def test_what_is_named_is_taken_over_and_nothing_else(
+    tmp_path: Path, parts: tuple[str, ...]
+) -> None:
     run = trained(tmp_path / "first")
     training = make_training(plugins(), [*TASK, start(run, *parts)], tmp_path / "second")
     named = parts or ("actor", "critic", "normaliser")
@@ -245,7 +247,10 @@ def context(*overrides: str) -> Context:
     return built.context
 
 
-MOVER = ("actuation={name: my.scaled, factor: 100}", "encoder.state={name: my.twice, reads: {place: x}}")
+MOVER = (
+    "actuation={name: my.scaled, factor: 100}",
+    "encoder.state={name: my.twice, reads: {place: x}}",
+)
 
 
 def test_a_controller_is_what_the_run_learned(tmp_path: Path) -> None:
@@ -269,14 +274,18 @@ def test_the_field_it_reads_may_be_renamed_in_its_run(tmp_path: Path) -> None:
     controller = Controller.load(str(run), context())
     assert controller.reads == ("x",)
     seen = {}
-    controller.policy.distribution = lambda observations: seen.update(observations) or Certain(torch.zeros(3, 1))
+    controller.policy.distribution = lambda observations: (
+        seen.update(observations) or Certain(torch.zeros(3, 1))
+    )
     controller({"x": torch.tensor([[1.0], [2.0], [3.0]])})
     assert seen["state"].tolist() == [[2.0], [4.0], [6.0]]
 
 
 def test_a_controller_whose_actuation_keeps_something_is_refused(tmp_path: Path) -> None:
     run = trained(tmp_path / "first", "actuation={name: my.keeping}")
-    with pytest.raises(ConfigError, match=r"cannot be a controller .* its actuation keeps a state\."):
+    with pytest.raises(
+        ConfigError, match=r"cannot be a controller .* its actuation keeps a state\."
+    ):
         Controller.load(str(run), context())
 
 

@@ -99,7 +99,9 @@ def test_composing_leaves_hydra_clean(plugins: Plugins) -> None:
 def test_values_that_no_file_mentions(plugins: Plugins) -> None:
     """The kernel's own file only lists groups; every value can be set without a plus."""
     assert set(compose_raw([], plugins)) <= {"task"}
-    experiment = load_experiment(["seed=3", "device=cpu", "difficulty=0.5", "budget.minutes=2"], plugins)
+    experiment = load_experiment(
+        ["seed=3", "device=cpu", "difficulty=0.5", "budget.minutes=2"], plugins
+    )
     root = experiment.root
     assert (root.seed, root.difficulty, root.budget.minutes) == (3, 0.5, 2.0)
     assert root.evaluation == Root().evaluation
@@ -207,7 +209,14 @@ def test_a_slot_set_to_null_is_not_set(slot: str) -> None:
         experiment.need(slot)
 
 
-@pytest.mark.parametrize("overrides", [["learner=ppo", "learner=null"], ["+learner={name: ppo}", "learner=null"], ["experiment=spacetime/walk", "learner=null"]])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["learner=ppo", "learner=null"],
+        ["+learner={name: ppo}", "learner=null"],
+        ["experiment=spacetime/walk", "learner=null"],
+    ],
+)
 def test_a_group_of_options_set_to_null(plugins: Plugins, overrides: list[str]) -> None:
     """Hydra itself has no null for these."""
     assert load_experiment(overrides, plugins).one("learner") is None
@@ -218,7 +227,10 @@ def test_a_group_of_options_set_to_null(plugins: Plugins, overrides: list[str]) 
 
 
 def test_a_choice_that_no_file_offers() -> None:
-    with pytest.raises(ConfigError, match=r"^There is no such choice of measure\. Give one: 'measure=\{NAME: \{name: COMPONENT, …\}\}'\.$"):
+    with pytest.raises(
+        ConfigError,
+        match=r"^There is no such choice of measure\. Give one: 'measure=\{NAME: \{name: COMPONENT, …\}\}'\.$",
+    ):
         load_experiment([*LINE_TASK, "measure=speed"], line_plugins())
 
 

@@ -29,7 +29,9 @@ def test_shared_objects_are_built_once() -> None:
 
 def test_scenes() -> None:
     here = context()
-    with pytest.raises(ConfigError, match=r"^it needs a scene of type FakeScene, but the task has no scene\."):
+    with pytest.raises(
+        ConfigError, match=r"^it needs a scene of type FakeScene, but the task has no scene\."
+    ):
         here.need_scene(FakeScene, "it")
     here.scene = FakeScene()
     assert here.need_scene(FakeScene, "it") is here.scene
