@@ -9,8 +9,8 @@ import pytest
 from counted_task import LINE_TASK, install, line_plugins
 from worlds import SMALL, make_training
 
-from understudy.errors import ConfigError
 from understudy.command.cli import main
+from understudy.errors import ConfigError
 from understudy.setup.config import (
     Root,
     compose_raw,
