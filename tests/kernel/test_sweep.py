@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from understudy.command.cli import main
-from understudy.outer import sweep as module
+from understudy_sweeps import sweep as module
 
 QUICK = [
     "experiment=spacetime/walk", "num_worlds=4", "learner.rollout_steps=4", "learner.minibatches=2",

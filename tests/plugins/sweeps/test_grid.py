@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from understudy.outer.trials import Result, Trial
-from understudy_grid.grid import Grid
-from understudy_grid.in_process import InProcess
+from understudy.running.trials import Result, Trial
+from understudy_sweeps.grid import Grid
+from understudy_sweeps.in_process import InProcess
 
 OPTIONS = Grid.Options(variants={"a": (), "b": ("x=1",)}, seeds=(0, 5))
 

@@ -22,11 +22,11 @@ from urllib.parse import quote
 
 from understudy import distributed
 from understudy.errors import ConfigError, RunError, TrainingError
-from understudy.outer.trials import Executor, OuterLoop, Report, Trial, Work
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.running.evaluation import Evaluation
 from understudy.running.training import Reporter, Training
+from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
 from understudy.setup.config import Experiment, compose_raw, load_experiment, replaced, validate
 from understudy.setup.plugins import installed
 

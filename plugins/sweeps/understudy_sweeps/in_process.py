@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from understudy.outer.sweep import run_trial
-from understudy.outer.trials import Executor, Report, Trial, Work
+from understudy.running.trials import Executor, Report, Trial, Work
+from understudy_sweeps.sweep import run_trial
 
 
 class InProcess(Executor):

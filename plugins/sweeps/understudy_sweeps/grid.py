@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.errors import ConfigError
-from understudy.outer.trials import OuterLoop, Report, Trial
+from understudy.running.trials import OuterLoop, Report, Trial
 
 
 class Grid(OuterLoop):
