@@ -28,7 +28,9 @@ import torch
 from mujoco.batch import Batch
 
 from understudy.records.runs import versions
-from understudy.running.training import Collector, Training
+from understudy.running.collector import Collector
+from understudy.running.reinforcement import Reinforcement
+from understudy.running.training import Training
 from understudy.setup.config import load_experiment
 from understudy.task import Context, Rollout, box
 from understudy_basics.policies import MLPPolicy
@@ -40,15 +42,18 @@ RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "cpu.jso
 def environment_against_batch(rounds: int, steps: int, overrides: list[str]) -> dict[str, Any]:
     """Ratio of environment stepping (policy acting included and excluded) to bare stepping."""
     experiment = load_experiment(["experiment=spacetime/walk", *overrides])
-    training = Training(experiment)
-    environment, simulator = training.environment, training.built.context.simulator
+    training = Training(experiment).prepare()
+    job = training.job
+    assert isinstance(job, Reinforcement)
+    environment = job.environment
+    simulator = environment.parts.simulator
     model = simulator.model  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
     substeps = experiment.root.control.substeps
     n = environment.num_worlds
     environment.reset()
     bare = Batch(model, n, simulator.batch.nthread)  # pyright: ignore
     ratios, env_rates, bare_rates, collect_ratios = [], [], [], []
-    collector = Collector(environment, training.policy, 0)
+    collector = Collector(environment, job.policy, 0)
     for _ in range(rounds):
         # Both sides begin in the same states and hold the same targets.
         environment.reset(seed=0)
@@ -93,9 +98,9 @@ def end_to_end_against_sb3(rounds: int, seconds: float, overrides: list[str]) ->
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    training = Training(load_experiment(["experiment=spacetime/walk", *overrides]))
+    training = Training(load_experiment(["experiment=spacetime/walk", *overrides])).prepare()
     training.iterate()
-    hidden = list(training.experiment.policy.options.feedback.hidden)  # pyright: ignore
+    hidden = list(training.experiment.need("policy").options.feedback.hidden)  # pyright: ignore
     peer_environment = DummyVecEnv([lambda: gymnasium.make("Humanoid-v5")] * 2)
     peer = PPO(
         "MlpPolicy",

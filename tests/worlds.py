@@ -19,7 +19,7 @@ from understudy.running.training import Reporter, Training
 from understudy.setup.config import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy.task import Actuation, Context, Encoder, InitialStates
+from understudy.task import Actuation, Context, Encoder, InitialStates, box
 from understudy.testing import fake
 from understudy_mujoco.scene import MujocoScene
 
@@ -81,7 +81,7 @@ class Direct(Actuation):
 
     def __init__(self, options: None, context: Context) -> None:
         assert context.simulator is not None
-        self.action_size = context.simulator.control_size
+        self.action_space = box(context.simulator.control_size)
 
     def control(self, action: Tensor, **fields: Tensor) -> Tensor:
         return action
@@ -135,8 +135,10 @@ def make_training(
     """A training of `overrides`, in a new run folder if `run` is given."""
     overrides = [*overrides, *([f"run.dir={run}"] if run else [])]
     experiment = load_experiment(overrides, plugins)
-    training = Training(experiment, reporter)
-    return training.attach(runs.create(experiment, overrides, {})) if run else training
+    training = Training(experiment, reporter).prepare()
+    if run is None:
+        return training
+    return training.attach(runs.create(experiment, overrides, training.job.sources()))
 
 
 def resumed(
@@ -147,8 +149,8 @@ def resumed(
     opened.lock()
     overrides = [*opened.info["overrides"], *more]
     experiment = load_experiment(overrides, plugins)
-    opened.info["config"] = dict(experiment.raw)
-    training = Training(experiment)
+    opened.info["config"] = experiment.effective()
+    training = Training(experiment).prepare()
     if messages is not None:
         training.reporter.message = messages.append
     training.attach(opened)
@@ -167,6 +169,13 @@ def flat(state: Any, where: str = "") -> dict[str, Any]:
     return {where: state}
 
 
+def same_bits(first: Tensor, second: Tensor) -> bool:
+    """Whether dtype, shape and every number are equal, NaN equal to NaN and to nothing else."""
+    if first.dtype != second.dtype or first.shape != second.shape:
+        return False
+    return bool(((first == second) | ((first != first) & (second != second))).all())
+
+
 def assert_same_state(
     first: Any, second: Any, ignore: Sequence[str] = ("/progress/seconds",)
 ) -> None:
@@ -178,9 +187,7 @@ def assert_same_state(
         for key in one
         if key not in ignore
         and not (
-            torch.equal(torch.nan_to_num(one[key]), torch.nan_to_num(two[key]))
-            if isinstance(one[key], Tensor)
-            else one[key] == two[key]
+            same_bits(one[key], two[key]) if isinstance(one[key], Tensor) else one[key] == two[key]
         )
     ]
     assert not different, different

@@ -71,7 +71,7 @@ def test_physics_state(plugins: Plugins, where: str, value: float) -> None:
     # 40 more steps: every neighbour's episode is truncated and begun anew twice
     assert_only_bad_failed(first + roll(clean, 40, 2), second + roll(hurt, 40, 2))
     assert int(hurt.quarantined) == 1
-    assert hurt.statistics.collect(hurt.control_dt)["unsound"] == 1
+    assert hurt.statistics.collect()["unsound"] == 1
 
 
 @pytest.mark.parametrize("value", VALUES)
@@ -90,8 +90,9 @@ def test_derived_numbers(plugins: Plugins, where: str, value: float) -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         if where == "observation":
-            encode = parts.encoders["state"].encode
-            patch.setattr(parts.encoders["state"], "encode", lambda **f: spoil(encode(**f)))
+            encoder = parts.encoders["state"].part
+            encode = encoder.encode
+            patch.setattr(encoder, "encode", lambda **f: spoil(encode(**f)))
         elif where == "reward":
             patch.setattr(
                 parts, "rewards", [dataclasses.replace(parts.rewards[0], function=bad_low)]
@@ -106,7 +107,7 @@ def test_derived_numbers(plugins: Plugins, where: str, value: float) -> None:
             patch.setattr(
                 parts.initial_states,
                 "sample",
-                lambda s: {k: spoil(v) for k, v in sample(s).items()},
+                lambda s, **f: {k: spoil(v) for k, v in sample(s, **f).items()},
             )
             clean.reset(3), hurt.reset(3)
             assert torch.isfinite(hurt.observations["state"]).all()
@@ -117,12 +118,12 @@ def test_derived_numbers(plugins: Plugins, where: str, value: float) -> None:
 
 def test_nothing_reaches_the_learner(plugins: Plugins) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL])
-    simulator, update = training.environment.parts.simulator, training.learner.update
+    simulator, update = training.job.environment.parts.simulator, training.job.learner.update
     step, count = simulator.step, 0
 
-    def bad_step(control: torch.Tensor) -> None:
+    def bad_step(control: torch.Tensor, substeps: int | None = None) -> None:
         nonlocal count
-        step(control)
+        step(control, substeps)
         count += 1
         simulator._state[count % 16, count % 2] = VALUES[count % 4]  # type: ignore[attr-defined]
 
@@ -135,12 +136,12 @@ def test_nothing_reaches_the_learner(plugins: Plugins) -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulator, "step", bad_step)
-        patch.setattr(training.learner, "update", checked_update)
+        patch.setattr(training.job.learner, "update", checked_update)
         rows = [training.iterate() for _ in range(10)]
-    assert int(training.environment.quarantined) == 80
+    assert int(training.job.environment.quarantined) == 80
     assert sum(row["episode/unsound"] for row in rows) == 80
     assert all(row["skipped_steps"] == 0 for row in rows)
     for part in ("policy", "learner"):
         for name, value in flat(training.state_dict()[part]).items():
             assert torch.isfinite(torch.as_tensor(value)).all(), name
-    assert (training.policy.state_dict()["normaliser.mean"].abs() < 10).all()
+    assert (training.job.policy.state_dict()["normaliser.mean"].abs() < 10).all()

@@ -24,22 +24,22 @@ IGNORED = ("/learner/generator", "/learner/bad_steps", "/policy/log_deviation")
 
 
 def spoil_rewards(training: Training, monkeypatch: pytest.MonkeyPatch) -> None:
-    collect = training.collector.collect
+    collect = training.job.collector.collect
 
     def spoiled(steps: int) -> Rollout:
         rollout = collect(steps)
         rollout.rewards[3, 5] = float("nan")
         return rollout
 
-    monkeypatch.setattr(training.collector, "collect", spoiled)
+    monkeypatch.setattr(training.job.collector, "collect", spoiled)
 
 
 def learned(training: Training) -> dict[str, torch.Tensor]:
     """Weights and optimiser moments; the normaliser and random streams go on."""
     state = flat(
         {
-            "policy": dict(training.policy.named_parameters()),
-            "learner": training.learner.state_dict(),
+            "policy": dict(training.job.policy.named_parameters()),
+            "learner": training.job.learner.state_dict(),
         }
     )
     return {k: torch.as_tensor(v).detach().clone() for k, v in state.items() if k not in IGNORED}
@@ -50,7 +50,7 @@ def test_loss(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     messages: list[str] = []
     training.reporter.message = messages.append
     training.iterate()
-    training.policy.schedule(training.progress.samples)  # as the next iteration does
+    training.job.policy.schedule(training.progress.samples)  # as the next iteration does
     before = learned(training)
     with monkeypatch.context() as patch:
         spoil_rewards(training, patch)
@@ -74,9 +74,9 @@ def test_gradient(plugins: Plugins) -> None:
     """The loss is finite and one gradient is not."""
     training = make_training(plugins, [*FAKE_TASK, *SMALL])
     training.iterate()
-    training.policy.schedule(training.progress.samples)
+    training.job.policy.schedule(training.progress.samples)
     before = learned(training)
-    weight = next(training.policy.actor_parameters())
+    weight = next(training.job.policy.actor_parameters())
     hook = weight.register_hook(
         lambda g: torch.where(torch.arange(g.numel()).view_as(g) == 0, float("nan"), g)
     )

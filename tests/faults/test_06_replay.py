@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from worlds import PADDLE_TASK, SMALL, make_training
+from counted_task import LINE_TASK, Push, Starts, line_plugins
+from worlds import PADDLE_TASK, SMALL, make_training, same_bits
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
+from understudy.running.environment import Fault
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_basics.nn import RunningNormaliser
@@ -21,13 +24,13 @@ def test_engine_failure_replays(
 ) -> None:
     """A box thrown so fast that it diverges within the step; its neighbours do not matter."""
     training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
-    simulator = training.environment.parts.simulator
+    simulator = training.job.environment.parts.simulator
     training.iterate()
     after: dict[str, torch.Tensor] = {}
     step = simulator.step
 
-    def remembered(control: torch.Tensor) -> None:
-        step(control)
+    def remembered(control: torch.Tensor, substeps: int | None = None) -> None:
+        step(control, substeps)
         if not after:
             after.update(simulator.snapshot())
 
@@ -47,9 +50,10 @@ def test_sound_worlds_replay_bitwise(plugins: Plugins, tmp_path: Path) -> None:
     """Other worlds in the batch change no bit: dump two that are well, in the middle of contacts."""
     training = make_training(plugins, [*PADDLE_TASK, *SMALL], tmp_path / "run")
     training.iterate()
-    simulator, rows = training.environment.parts.simulator, torch.arange(16) % 7 == 2
+    environment, rows = training.job.environment, torch.arange(16) % 7 == 2
+    simulator = environment.parts.simulator
     before, control = simulator.snapshot(), torch.linspace(-3, 3, 16).unsqueeze(1)
-    training._dump_worlds(before, control, rows)
+    environment.on_quarantine(Fault(before, control.unsqueeze(0), None, rows))
     simulator.step(control)
     replayed = replay_step(tmp_path / "run/faults/step", plugins)
     assert not replayed.failed.any()
@@ -58,22 +62,68 @@ def test_sound_worlds_replay_bitwise(plugins: Plugins, tmp_path: Path) -> None:
 
 def test_bad_control_replays(plugins: Plugins, tmp_path: Path) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
-    training.environment.reset()
+    training.job.environment.reset()
     action = torch.zeros(16, 1)
     action[4] = 1e12
-    training.environment.step(action)
+    training.job.environment.step(action)
     replayed = replay_step(tmp_path / "run/faults/step.json", plugins)
     assert replayed.worlds.tolist() == [4]
     assert replayed.failed.all()
 
 
+class Swing(Push):
+    """Pushes further away, anew from each state that it sees."""
+
+    reads = ("x",)
+    every = "substep"
+
+    def control(self, action: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+        return action + 3.1 * x
+
+
+class Gains(Starts):
+    """Worlds differ in their gains, and are anywhere up to 4e6."""
+
+    varies = ("gain",)
+
+    def sample(self, streams: Any, **fields: torch.Tensor) -> dict[str, torch.Tensor]:
+        return {"x": 4e6 * streams.uniform(1), "gain": 0.5 + streams.uniform(1)[:, 0]}
+
+
+@pytest.mark.parametrize("every", ["substep", "period", "decision"])
+def test_every_control_of_a_decision_replays(tmp_path: Path, every: str) -> None:
+    """Two control periods of three sub-steps; worlds that go wrong in any of them, and differ."""
+    swing: Any = type("Any", (Swing,), {"every": every, "__doc__": "x"})
+    plugins = line_plugins(actuation={"my.swing": swing}, initial_states={"my.gains": Gains})
+    overrides = [*LINE_TASK, "actuation={name: my.swing}", "initial_states={name: my.gains}",
+                 "num_worlds=64", "control.decision=2", "control.substeps=3"]  # fmt: skip
+    training = make_training(plugins, overrides, tmp_path / "run")
+    environment = training.job.environment
+    for _ in range(10):
+        step = environment.advance(torch.full((64, 1), 1e6))
+        if step.unsound.any():
+            break
+        assert environment.on_quarantine is not None
+    assert 0 < int(step.unsound.sum()) < 64
+    assert environment.on_quarantine is None, "once"
+    after = environment.parts.simulator.snapshot()
+    replayed = replay_step(tmp_path / "run/faults/step", plugins)
+    assert torch.equal(replayed.worlds, step.unsound.nonzero().squeeze(1))
+    assert replayed.failed.all()
+    for name, value in replayed.snapshot.items():
+        assert same_bits(value, after[name][replayed.worlds]), name
+    state, _ = checkpoint.load(tmp_path / "run/faults/step")
+    count = {"substep": 6, "period": 2, "decision": 2}[every]
+    assert state["controls"].shape == (count, len(replayed.worlds), 1)
+
+
 def test_only_the_first_failure_is_dumped(plugins: Plugins, tmp_path: Path) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
-    training.environment.reset()
+    training.job.environment.reset()
     for world in (4, 9):
         action = torch.zeros(16, 1)
         action[world] = float("nan")
-        training.environment.step(action)
+        training.job.environment.step(action)
     state, meta = checkpoint.load(tmp_path / "run/faults/step")
     assert state["worlds"].tolist() == [4]
     assert meta["config"]["seed"] == 0

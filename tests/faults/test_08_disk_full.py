@@ -118,13 +118,13 @@ def test_fault_dump_does_not_fit(
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
     messages: list[str] = []
     training.reporter.message = messages.append
-    training.environment.reset()
+    training.job.environment.reset()
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    step = training.environment.step(torch.full((16, 1), float("nan")))
+    step = training.job.environment.step(torch.full((16, 1), float("nan")))
     assert step.failed.all()
     assert "No space left on device" in messages[0]
 

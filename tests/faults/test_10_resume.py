@@ -46,7 +46,7 @@ def test_bitwise_in_a_new_process(plugins: Plugins, tmp_path: Path, task: str) -
     first = make_training(plugins, overrides, tmp_path / "cut")
     for _ in range(N):
         first.iterate()
-    assert (first.environment.episode_step > 0).any(), "the cut is in the middle of episodes"
+    assert (first.job.environment.episode_step > 0).any(), "the cut is in the middle of episodes"
     first.save()
     assert first.run is not None
     first.run.unlock()

@@ -27,9 +27,12 @@ def run(plugins: Plugins, tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("policy.hidden=[24]", r"'actor.0.weight' is \(24, 2\) here and \(16, 2\) there"),
-        ("policy.hidden=[16, 16]", r"'actor.2.weight' is \(16, 16\) here and \(1, 16\) there"),
-        ("num_worlds=8", r"16 worlds and this configuration 8\. Set num_worlds=16"),
+        ("policy.hidden=[24]", r"'policy/actor.0.weight' is \(24, 2\) here and \(16, 2\) there"),
+        (
+            "policy.hidden=[16, 16]",
+            r"'policy/actor.2.weight' is \(16, 16\) here and \(1, 16\) there",
+        ),
+        ("num_worlds=8", r"it has 16 worlds, and num_worlds=8\. Resume with"),
     ],
 )
 def test_another_shape(plugins: Plugins, run: Path, override: str, message: str) -> None:
@@ -52,7 +55,7 @@ def test_harmless_differences_are_told(plugins: Plugins, run: Path) -> None:
     messages: list[str] = []
     resumed(plugins, run, messages, ["learner.clip=0.3"])
     assert any(
-        m.startswith("Differs from the checkpoint: learner.clip: added (0.3)") for m in messages
+        m.startswith("Differs from the checkpoint: learner.clip: 0.2 → 0.3") for m in messages
     ), messages
     assert any(
         m.startswith("Version differs from the checkpoint: torch: '1.0' → ") for m in messages
@@ -63,23 +66,48 @@ def test_newer_checkpoint_format(
     plugins: Plugins, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state, meta = checkpoint.load(run / "checkpoints/00000001")
-    monkeypatch.setattr(checkpoint, "FORMAT", 2)
+    monkeypatch.setattr(checkpoint, "FORMAT", 3)
     checkpoint.save(run / "checkpoints/00000002", state, meta)
-    monkeypatch.setattr(checkpoint, "FORMAT", 1)
-    with pytest.raises(RunError, match=r"checkpoint format 2, and this understudy reads up to 1"):
+    monkeypatch.setattr(checkpoint, "FORMAT", 2)
+    with pytest.raises(RunError, match=r"checkpoint format 3, and this understudy reads up to 2"):
         resumed(plugins, run)
 
 
 def test_older_checkpoint_format_is_migrated(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint, "FORMAT", 2)
+    monkeypatch.setattr(checkpoint, "FORMAT", 3)
     with pytest.raises(RunError, match="cannot be migrated"):
         checkpoint.load(run / "checkpoints/00000001")
-    monkeypatch.setitem(checkpoint.MIGRATIONS, 1, lambda state, meta: ({**state, "new": 7}, meta))
+    monkeypatch.setitem(checkpoint.MIGRATIONS, 2, lambda state, meta: ({**state, "new": 7}, meta))
     assert checkpoint.load(run / "checkpoints/00000001")[0]["new"] == 7
 
 
 def test_newer_layout(run: Path) -> None:
     info = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps({**info, "layout": 2}))
-    with pytest.raises(RunError, match=r"newer understudy \(layout 2; this one reads 1\)"):
+    (run / "run.json").write_text(json.dumps({**info, "layout": 3}))
+    with pytest.raises(RunError, match=r"newer understudy \(layout 3; this one reads 2\)"):
         runs.open_run(run)
+
+
+def test_a_run_of_layout_1_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    old = {
+        "layout": 1,
+        "config": {"seed": 0},
+        "overrides": ["seed=0"],
+        "sources": {},
+        "versions": {"understudy": "0.1.7"},
+    }
+    (tmp_path / "run.json").write_text(json.dumps(old))
+    with pytest.raises(RunError) as caught:
+        runs.open_run(tmp_path)
+    assert str(caught.value) == (
+        f"{tmp_path} was written by understudy 0.1.7, whose tasks and states mean other things "
+        "(layout 1; this one reads 2). Use that version for it, or train anew."
+    )
+
+
+def test_a_checkpoint_of_format_1_is_refused_in_one_sentence(run: Path) -> None:
+    path = run / "checkpoints/00000001"
+    content = checkpoint.read_sealed(path.with_suffix(".json"))
+    path.with_suffix(".json").write_bytes(checkpoint._sealed({**content, "format": 1}))
+    with pytest.raises(RunError, match=r"checkpoint format 1, which cannot be migrated\.$"):
+        checkpoint.load(path)

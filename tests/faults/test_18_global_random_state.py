@@ -24,7 +24,7 @@ def test_untouched(plugins: Plugins, task: tuple[str, ...]) -> None:
             plugins, [*task, *SMALL, "budget.samples=400", "evaluation.seconds=0.2"]
         )
         training.train()
-        training.evaluate()
+        training.judge()
         assert random.getstate() == python
         assert all(np.array_equal(a, b) for a, b in zip(np.random.get_state(), legacy, strict=True))  # noqa: NPY002
         assert torch.equal(torch.get_rng_state(), tensor)

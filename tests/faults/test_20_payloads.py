@@ -19,6 +19,7 @@ from understudy.records import checkpoint, runs
 from understudy_inspect.replay import replay_step
 
 ROOT = Path(__file__).parents[2]
+NOW = checkpoint.FORMAT
 
 
 class Payload:
@@ -52,7 +53,7 @@ def test_pickle_in_a_checkpoint(path: Path, kind: str, ending: str, sealed: bool
     path.with_suffix(ending).write_bytes(data)
     if sealed:  # an attacker computes the digests, too
         document = {
-            "format": 1,
+            "format": NOW,
             "state": {"map": {}},
             "meta": {},
             "sha256": hashlib.sha256(data).hexdigest(),
@@ -68,17 +69,17 @@ def test_pickle_in_a_checkpoint(path: Path, kind: str, ending: str, sealed: bool
 @pytest.mark.parametrize(
     "document",
     [
-        [], 3, None, "text", {}, {"format": 1},
-        {"format": 1, "state": [], "meta": {}},
-        {"format": 1, "state": {"tensor": "nowhere"}, "meta": {}},
-        {"format": 1, "state": {"tensor": ["w"]}, "meta": {}},
-        {"format": 1, "state": {"map": 3}, "meta": {}},
-        {"format": 1, "state": {"map": {"a": None}}, "meta": {}},
-        {"format": 1, "state": {"map": {"a": {}}}, "meta": {}},
-        {"format": 1, "state": {"float": "__import__('os')"}, "meta": {}},
-        {"format": 1, "state": {"float": {}}, "meta": {}},
-        {"format": 1, "state": {"list": 3.5}, "meta": {}},
-        {"format": 1, "state": {"map": {}}, "meta": 3},
+        [], 3, None, "text", {}, {"format": NOW},
+        {"format": NOW, "state": [], "meta": {}},
+        {"format": NOW, "state": {"tensor": "nowhere"}, "meta": {}},
+        {"format": NOW, "state": {"tensor": ["w"]}, "meta": {}},
+        {"format": NOW, "state": {"map": 3}, "meta": {}},
+        {"format": NOW, "state": {"map": {"a": None}}, "meta": {}},
+        {"format": NOW, "state": {"map": {"a": {}}}, "meta": {}},
+        {"format": NOW, "state": {"float": "__import__('os')"}, "meta": {}},
+        {"format": NOW, "state": {"float": {}}, "meta": {}},
+        {"format": NOW, "state": {"list": 3.5}, "meta": {}},
+        {"format": NOW, "state": {"map": {}}, "meta": 3},
         {"format": -3, "state": {"map": {}}, "meta": {}},
         {"format": "1", "state": {"map": {}}, "meta": {}},
         {"format": None, "state": {"map": {}}, "meta": {}},
@@ -108,15 +109,15 @@ def test_nested_without_end(path: Path) -> None:
     for _ in range(150):
         deep = {"list": [deep]}
     digest = hashlib.sha256(path.with_suffix(".safetensors").read_bytes()).hexdigest()
-    document = {"format": 1, "state": deep, "meta": {}, "sha256": digest}
+    document = {"format": NOW, "state": deep, "meta": {}, "sha256": digest}
     path.with_suffix(".json").write_bytes(checkpoint._sealed(document))
     checkpoint.load(path)
 
 
 @pytest.mark.parametrize(
     "text",
-    ["", "[]", "3", "null", "{}", '{"layout": 1}', '{"layout": 1, "config": []}', "\0\0", "[" * 100_000,
-     '{"layout": "1", "config": {}}', '{"layout": 1, "config": {}}'],
+    ["", "[]", "3", "null", "{}", '{"layout": 2}', '{"layout": 2, "config": []}', "\0\0", "[" * 100_000,
+     '{"layout": "2", "config": {}}', '{"layout": 2, "config": {}}'],
     ids=lambda t: t[:40],
 )  # fmt: skip
 def test_odd_run_files(tmp_path: Path, text: str) -> None:
@@ -129,7 +130,7 @@ def test_run_file_nested_to_the_limit(tmp_path: Path) -> None:
     for depth in range(900, 1000, 3):  # wherever the interpreter's limit strikes
         config = '{"a":' * depth + "1" + "}" * depth
         (tmp_path / "run.json").write_text(
-            f'{{"layout":1,"overrides":[],"sources":{{}},"config":{config}}}'
+            f'{{"layout":2,"overrides":[],"sources":{{}},"config":{config}}}'
         )
         with contextlib.suppress(UnderstudyError):
             runs.open_run(tmp_path)

@@ -64,7 +64,7 @@ def test_overrides(plugins: Plugins, untouched: Path, override: str) -> None:
     ],
 )
 def test_python_paths_as_names(plugins: Plugins, untouched: Path, slot: str, name: str) -> None:
-    raw = dict(load_experiment([*FAKE_TASK, *SMALL], plugins).raw)
+    raw = load_experiment([*FAKE_TASK, *SMALL], plugins).effective()
     with pytest.raises(ConfigError, match=rf"There is no {slot} '{name}'"):
         validate({**raw, slot: {"name": name}}, plugins.registry)
     assert not untouched.exists()

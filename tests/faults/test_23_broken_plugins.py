@@ -41,6 +41,9 @@ def assert_isolated(plugins: Plugins, reason: str) -> None:
     assert not [c for c in plugins.registry.components.values() if c.plugin == "stranger"]
     assert not [t for t in plugins.registry.tasks.values() if t.plugin == "stranger"]
     assert not [s for s in plugins.registry.sections.values() if s.plugin == "stranger"]
+    assert not [c for c in plugins.registry.citations if c[0] == "stranger"]
+    assert "stranger_kind" not in plugins.registry.kinds
+    assert "stranger_slot" not in plugins.registry.slots
     assert "stranger" not in [name for name, _ in plugins.config_directories()]
     assert all(p.status == "ok" for p in plugins.loaded if p.name in ("ppo", "mujoco", "fake"))
     build_environment(load_experiment([*FAKE_TASK, *SMALL], plugins)).environment.reset()
@@ -71,6 +74,18 @@ def unknown_kind(register: Registrar) -> None:
     register.component("lerner", "stranger.other", object)
 
 
+def kinds(register: Registrar) -> None:
+    register.kind("stranger_kind", "of its own")
+    register.slot("stranger_slot", "stranger_kind", "of its own")
+    register.citation("stranger", "Stranger 2001.")
+    register.component("stranger_kind", "x", object)
+    register.slot("job", "job", "the kernel's")
+
+
+def dotted(register: Registrar) -> None:
+    register.slot("reward.more", "reward", "below another's")
+
+
 def raises(register: Registrar) -> None:
     register.component("learner", "stranger.learner", object)
     raise RuntimeError("no\nlicence")
@@ -86,6 +101,8 @@ def leaves(register: Registrar) -> None:
         (duplicate, "Both plugin 'ppo' and plugin 'stranger' register the learner 'ppo'"),
         (duplicate_section, "register the learner 'stranger.learner'"),
         (unknown_kind, "no kind of component. Did you mean 'learner'?"),
+        (kinds, "adds the slot 'job', which exists already"),
+        (dotted, "adds the slot 'reward.more', which exists already or has a dot"),
         (raises, "RuntimeError: no"),
         (leaves, "SystemExit: stranger wants to leave"),
     ],
@@ -120,6 +137,12 @@ def test_config_directories(tmp_path: Path) -> None:
     shadows = module(understudy_config_directory=lambda: tmp_path / "conf")
     assert_isolated(
         loaded(shadows), "the config option 'learner/ppo', which plugin 'ppo' provides already"
+    )
+    (tmp_path / "mine/experiment").mkdir(parents=True)
+    (tmp_path / "mine/config.yaml").write_text("seed: 7\n")
+    takes = module(understudy_config_directory=lambda: tmp_path / "mine")
+    assert_isolated(
+        loaded(takes), "the config option 'config', which understudy itself provides already"
     )
     missing = module(understudy_config_directory=lambda: tmp_path / "nowhere")
     assert_isolated(loaded(missing), "nowhere does not exist")

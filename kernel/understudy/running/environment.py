@@ -412,14 +412,17 @@ class Environment:
         actuation, simulator = self.parts.actuation.part, self.parts.simulator
         pieces = self._substeps if actuation.every == "substep" else 1
         length = 1 if actuation.every == "substep" else None
-        control: Tensor | None = None
+        control = applied = None
         for _ in range(self.decision):
             for _ in range(pieces):
-                if control is None or actuation.every != "decision":
+                if control is None or applied is None or actuation.every != "decision":
                     control = self._control()
+                    good = sound(control)
+                    self._unsound |= ~good
+                    applied = torch.where(good.unsqueeze(1), control, 0.0)
                 if self.on_quarantine is not None:
                     self._controls.append(control.clone())
-                simulator.step(control, length)
+                simulator.step(applied, length)
                 self.refresh()
             self.episode_step += 1
             self.refresh()
@@ -428,14 +431,11 @@ class Environment:
                 self._keep(memory, memory.part.advance(kept, **self._taken(name, memory)))
 
     def _control(self) -> Tensor:
-        """(N, U), zero in worlds whose control is not finite."""
+        """(N, U), as the actuation gives it."""
         bound, table = self.parts.actuation, self.table
         if bound.part.keeps:
             self._keep(bound, bound.part.advance(self.action, **table.pick(bound.reads)))
-        control = bound.part.control(self.action, **table.pick(bound.reads))
-        good = sound(control)
-        self._unsound |= ~good
-        return torch.where(good.unsqueeze(1), control, 0.0)
+        return bound.part.control(self.action, **table.pick(bound.reads))
 
     def _taken(self, name: str, memory: Bound[Memory]) -> dict[str, Tensor]:
         """What a memory is called with: fields, and random numbers."""

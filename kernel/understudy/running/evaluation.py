@@ -339,7 +339,10 @@ class Evaluator:
             if step % 30 == 29 and allowed < count and not self._within(allowed, count):
                 complete = False
                 break
-        measures = {name: r.result() for name, r in self._reducers.items()}
+        measures = {
+            "return": self._returns.result(),
+            **{name: r.result() for name, r in self._reducers.items()},
+        }
         success = (
             self.success.of(self._failed, self._fired, measures)
             if self.success
@@ -348,7 +351,6 @@ class Evaluator:
         found = {
             "success": success,
             "seconds": self._seconds,
-            "measure/return": self._returns.result(),
             **{f"measure/{name}": value for name, value in measures.items()},
             **{f"fired/{name}": fired for name, fired in self._fired.items()},
         }

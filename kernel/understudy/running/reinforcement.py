@@ -17,7 +17,7 @@ from understudy.running.environment import Environment, Fault
 from understudy.running.evaluation import Evaluation, Evaluator
 from understudy.running.jobs import Job
 from understudy.running.statistics import refuse_hopeless
-from understudy.running.warm_start import take_over
+from understudy.running.warm_start import misshapen, take_over
 from understudy.setup.building import (
     Built,
     build_environment,
@@ -62,6 +62,7 @@ class Reinforcement(Job):
         self.collector = Collector(self.environment, self.policy, seed, records)
         if experiment.root.start is not None:
             self._started = take_over(experiment.root.start, self.policy, initial, curriculum)
+            self.environment.reset(seed)  # episodes begin as what was taken over says
 
     def _adapting(self) -> tuple[Any, Any]:
         return self.environment.parts.initial_states, self.environment.parts.curriculum
@@ -219,15 +220,3 @@ class Reinforcement(Job):
             self.built.environment.close()
         if self._evaluator is not None:
             self._evaluator.close()
-
-
-def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:
-    """The places at which tensors of two nested states differ in shape."""
-    if isinstance(own, Tensor):
-        if not isinstance(other, Tensor) or own.shape != other.shape:
-            have = tuple(other.shape) if isinstance(other, Tensor) else "nothing"
-            yield f"'{where}' is {tuple(own.shape)} here and {have} there"
-    elif isinstance(own, Mapping):
-        for name, value in own.items():
-            given = other.get(name) if isinstance(other, Mapping) else None
-            yield from misshapen(value, given, f"{where}/{name}")

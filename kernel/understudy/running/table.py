@@ -53,6 +53,7 @@ class FieldTable:
     def _dependents(self) -> dict[str, set[str]]:
         """By field: the provided fields that are computed from it, directly or not."""
         above: dict[str, set[str]] = {}
+        known: dict[str, set[str]] = {}
 
         def sources(name: str, path: tuple[str, ...]) -> set[str]:
             if name in path:
@@ -64,10 +65,12 @@ class FieldTable:
             provider = self._provider.get(name)
             if provider is None:
                 return {name}
-            found = {name}
-            for item in provider.reads.values():
-                found |= sources(item, (*path, name))
-            return found
+            if name not in known:
+                found = {name}
+                for item in provider.reads.values():
+                    found |= sources(item, (*path, name))
+                known[name] = found
+            return known[name]
 
         for name in self._provider:
             for source in sources(name, ()) - {name}:

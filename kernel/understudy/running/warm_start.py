@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from torch import Tensor
@@ -82,8 +82,22 @@ def _load(
     start: StartOptions, name: str, part: InitialStates | Curriculum, environment: State
 ) -> None:
     try:
+        for misfit in misshapen(part.state_dict(), environment[name], name):
+            raise ValueError(misfit)
         part.load_state_dict(environment[name])
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
         raise RunError(
             f"start.parts: the {name} of {start.run} do not fit those of this task: {error}."
         ) from error
+
+
+def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:
+    """The places at which tensors of two nested states differ in shape."""
+    if isinstance(own, Tensor):
+        if not isinstance(other, Tensor) or own.shape != other.shape:
+            have = tuple(other.shape) if isinstance(other, Tensor) else "nothing"
+            yield f"'{where}' is {tuple(own.shape)} here and {have} there"
+    elif isinstance(own, Mapping):
+        for name, value in own.items():
+            given = other.get(name) if isinstance(other, Mapping) else None
+            yield from misshapen(value, given, f"{where}/{name}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import json
 import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.core.plugins import Plugins as HydraPlugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
@@ -30,7 +32,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import Option, check_range, checked_options, make_options
-from understudy.setup.plugins import Plugins, installed
+from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.registry import Component, Registry, Slot
 from understudy.task.terms import Outcome, Reduction
 
@@ -317,6 +319,7 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         if key not in known:
             raise ConfigError(
                 f"There is no configuration key '{key}'.{suggestion(str(key), known)}"
+                + registry.absent()
             )
     filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in _GROUPS)}
     root = make_options(Root, filled, "")
@@ -380,7 +383,8 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     if schema is not None:
         checked = make_options(schema, own, where)
     else:  # a function's options are its keyword-only parameters; a class without Options has none
-        checked = checked_options(component.options, own, where) or None
+        checked = {name: option.default for name, option in component.options.items()}
+        checked = {**checked, **checked_options(component.options, own, where)} or None
     return Chosen(name, component, checked, where, extras)
 
 
@@ -428,13 +432,6 @@ class UnderstudySearchPath(SearchPathPlugin):
                 search_path.append(provider=f"understudy plugin {name}", path=f"file://{directory}")
 
 
-def kernel_conf() -> Path:
-    """The kernel's own config directory (``conf/`` at the top of the source tree)."""
-    here = Path(__file__).resolve()
-    packaged = here.parents[1] / "conf"
-    return packaged if packaged.is_dir() else here.parents[3] / "conf"
-
-
 @contextlib.contextmanager
 def _hydra(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     for override in overrides:
@@ -470,7 +467,12 @@ def _plain(error: Exception, plugins: Plugins) -> str:
         return f"{getattr(error, 'full_key', None) or text} is not set. Give it a value."
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
-        known = _VALUES | set(plugins.registry.slots) | set(plugins.registry.sections)
+        slots = {s.name: s for s in plugins.registry.slots.values()}
+        if stray[1] in slots:
+            one = "{name: COMPONENT, …}"
+            form = f"{{NAME: {one}}}" if slots[stray[1]].many else one
+            return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
+        known = _VALUES | set(slots) | set(plugins.registry.sections)
         return f"There is no configuration key '{stray[1]}'.{suggestion(stray[1], known)}"
     return text or type(error).__name__
 
@@ -492,6 +494,24 @@ def _settable(override: str) -> str:
     return f"++{override}" if plain and sets else override
 
 
+def _without_emptied(
+    overrides: Sequence[str], plugins: Plugins
+) -> tuple[list[str], dict[str, str]]:
+    """The overrides that Hydra is to apply, and, by key, those (``policy=null``) that empty a slot
+    whatever else chooses it: Hydra has no null for a group of options."""
+    groups = {*_GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
+    kept: list[str] = []
+    emptied: dict[str, str] = {}
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if key in groups and value == "null":
+            emptied[key] = override
+        else:
+            kept.append(override)
+            emptied.pop(key.lstrip("+"), None)  # chosen again
+    return kept, emptied
+
+
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
     """`overrides`, then `by`, without those of the former that the latter set anew."""
 
@@ -502,6 +522,17 @@ def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
     return [*(o for o in overrides if key(o) not in new), *by]
 
 
+def written(value: Any) -> str:
+    """Plain data as the value of an override: every string is quoted, whatever is in it."""
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{key}:{written(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ",".join(written(item) for item in value) + "]"
+    if isinstance(value, str):
+        return QuotedString(value, Quote.single).with_quotes()
+    return json.dumps(value)
+
+
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
@@ -510,12 +541,14 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     ConfigError
         if Hydra cannot compose it, or it contains a key that names code.
     """
-    with _hydra(plugins or installed(), overrides):
-        config = compose("config", overrides=[_settable(o) for o in overrides])
+    plugins = plugins or installed()
+    kept, emptied = _without_emptied(overrides, plugins)
+    with _hydra(plugins, overrides):
+        config = compose("config", overrides=[_settable(o) for o in kept])
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     assert isinstance(raw, dict)
     refuse_code(raw)
-    return {str(k): v for k, v in raw.items()}
+    return {**{str(k): v for k, v in raw.items()}, **dict.fromkeys(emptied)}
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
@@ -528,6 +561,7 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
     """For each key path of the composed configuration, the file (or override) that set it."""
     plugins = plugins or installed()
     origin: dict[str, str] = {}
+    overrides, emptied = _without_emptied(overrides, plugins)
     with _hydra(plugins, overrides):
         loader = GlobalHydra.instance().config_loader()
         defaults = loader.compute_defaults_list(
@@ -551,6 +585,9 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
             for key in _paths(override.value(), override.key_or_group):
                 if not any(k.startswith(f"{key}.") for k in origin):  # else it chose a file
                     origin[key] = f"command line: {override.input_line}"
+    for name, override in emptied.items():
+        origin = {k: v for k, v in origin.items() if k != name and not k.startswith(f"{name}.")}
+        origin[name] = f"command line: {override}"
     return origin
 
 

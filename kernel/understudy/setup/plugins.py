@@ -165,17 +165,26 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
     plugins.loaded.append(plugin)
 
 
+def kernel_conf() -> Path:
+    """The kernel's own config directory (``conf/`` at the top of the source tree)."""
+    here = Path(__file__).resolve()
+    packaged = here.parents[1] / "conf"
+    return packaged if packaged.is_dir() else here.parents[3] / "conf"
+
+
 def _shadowed_options(plugins: Plugins) -> dict[str, PluginError]:
-    """By plugin: a config option that an earlier plugin provides already."""
-    owner: dict[Path, str] = {}
+    """By plugin: a config option that the kernel or an earlier plugin provides already."""
+    own = {file.relative_to(kernel_conf()) for file in kernel_conf().rglob("*.yaml")}
+    owner = dict.fromkeys(own, "")  # the kernel's come first
     faults: dict[str, PluginError] = {}
     for name, directory in plugins.config_directories():
         for file in sorted(directory.rglob("*.yaml")):
             option = file.relative_to(directory)
             if owner.setdefault(option, name) != name:
+                other = f"plugin '{owner[option]}'" if owner[option] else "understudy itself"
                 faults[name] = PluginError(
-                    f"it provides the config option '{option.with_suffix('')}', which plugin "
-                    f"'{owner[option]}' provides already. Rename one of them."
+                    f"it provides the config option '{option.with_suffix('')}', which {other} "
+                    "provides already. Rename one of them."
                 )
     return faults
 

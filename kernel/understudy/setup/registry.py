@@ -193,6 +193,8 @@ class Registry:
         for table in tables:
             for key in [k for k, entry in table.items() if entry.plugin == plugin]:
                 del table[key]
+        for citation in [c for c in self.citations if c[0] == plugin]:
+            del self.citations[citation]
         for name in [n for n, owner in self.owners.items() if owner == plugin]:
             del self.owners[name]
             self.kinds.pop(name.removeprefix("kind "), None)

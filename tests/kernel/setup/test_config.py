@@ -1,0 +1,260 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import counted_task
+import pytest
+from counted_task import LINE_TASK, install, line_plugins
+from worlds import SMALL, make_training
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError
+from understudy.setup.config import (
+    Root,
+    compose_raw,
+    load_experiment,
+    provenance,
+    refuse_code,
+    replaced,
+    validate,
+    written,
+)
+from understudy.setup.plugins import Plugins, load
+from understudy.testing import fake
+from understudy.testing.fake import FAKE_TASK
+
+
+def test_experiment(plugins: Plugins) -> None:
+    experiment = load_experiment([*FAKE_TASK, *SMALL, "+reward.terms.near.weight=2"], plugins)
+    assert experiment.root.num_worlds == 16
+    assert experiment.need("scene").component.plugin == "fake"
+    (near,) = experiment.many("reward.terms")
+    assert (near.name, near.extras["weight"]) == ("near", 2.0)
+    assert near.options == {"scale": 1.0}, "with its default"
+    assert [t.extras["outcome"] for t in experiment.many("termination.terms")] == ["failure"]
+    assert experiment.need("learner").options.rollout_steps == 8
+    assert experiment.one("curriculum") is None
+    used = {c.name for c in experiment.components()}
+    assert {"fake", "fake.point", "fake.near_origin", "fake.far_away", "ppo", "mlp"} <= used
+
+
+def test_null_removes_a_term(plugins: Plugins) -> None:
+    more = ["+reward.terms.more={name: fake.near_origin, scale: 3}", "reward.terms.near=null"]
+    experiment = load_experiment([*FAKE_TASK, *more], plugins)
+    assert [t.name for t in experiment.many("reward.terms")] == ["more"]
+
+
+def test_provenance(plugins: Plugins) -> None:
+    """Each value with the file that set it, or the command line."""
+    overrides = [
+        "learner=ppo",
+        "seed=3",
+        "control.frequency=60",
+        "+learner.clip=0.3",
+        "evaluation.failures=[far]",
+        "+scene={name: fake}",
+        "+policy.noise={start: 1, end: 2}",
+    ]
+    origin = provenance(overrides, plugins)
+    assert "num_worlds" not in origin, "nobody set it"
+    assert origin["learner.name"] == "plugins/ppo/understudy_ppo/conf/learner/ppo.yaml"
+    assert origin["seed"] == "command line: seed=3"
+    assert origin["control.frequency"] == "command line: control.frequency=60"
+    assert origin["learner.clip"] == "command line: +learner.clip=0.3"
+    assert origin["evaluation.failures"] == "command line: evaluation.failures=[far]"
+    assert origin["scene.name"] == "command line: +scene={name: fake}"
+    assert origin["policy.noise.end"] == "command line: +policy.noise={start: 1, end: 2}"
+
+
+def test_every_value_has_an_origin(plugins: Plugins) -> None:
+    def leaves(value: object, prefix: str = "") -> list[str]:
+        if isinstance(value, dict) and value:
+            return [
+                x for k, v in value.items() for x in leaves(v, f"{prefix}.{k}" if prefix else k)
+            ]
+        return [prefix]
+
+    overrides = ["experiment=spacetime/walk", "seed=3"]
+    origin = provenance(overrides, plugins)
+    assert not [key for key in leaves(compose_raw(overrides, plugins)) if key not in origin]
+
+
+def test_refuse_code() -> None:
+    refuse_code({"a": [{"name": "x", "target": 1}]})
+    with pytest.raises(
+        ConfigError, match=r"^a\[0\]\.b\._target_: configurations name registered components"
+    ):
+        refuse_code({"a": [{"b": {"_target_": "os.system"}}]})
+
+
+def test_composing_leaves_hydra_clean(plugins: Plugins) -> None:
+    first = compose_raw([*FAKE_TASK], plugins)
+    with pytest.raises(ConfigError):
+        compose_raw(["learner=nothing"], plugins)
+    assert compose_raw([*FAKE_TASK], plugins) == first
+
+
+def test_values_that_no_file_mentions(plugins: Plugins) -> None:
+    """The kernel's own file only lists groups; every value can be set without a plus."""
+    assert set(compose_raw([], plugins)) <= {"task"}
+    experiment = load_experiment(
+        ["seed=3", "device=cpu", "difficulty=0.5", "budget.minutes=2"], plugins
+    )
+    root = experiment.root
+    assert (root.seed, root.difficulty, root.budget.minutes) == (3, 0.5, 2.0)
+    assert root.evaluation == Root().evaluation
+
+
+def leaves(value: Any, prefix: str = "") -> dict[str, Any]:
+    if isinstance(value, dict) and value:
+        return {
+            x: v
+            for k, item in value.items()
+            for x, v in leaves(item, f"{prefix}.{k}" if prefix else k).items()
+        }
+    return {prefix: value}
+
+
+TASKS = {
+    "fake": [*FAKE_TASK, *SMALL, "start={run: runs/a}", "+measure.x={name: line.value, reads: {x: qpos}}"],
+    "walk": ["experiment=spacetime/walk", "evaluation.success={measure: within_all_bounds, at_least: 1}"],
+    "nothing": [],
+    "emptied": [*FAKE_TASK, *SMALL, "termination=null", "policy=null", "reward=null"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_effective_configuration_is_the_same_configuration(task: str) -> None:
+    plugins = load(extra=[("fake", fake), ("line", counted_task)])
+    experiment = load_experiment(TASKS[task], plugins)
+    effective = json.loads(json.dumps(experiment.effective()))
+    again = validate(effective, plugins.registry)
+    assert again.choices == experiment.choices
+    assert again.sections == experiment.sections
+    assert again.effective() == effective
+
+
+def test_the_effective_configuration_has_every_default(plugins: Plugins) -> None:
+    found = leaves(load_experiment([*FAKE_TASK, *SMALL], plugins).effective())
+    assert found["reward.terms.near.scale"] == 1.0
+    assert found["reward.terms.near.weight"] == 1.0
+    assert found["termination.terms.far.outcome"] == "failure"
+    assert found["learner.gamma"] == 0.95
+    assert found["policy.noise.samples"] == 1_000_000
+    assert found["evaluation.gate"] == 0.3
+    assert found["curriculum"] is None
+    assert found["start"] is None
+
+
+def test_what_a_run_keeps_is_effective(tmp_path: Path) -> None:
+    training = make_training(line_plugins(), LINE_TASK, tmp_path / "run")
+    info = json.loads((tmp_path / "run/run.json").read_text())
+    assert info["config"] == training.experiment.effective()
+    assert info["config"]["learner"] == {"name": "line.nudge", "rollout_steps": 2, "rate": 1.0}
+    assert info["layout"] == 2
+
+
+def test_the_command_shows_defaults(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(monkeypatch, line_plugins())
+    assert main(["config", *LINE_TASK, "learner.rate=3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    shown = {line.partition(": ")[0]: line.partition(": ")[2] for line in lines}
+    assert shown["learner.rollout_steps"].split("  # ")[0].strip() == "2"
+    assert shown["learner.rollout_steps"].endswith("# default")
+    assert shown["learner.rate"].endswith("# command line: learner.rate=3")
+    assert shown["evaluation.gate"].endswith("# default")
+    assert shown["curriculum"].endswith("# default")
+    assert shown["control.frequency"].endswith("# command line: control.frequency=1")
+    assert main(["config", "--json", *LINE_TASK]) == 0
+    assert json.loads(capsys.readouterr().out)["learner"]["rate"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("seed=x", r"^seed='x' is not possible: it takes int\.$"),
+        ("termination.terms=null", r"^termination\.terms=None is not possible"),
+        ("evaluation.success=3", r"^evaluation\.success=3 is not possible"),
+        ("evaluation.success={measure: at}", r"^evaluation\.success.*at_least and at_most are both unset: give one of them\.$"),
+        ("evaluation.success={mesure: at, at_least: 1}", r"^evaluation\.success has no option 'mesure'\. Did you mean 'measure'\?$"),
+        ("evaluation.objective=speed", r"^evaluation\.objective names 'speed', which is no measure of this task\."),
+        ("evaluation.failures=[fat]", r"^evaluation\.failures names 'fat', .*Did you mean 'far'\?$"),
+        ("difficulty=1.5", r"^difficulty=1\.5 is not possible: it must be at most 1\.$"),
+        ("control.decision=0", r"^control\.decision=0 is not possible"),
+        ("start={parts: [actor]}", r"^start\.run is not set"),
+        ("start={run: a, parts: [actr]}", r"^start\.parts\[0\]='actr' is not possible\. Did you mean 'actor'\?$"),
+        ("+measure.at={name: line.value, reduce: median}", r"^measure\.at\.reduce='median' is not possible"),
+        ("+reward.terms.near.reads=qpos", r"^reward\.terms\.near\.reads='qpos' is not possible"),
+        ("+reward.terms.near.reads={qpos: 3}", r"^reward\.terms\.near\.reads\.qpos=3 is not possible"),
+        ("+initial_states.reads={a: b}", r"^initial_states has no option 'reads'"),
+        ("numworlds=3", r"^There is no configuration key 'numworlds'\. Did you mean 'num_worlds'\?$"),
+    ],
+)  # fmt: skip
+def test_errors_are_our_own_sentences(override: str, message: str) -> None:
+    plugins = load(extra=[("fake", fake), ("line", counted_task)])
+    with pytest.raises(ConfigError, match=message):
+        load_experiment([*FAKE_TASK, "+policy={name: line.steady}", override], plugins)
+
+
+@pytest.mark.parametrize("slot", ["policy", "learner", "simulator", "initial_states", "actuation"])
+def test_a_slot_set_to_null_is_not_set(slot: str) -> None:
+    plugins = line_plugins()
+    experiment = load_experiment([*LINE_TASK, f"{slot}=null"], plugins)
+    assert experiment.one(slot) is None
+    with pytest.raises(ConfigError, match=rf"^{slot} is not set\. Choose an experiment"):
+        experiment.need(slot)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["learner=ppo", "learner=null"],
+        ["+learner={name: ppo}", "learner=null"],
+        ["experiment=spacetime/walk", "learner=null"],
+    ],
+)
+def test_a_group_of_options_set_to_null(plugins: Plugins, overrides: list[str]) -> None:
+    """Hydra itself has no null for these."""
+    assert load_experiment(overrides, plugins).one("learner") is None
+    assert load_experiment([*overrides, "learner=ppo"], plugins).one("learner") is not None
+    origin = provenance(overrides, plugins)
+    assert origin["learner"] == "command line: learner=null"
+    assert not [key for key in origin if key.startswith("learner.")]
+
+
+def test_a_choice_that_no_file_offers() -> None:
+    with pytest.raises(
+        ConfigError,
+        match=r"^There is no such choice of measure\. Give one: 'measure=\{NAME: \{name: COMPONENT, …\}\}'\.$",
+    ):
+        load_experiment([*LINE_TASK, "measure=speed"], line_plugins())
+
+
+def test_groups_set_to_null_are_empty() -> None:
+    experiment = load_experiment([*LINE_TASK, "+termination.terms.far={name: line.beyond}", "termination=null", "measure=null"], line_plugins())  # fmt: skip
+    assert experiment.many("termination.terms") == experiment.many("measure") == ()
+
+
+def test_overrides_replaced() -> None:
+    old = ["+policy={name: a}", "seed=1", "++learner.rate=2", "~measure.x"]
+    assert replaced(old, ["policy={name: b}", "learner.rate=3"]) == [
+        "seed=1", "~measure.x", "policy={name: b}", "learner.rate=3",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["/a/b", "a b", "it's", 'say "x"', "a,b", "{a: b}", "[1]", "1", "null", "true", "ä→b", "a\\b", "end\\", "\\'", "a=b", "", " x "],
+)  # fmt: skip
+def test_strings_written_as_overrides(text: str) -> None:
+    raw = compose_raw([f"start={written({'run': text, 'parts': ['actor']})}"], line_plugins())
+    assert raw["start"] == {"run": text, "parts": ["actor"]}
+
+
+def test_other_data_written_as_overrides() -> None:
+    value = {"run": "a", "more": [1, 2.5, None, True, {"x": []}]}
+    assert compose_raw([f"start={written(value)}"], line_plugins())["start"] == value

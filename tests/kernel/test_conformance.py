@@ -1,0 +1,256 @@
+"""The checks for writers of plugins fail where they should."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from counted_task import Line, Push, Starts, Where, line, term
+from torch import Tensor
+
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import Component, Registrar
+from understudy.task import Encoder
+from understudy.testing import (
+    check_component,
+    check_environment,
+    check_plugin,
+    check_simulator,
+    fake,
+)
+
+
+def component(target: Any, kind: str = "encoder") -> Component:
+    return Component(kind, "mine", target, "mine")
+
+
+class Documented(Where):
+    """Has all it needs."""
+
+    @dataclass(frozen=True)
+    class Options:
+        size: int = 3
+
+
+class Undocumented(Encoder):
+    shape = (1,)
+
+
+def untyped(x, *, limit: float = 1.0):  # noqa: ANN
+    """Its field has no type."""
+
+
+def untyped_option(x: Tensor, *, limit=1.0):  # noqa: ANN
+    """Its option has no type."""
+
+
+def undocumented(x: Tensor) -> Tensor: ...
+
+
+def test_check_component() -> None:
+    check_component(component(Documented))
+    check_component(component(fake.near_origin, "reward"))
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        (Undocumented, "encoder 'mine' has no docstring"),
+        (undocumented, "has no docstring"),
+        (untyped, "parameter 'x' of encoder 'mine' has no type"),
+        (untyped_option, "'limit' of encoder 'mine' has no type"),
+    ],
+)
+def test_check_component_refuses(target: Any, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_component(component(target))
+
+
+def test_check_component_imports() -> None:
+    with pytest.raises(Exception, match="cannot be used"):
+        check_component(component("no_such_module:Encoder"))
+
+
+# ---------------------------------------------------------------------- environments
+
+
+def test_check_environment() -> None:
+    check_environment(line(terminations=[term(lambda x: x[:, 0].abs() > 0.3, "far")], seconds=3))
+
+
+class Forgetful(Starts):
+    """Where it begins depends on how often it was asked."""
+
+    def sample(self, streams: Any, **fields: Tensor) -> dict[str, Tensor]:
+        given = super().sample(streams)
+        return {"x": given["x"] + len(self.taken)}
+
+
+class Chance(Push):
+    """Pushes at random, from the global generator."""
+
+    def control(self, action: Tensor) -> Tensor:
+        return action + torch.rand_like(action)
+
+
+class Explosive(Push):
+    """Pushes without measure."""
+
+    def control(self, action: Tensor) -> Tensor:
+        return 1e12 * action
+
+
+class Growing(Where):
+    """One number more than it says, after a while."""
+
+    calls = 0
+
+    def encode(self, x: Tensor) -> Tensor:
+        self.calls += 1
+        return x if self.calls < 5 else x.repeat(1, 2)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"initial_states": Forgetful()}, "the same seed and actions gave other results"),
+        ({"actuation": Chance()}, "the same seed and actions gave other results"),
+        ({"actuation": Explosive()}, "numbers went wrong under small random actions"),
+        ({"encoders": {"state": Growing()}}, r"observation 'state' is \(4, 2\)"),
+        ({"rewards": [term(lambda x: x[:, 0] / 0, "odd")]}, "numbers went wrong"),
+    ],
+    ids=["initial states", "chance", "explosion", "shape", "reward"],
+)
+def test_check_environment_refuses(parts: Mapping[str, Any], message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_environment(line(**parts))
+
+
+# ---------------------------------------------------------------------- simulators
+
+
+def made(kind: type[Line]) -> Line:
+    return kind(None, SimpleNamespace(num_worlds=4, substeps=2))
+
+
+class Sticky(Line):
+    """Keeps something that it does not tell of."""
+
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        super().step(control + len(self.calls), substeps)
+
+
+class RestoresAll(Line):
+    """Restores every world, whichever are asked for."""
+
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        super().restore(snapshot)
+
+
+class Lumpy(Line):
+    """Two sub-steps at once are not two, one after the other."""
+
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        super().step(control, substeps)
+        if substeps is None or substeps > 1:
+            self.x += 0.5
+
+
+class TakesAnything(Line):
+    """Lets worlds differ in what it does not have."""
+
+    def vary(self, names: Any) -> None:
+        pass
+
+
+class Wide(Line):
+    """Says another shape than it has."""
+
+    fields = {"x": (2,)}
+
+
+def test_check_simulator() -> None:
+    check_simulator(made(Line), 4)
+    check_simulator(made(Line), 4, vary=("gain",))
+
+
+@pytest.mark.parametrize("kind", [Sticky, RestoresAll, Lumpy, TakesAnything, Wide])
+def test_check_simulator_refuses(kind: type[Line]) -> None:
+    with pytest.raises(AssertionError):
+        check_simulator(made(kind), 4)
+
+
+# ---------------------------------------------------------------------- plugins
+
+TASK = """# @package _global_
+task: mine.task
+scene: {name: fake}
+simulator: {name: fake}
+encoder: {state: {name: fake.point}}
+actuation: {name: fake.force}
+reward: {terms: {near: {name: mine.near}}}
+initial_states: {name: fake.somewhere}
+"""
+
+
+def mine(tmp_path: Path, near: Any = fake.near_origin, task: str = TASK, **more: Any) -> Plugins:
+    """The plugin ``mine``, with a task."""
+    (tmp_path / "task/mine").mkdir(parents=True)
+    (tmp_path / "task/mine/task.yaml").write_text(task)
+    module = ModuleType("mine")
+
+    def register(register: Registrar) -> None:
+        register.component("reward", "mine.near", near)
+        register.task("mine.task", "a task")
+        for kind, factory in more.items():
+            register.component(kind, "mine.more", factory)
+
+    module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
+    module.understudy_config_directory = hookimpl(lambda: tmp_path)  # type: ignore[attr-defined]
+    return load(only=[], extra=[("fake", fake), ("mine", module)])
+
+
+def test_check_plugin(tmp_path: Path) -> None:
+    check_plugin("mine", mine(tmp_path))
+    check_plugin("fake", mine(tmp_path / "again"))
+
+
+def test_check_plugin_refuses_what_did_not_load(tmp_path: Path) -> None:
+    with pytest.raises(AssertionError, match="plugin 'yours' is not installed"):
+        check_plugin("yours", mine(tmp_path))
+    with pytest.raises(
+        AssertionError,
+        match=r"plugin 'mine' is PluginError: it registers 'mine\.more' as a 'lerner'",
+    ):
+        check_plugin("mine", mine(tmp_path / "again", lerner=Documented))
+
+
+def infinite(qpos: Tensor) -> Tensor:
+    """Is infinite."""
+    return qpos[:, 0] / 0.0
+
+
+def odd_default(qpos: Tensor, *, scale: float = None) -> Tensor:  # type: ignore[assignment]  # noqa: RUF013
+    """Has a default that is not of its type."""
+    return qpos[:, 0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"near": infinite}, "numbers went wrong"),
+        ({"near": undocumented}, "has no docstring"),
+        ({"encoder": Undocumented}, "encoder 'mine.more' has no docstring"),
+        ({"task": TASK.replace("mine.near", "mine.nearer")}, "There is no reward 'mine.nearer'"),
+        ({"task": TASK.replace("fake.force", "fake.farce")}, "There is no actuation 'fake.farce'"),
+        ({"near": odd_default}, "reward.terms.near.scale=None is not possible"),
+    ],
+)
+def test_check_plugin_refuses(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(Exception, match=message):
+        check_plugin("mine", mine(tmp_path, **changes))
