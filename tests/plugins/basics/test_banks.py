@@ -10,7 +10,8 @@ import torch
 from worlds import assert_same_state
 
 from understudy.errors import FileError
-from understudy_basics import bank, checkpoint
+from understudy.records import checkpoint
+from understudy_basics import bank
 
 STATES = {"qpos": torch.arange(12.0).view(4, 3), "qvel": torch.ones(4, 2), "phase": torch.rand(4)}
 
