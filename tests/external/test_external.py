@@ -65,7 +65,8 @@ def test_its_option_and_term_swap_into_another_task(site: Path) -> None:
     config = json.loads(
         understudy(site, "config", "--json", "experiment=spacetime/walk", "reward=upright_gentle")
     )
-    assert config["reward"]["terms"] == {"upright": {"name": "balance.upright", "scale": 1.0}}
+    upright = {"name": "balance.upright", "scale": 1.0, "weight": 1.0}
+    assert config["reward"]["terms"] == {"upright": upright}
     shown = understudy(
         site, "config", "experiment=spacetime/walk", "+reward.terms.upright={name: balance.upright}"
     )

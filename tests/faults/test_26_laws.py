@@ -1,5 +1,5 @@
 """Fault 26: laws that hold for every part. Rotations and GAE have property tests of their own
-(``tests/kernel/test_rotations.py``, ``tests/plugins/ppo/test_returns.py``)."""
+(``tests/plugins/basics``)."""
 
 from __future__ import annotations
 

@@ -41,11 +41,11 @@ class Undocumented(Encoder):
     shape = (1,)
 
 
-def untyped(x, *, limit: float = 1.0):  # noqa: ANN
+def untyped(x, *, limit: float = 1.0):
     """Its field has no type."""
 
 
-def untyped_option(x: Tensor, *, limit=1.0):  # noqa: ANN
+def untyped_option(x: Tensor, *, limit=1.0):
     """Its option has no type."""
 
 

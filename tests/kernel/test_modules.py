@@ -17,9 +17,8 @@ ROOT = Path(understudy.__file__).parent
 #: ``setup.building`` makes environments and ``records`` describe experiments, so modules of
 #: ``running``, ``setup`` and ``records`` interleave; that there is no circle among them is tested.
 FLOORS = (
-    {"errors", "options", "distributed", "random", "rotations"},
+    {"errors", "options", "distributed", "random"},
     {"task"},
-    {"nn"},
     {"running", "setup", "records"},
     {"outer"},
     {"command"},

@@ -17,6 +17,7 @@ QUICK = (
     "policy.feedback.hidden=[16]",
     "budget.samples=64",
     "evaluation.episodes=2",
+    "evaluation.final_episodes=2",
     "evaluation.seconds=0.5",
     "run.video_seconds=0.2",
 )

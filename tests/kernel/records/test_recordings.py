@@ -62,7 +62,7 @@ def test_observers_are_told_after_training_and_render(
 ) -> None:
     watcher, path = Watcher(), tmp_path / "run"
     plugins = load(
-        only=["mujoco", "ppo"],
+        only=["mujoco", "basics", "ppo"],
         extra=[("test", sys.modules[worlds.__name__]), ("watch", Watch(watcher))],
     )
     monkeypatch.setattr(workflow, "installed", lambda: plugins)

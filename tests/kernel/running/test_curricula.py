@@ -185,7 +185,7 @@ def test_rollouts_have_the_returns_of_episodes() -> None:
     assert found[:, 0].tolist() == [1, 1 + 2, 1 + 2 + 3, 1]
 
 
-@pytest.mark.parametrize("difficulty", [1.0, 0.5])
+@pytest.mark.parametrize("difficulty", [1.0, 0.5, 0.125])
 def test_evaluations_stand_at_the_difficulty(difficulty: float) -> None:
     """Whatever the training's curriculum has come to, and for as long as evaluations last."""
     plugins = line_plugins(**PARTS)

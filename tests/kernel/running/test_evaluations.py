@@ -290,6 +290,7 @@ def test_several_batches_are_one_evaluation(episodes: int) -> None:
     batches = taken(made)[:: len(taken(made)) // math.ceil(episodes / 4)]
     starts = torch.cat(batches)[:episodes].tolist()
     assert found.episodes == episodes
+    assert len(set(starts)) == episodes
     at = found.measures["at"]
     assert at.mean == pytest.approx(statistics.fmean(starts))
     if episodes > 1:
@@ -315,6 +316,26 @@ def test_giving_up_when_success_is_out_of_reach(
     )
     found = made.run(still, "a", 8, give_up_below=criterion)
     assert (found.complete, found.episodes) == (complete, episodes)
+
+
+def test_only_first_episodes_count() -> None:
+    """Worlds 2 and 3 succeed early, and what they begin with next fails at once."""
+    made = evaluator(far(5, "success", "there"), far(50), "+measure.at={name: line.value}")
+    initial: Any = made.built.environment.parts.initial_states
+    first = initial.sample
+
+    def sample(streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        again = bool(initial.taken)
+        return {"x": first(streams)["x"] + 100 * again}
+
+    initial.sample = sample
+    found = made.run(policy(), "a", 4)
+    assert found.success_rate == 0.75
+    assert found.violated["far"] == 0
+    assert found.mean_episode_seconds == (4 + 4 + 3 + 2) / 4
+    assert found.measures["at"].mean == (4 + 5 + 5 + 5) / 4
+    returns = [1 + 2 + 3 + 4, 2 + 3 + 4 + 5, 3 + 4 + 5, 4 + 5]
+    assert found.measures["return"].mean == statistics.fmean(returns)
 
 
 def test_evaluations_before_are_no_matter() -> None:

@@ -93,9 +93,7 @@ class Regression(Job):
         )
 
     def products(self, run: Run) -> None:
-        run.write_json(
-            "curve.json", [float(v) for v in self.net(torch.linspace(0, 1, 5).view(5, 1))]
-        )
+        run.write_json("curve.json", self.net(torch.linspace(0, 1, 5).view(5, 1)).detach().tolist())
 
     def sources(self) -> dict[str, Any]:
         return {"data": {"licence": "CC0"}}
@@ -138,7 +136,7 @@ def plugins(broken: bool = False) -> Plugins:
             raise RuntimeError("no licence")
 
     module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
-    return load(only=["grid"], extra=[("fake", fake), ("regression", module)])
+    return load(only=["sweeps", "inspect"], extra=[("fake", fake), ("regression", module)])
 
 
 TASK = ("+job={name: my.regression}", "data={name: my.waves}", "budget.samples=640", "evaluation.final_episodes=50")  # fmt: skip
