@@ -59,6 +59,11 @@ def total(value: Tensor) -> Tensor:
     return value
 
 
+def mean(value: Tensor) -> Tensor:
+    """The mean of `value` over processes."""
+    return total(value) / size()
+
+
 def moments(value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Count (), mean (D,) and population variance (D,) of the rows `value` (B, D) of all processes."""
     rows = torch.full((), float(value.shape[0]), dtype=value.dtype, device=value.device)

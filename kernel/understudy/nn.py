@@ -1,4 +1,4 @@
-"""The few network parts that policies share: an MLP, a running normaliser, action distributions."""
+"""The few network parts that policies share: networks, a running normaliser, action distributions."""
 
 from __future__ import annotations
 
@@ -6,30 +6,71 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from understudy import distributed
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import ActionSpace, Box, Distribution
 
+_Layer = TypeVar("_Layer", nn.Linear, nn.Conv2d)
+
+
+Precision = Literal["float32", "bfloat16"]
+
+
+class Network(nn.Sequential):
+    """Layers in a row that may compute in bfloat16: all but the last one, whose products stay in
+    the weights' own format because means and values are differences of theirs."""
+
+    precision: Precision = "float32"
+
+    def forward(self, input: Tensor) -> Tensor:
+        *hidden, last = self
+        x = input
+        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
+            for layer in hidden:
+                x = layer(x)
+        return last(x.to(input.dtype))
+
+
+def set_precision(policy: nn.Module, precision: Precision) -> None:
+    """Let every :class:`Network` in `policy` compute in `precision`, acting and learning alike.
+
+    Raises
+    ------
+    ConfigError
+        if a reduced precision is asked for and the policy has none that knows it.
+    """
+    networks = [module for module in policy.modules() if isinstance(module, Network)]
+    if precision != "float32" and not networks:
+        raise ConfigError(
+            f"This policy ({type(policy).__name__}) has no network that computes in {precision}. "
+            "Use learner.precision=float32 or another policy."
+        )
+    for network in networks:
+        network.precision = precision
+
+
+def scaled(linear: _Layer, scale: float = math.sqrt(2.0)) -> _Layer:
+    """The layer with orthogonal weights of `scale` and no bias; sqrt(2) keeps a ReLU's variance."""
+    nn.init.orthogonal_(linear.weight, scale)
+    if linear.bias is not None:
+        nn.init.zeros_(linear.bias)
+    return linear
+
 
 def mlp(
     sizes: Sequence[int], *, activation: type[nn.Module] = nn.ReLU, final_scale: float = 1.0
-) -> nn.Sequential:
+) -> Network:
     """Linear layers of `sizes` with `activation` between them; the last one's weights are scaled."""
-    layers: list[nn.Module] = []
-    for i, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
-        linear = nn.Linear(inputs, outputs)
-        last = i == len(sizes) - 2
-        nn.init.orthogonal_(linear.weight, final_scale if last else math.sqrt(2.0))
-        nn.init.zeros_(linear.bias)
-        layers.append(linear)
-        if not last:
-            layers.append(activation())
-    return nn.Sequential(*layers)
+    *hidden, last = itertools.pairwise(sizes)
+    layers = [part for pair in hidden for part in (scaled(nn.Linear(*pair)), activation())]
+    return Network(*layers, scaled(nn.Linear(*last), final_scale))
 
 
 class RunningNormaliser(nn.Module):

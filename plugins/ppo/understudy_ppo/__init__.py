@@ -1,4 +1,4 @@
-"""Proximal policy optimisation and a plain MLP policy."""
+"""Proximal policy optimisation."""
 
 from pathlib import Path
 
@@ -6,13 +6,14 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("basics",)
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component("learner", "ppo", "understudy_ppo.learner:PPO", "clipped PPO")
-    register.component("policy", "mlp", "understudy_ppo.policy:MLPPolicy", "MLP actor and critic")
+    register.component(
+        "learner", "ppo", "understudy_ppo.learner:PPO", "PPO: clipped, KL penalty, or both"
+    )
     register.citation(
         "ppo", "Schulman et al. 2017. Proximal policy optimization algorithms. arXiv:1707.06347."
     )

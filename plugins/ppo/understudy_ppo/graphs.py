@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class Captured:
-    """`work` on rows of a batch, replayed as one CUDA graph from its fourth call on.
+    """`work` on a minibatch, replayed as one CUDA graph from its fourth call on.
 
     The first calls run as they are, on the stream they will be captured on: libraries allocate, and
     autograd's bookkeeping is made, there. What `work` writes it must write in place. On the CPU it
@@ -25,15 +25,15 @@ class Captured:
         self._inputs: dict[str, Tensor] = {}
         self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
 
-    def __call__(self, batch: Mapping[str, Tensor], rows: Tensor) -> None:
-        """Run on ``batch[name][rows]``; batches must have the same names, and `rows` the same size."""
+    def __call__(self, minibatch: Mapping[str, Tensor]) -> None:
+        """Run on `minibatch`; all of them must have the same names and shapes."""
         if self._stream is None:
-            self._work({name: value[rows] for name, value in batch.items()})
+            self._work(minibatch)
             return
         if not self._inputs:
-            self._inputs = {name: value[rows] for name, value in batch.items()}
-        for name, value in batch.items():
-            torch.index_select(value, 0, rows, out=self._inputs[name])
+            self._inputs = {name: torch.empty_like(value) for name, value in minibatch.items()}
+        if minibatch:
+            torch._foreach_copy_([*self._inputs.values()], [minibatch[k] for k in self._inputs])
         if self._graph is not None:
             self._graph.replay()
             return

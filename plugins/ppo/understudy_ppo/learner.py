@@ -1,28 +1,43 @@
-"""Clipped proximal policy optimisation (Schulman et al. 2017)."""
+"""Proximal policy optimisation (Schulman et al. 2017)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import copy
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from understudy import distributed
-from understudy.errors import ConfigError, TrainingError
+from understudy.errors import ConfigError
+from understudy.nn import set_precision
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Learner, Policy, Rollout, State
+from understudy_basics import optimisers
+from understudy_basics.returns import digest, explained_variance, observations_of
 from understudy_ppo.graphs import Captured
-from understudy_ppo.returns import lambda_advantages
+from understudy_ppo.losses import KLPenalty, clipped_surrogate
 
 #: By what an adaptive learning rate changes in an update, and its limits.
 RATE_STEP, RATE_RANGE = 1.5, (1e-6, 1e-2)
+#: Limits of the KL penalty's coefficient, so that a long stay on one side can be undone.
+COEFFICIENT_RANGE = (1e-4, 1e4)
+
+
+class Losses(NamedTuple):
+    """Of a minibatch of B samples."""
+
+    actor: Tensor  #: ()
+    value: Tensor  #: ()
+    entropy: Tensor  #: ()
+    ratio: Tensor  #: (B,) π(a|s) / π_old(a|s)
 
 
 class PPO(Learner):
-    """Clipped surrogate, TD(lambda) value targets, GAE(lambda) advantages.
+    """Clipped surrogate, KL penalty, or both; TD(lambda) value targets, GAE(lambda) advantages.
 
     Defaults are the thesis' (section 3.5) where they carry over: gamma, lambda, 4096 samples an
     iteration with 256 worlds. Its learning rates are for plain gradient descent; with Adam the
@@ -34,62 +49,78 @@ class PPO(Learner):
         rollout_steps: int = 16  #: T, steps per world and iteration
         epochs: int = 4
         #: Optimiser steps per epoch; each sees its share of the iteration's samples.
-        minibatches: int = 8
+        minibatches: int | None = 8
+        #: Instead: samples of an optimiser step, over all processes.
+        batch_size: int | None = None
         gamma: float = 0.95
         gae_lambda: float = 0.95
         td_lambda: float = 0.95
-        clip: float = 0.2
+        clip: float | None = 0.2  #: ε; null leaves it to ``kl_penalty``
+        kl_penalty: KLPenalty | None = None
+        optimiser: Literal["adam", "sgd"] = "adam"
+        momentum: float = 0.0  #: of sgd
+        weight_decay: float = 0.0  #: added to the gradient, times the weight (L2)
         actor_learning_rate: float = 1e-4
         critic_learning_rate: float = 1e-3
         entropy_weight: float = 0.0
-        max_gradient_norm: float = 1.0
+        max_gradient_norm: float = 1.0  #: of actor and critic each
         #: Adapt the actor's learning rate so that an update's mean KL divergence from the policy that
         #: collected stays within a factor of two of this; null keeps the rate. The rule is the one
         #: of Schulman et al. (section 4) for the penalty, applied to the rate.
         target_kl: float | None = None
-        #: Number format of the networks' matrix products during updates.
-        precision: Literal["float32", "tf32"] = "float32"
+        #: Number format of the networks' matrix products, acting and learning. tf32 is float32 on
+        #: CPUs; bfloat16 leaves weights, optimiser and each network's last layer in float32.
+        precision: Literal["float32", "tf32", "bfloat16"] = "float32"
         #: Non-finite optimiser steps in a row after which the training stops.
         patience: int = 20
 
         def __post_init__(self) -> None:
             check_range(self, "rollout_steps", "epochs", "minibatches", "patience", least=1)
+            check_range(self, "batch_size", least=2)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)
             check_range(self, "max_gradient_norm", "target_kl", above=0)
-            check_range(self, "entropy_weight", least=0)
+            check_range(self, "entropy_weight", "weight_decay", "momentum", least=0)
+            if (self.minibatches is None) == (self.batch_size is None):
+                raise ValueError(
+                    f"minibatches={self.minibatches} with batch_size={self.batch_size} is not possible: "
+                    "give exactly one of them and set the other to null."
+                )
+            if self.momentum and self.optimiser != "sgd":
+                raise ValueError(f"momentum={self.momentum} is not possible: it needs optimiser=sgd.")
+            if self.clip is None and self.kl_penalty is None:
+                raise ValueError(
+                    "clip=null is not possible without kl_penalty: nothing would hold the policy near "
+                    "the one that collected."
+                )
 
     def __init__(self, options: Options, context: Context, policy: Policy) -> None:
-        samples = options.rollout_steps * context.num_worlds
-        if samples < 2:
-            raise ConfigError(
-                "One sample an iteration is too few: raise num_worlds or learner.rollout_steps."
-            )
-        if options.minibatches > samples:
-            raise ConfigError(
-                f"learner.minibatches={options.minibatches} are more than the samples of an iteration: "
-                f"num_worlds × learner.rollout_steps = {samples}."
-            )
-        # The process's setting, so that acting and learning compute alike.
-        torch.backends.cuda.matmul.allow_tf32 = options.precision == "tf32"
         self.options, self.policy = options, policy
         self.rollout_steps = options.rollout_steps
+        samples = options.rollout_steps * context.num_worlds
+        self._steps, self._batch_size = _minibatches(options, samples)
+        # The process's and the policy's setting, so that acting and learning compute alike.
+        torch.backends.cuda.matmul.allow_tf32 = options.precision == "tf32"
+        torch.backends.cudnn.allow_tf32 = options.precision == "tf32"
+        set_precision(policy, "bfloat16" if options.precision == "bfloat16" else "float32")
+        device = context.device
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
-        on_gpu = context.device.type == "cuda"
         self._rate = options.actor_learning_rate
-        self._rate_on_device = torch.tensor(self._rate, device=context.device)
-        self._actor_optimiser = torch.optim.Adam(
-            self._actor, self._rate_on_device, fused=True, capturable=on_gpu
-        )
-        self._critic_optimiser = torch.optim.Adam(
-            self._critic, options.critic_learning_rate, fused=True, capturable=on_gpu
-        )
-        self._generator = generator(context.seed, "ppo", context.device)
+        self._rate_on_device = torch.tensor(self._rate, device=device)
+        critic_rate = torch.tensor(options.critic_learning_rate, device=device)
+        self._actor_optimiser = _optimiser(options, self._actor, self._rate_on_device)
+        self._critic_optimiser = _optimiser(options, self._critic, critic_rate)
+        penalty = options.kl_penalty
+        self._coefficient = penalty.coefficient if penalty is not None else 0.0
+        self._coefficient_on_device = torch.tensor(self._coefficient, device=device)
+        #: The policy as it collected, where the loss compares with it.
+        self._collecting = copy.deepcopy(policy) if penalty is not None else None
+        self._generator = generator(context.seed, "ppo", device)
         #: () optimiser steps in a row that were not finite.
-        self._bad_steps = torch.zeros((), dtype=torch.int64, device=context.device)
+        self._bad_steps = torch.zeros((), dtype=torch.int64, device=device)
         #: (6,) a minibatch's losses, entropy, KL divergence, clipped share, and 1; sums of sound ones.
-        self._row, self._sums = torch.zeros(2, 6, device=context.device)
+        self._row, self._sums = torch.zeros(2, 6, device=device)
         self._capture()
 
     def _capture(self) -> None:
@@ -99,121 +130,105 @@ class PPO(Learner):
         self._captured_apply = Captured(lambda _: self._apply(), device)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        advantages = self._digest(rollout)
-        assert rollout.returns is not None
-        returns = rollout.returns.flatten()
-        _, mean, variance = distributed.moments(advantages.view(-1, 1))
-        flat = {
-            f"observations/{name}": value.flatten(0, 1)
-            for name, value in rollout.observations.items()
-        }
-        flat |= {
-            "actions": rollout.actions.flatten(0, 1),
-            "log_probs": rollout.log_probs.flatten(),
-            "returns": returns,
-            "advantages": (advantages.flatten() - mean) / (variance.sqrt() + 1e-5),
-        }
-        options, device = self.options, returns.device
+        options = self.options
+        batch = digest(
+            rollout,
+            self.policy,
+            gamma=options.gamma,
+            gae_lambda=options.gae_lambda,
+            td_lambda=options.td_lambda,
+        )
+        if self._collecting is not None:
+            self._collecting.load_state_dict(self.policy.state_dict())
         self._sums.zero_()
-        used = returns.shape[0] // options.minibatches * options.minibatches
         for _ in range(options.epochs):
-            order = torch.randperm(returns.shape[0], generator=self._generator, device=device)
-            for rows in order[:used].view(options.minibatches, -1):
-                self._captured_differentiate(flat, rows)
+            for minibatch in self._shuffled(batch):
+                self._captured_differentiate(minibatch)
                 if distributed.size() > 1:
                     parameters = [*self._actor, *self._critic]
                     self._row.copy_(distributed.average_gradients(parameters, self._row))
-                self._captured_apply({}, rows)
-                self._report_fault(flat, rows)
+                self._captured_apply({})
+                self._report_fault(minibatch)
         *totals, taken = self._sums.tolist()  # the update's one wait for the device
         actor_loss, value_loss, entropy, kl, outside = (x / max(1.0, taken) for x in totals)
-        self._refuse_hopeless()
-        variance = returns.var() + 1e-8
-        explained = (
-            1 - (returns - rollout.values.flatten()).var() / variance
-            if rollout.values is not None
-            else 0.0
-        )
+        optimisers.refuse_hopeless(int(self._bad_steps), options.patience)
         return {
             "actor_loss": actor_loss,
             "value_loss": value_loss,
             "entropy": entropy,
             "kl": kl,
             "clipped": outside,
-            "explained_variance": float(explained),
+            "explained_variance": explained_variance(rollout),
             "actor_learning_rate": self._adapt_rate(kl),
-            "skipped_steps": options.epochs * options.minibatches - taken,
-        }
+            "skipped_steps": options.epochs * self._steps - taken,
+        } | self._adapt_penalty(batch)
 
-    def losses(self, minibatch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Actor loss, value loss, entropy, and the probability ratios (B,), of a minibatch such as
-        a fault dump holds: ``observations/…``, ``actions``, ``log_probs``, ``returns``,
-        ``advantages``."""
-        prefix, options, advantages = "observations/", self.options, minibatch["advantages"]
-        seen = {k.removeprefix(prefix): v for k, v in minibatch.items() if k.startswith(prefix)}
-        distribution, values = self.policy.distribution(seen), self.policy.value(seen)
+    def _shuffled(self, batch: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
+        """One epoch's minibatches: views of the batch in a random order, what is left over left out."""
+        samples, device = batch["returns"].shape[0], batch["returns"].device
+        order = torch.randperm(samples, generator=self._generator, device=device)
+        order = order[: self._steps * self._batch_size]
+        shuffled = {name: value[order].split(self._batch_size) for name, value in batch.items()}
+        for i in range(self._steps):
+            yield {name: parts[i] for name, parts in shuffled.items()}
+
+    def losses(self, minibatch: Mapping[str, Tensor]) -> Losses:
+        """Of a minibatch such as a fault dump holds: ``observations/…``, ``actions``,
+        ``log_probs``, ``returns``, ``advantages``."""
+        actor, entropy, ratio = self._actor_loss(minibatch)
+        return Losses(actor, self._value_loss(minibatch), entropy, ratio)
+
+    def _actor_loss(self, minibatch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        options, seen = self.options, observations_of(minibatch)
+        distribution = self.policy.distribution(seen)
         ratio = torch.exp(distribution.log_prob(minibatch["actions"]) - minibatch["log_probs"])
-        clipped = ratio.clamp(1 - options.clip, 1 + options.clip)
-        gain = torch.minimum(ratio * advantages, clipped * advantages).mean()
         entropy = distribution.entropy().mean()
-        value_loss = (values - minibatch["returns"]).square().mean()
-        return -gain - options.entropy_weight * entropy, value_loss, entropy, ratio
+        loss = -clipped_surrogate(ratio, minibatch["advantages"], options.clip)
+        loss = loss - options.entropy_weight * entropy
+        if self._collecting is not None:
+            with torch.no_grad():
+                old = self._collecting.distribution(seen)
+            loss = loss + self._coefficient_on_device * old.divergence(distribution).mean()
+        return loss, entropy, ratio
 
-    @torch.no_grad()
-    def _digest(self, rollout: Rollout) -> Tensor:
-        """Set the rollout's values and TD(lambda) returns; return the advantages, all (T, N)."""
-        last = {k: v.unsqueeze(0) for k, v in rollout.last_observations.items()}
-        values = self.policy.value(
-            {k: torch.cat([v, last[k]]) for k, v in rollout.observations.items()}
-        )
-        values, following = values[:-1], values[1:]
-        ended = rollout.terminated | rollout.truncated
-        next_values = torch.where(ended, rollout.final_values, following)
-        continues = (~ended).float()
-        options = self.options
-
-        def estimate(lam: float) -> Tensor:
-            return lambda_advantages(
-                rollout.rewards, values, next_values, continues, gamma=options.gamma, lam=lam
-            )
-
-        advantages = estimate(options.gae_lambda)
-        same = options.td_lambda == options.gae_lambda
-        rollout.values = values
-        rollout.returns = values + (advantages if same else estimate(options.td_lambda))
-        return advantages
+    def _value_loss(self, minibatch: Mapping[str, Tensor]) -> Tensor:
+        values = self.policy.value(observations_of(minibatch))
+        return (values - minibatch["returns"]).square().mean()
 
     def _differentiate(self, minibatch: Mapping[str, Tensor]) -> None:
-        """Set the gradients and the statistics of `minibatch`."""
+        """Set the gradients and the statistics of `minibatch`; one network after the other, since a
+        CPU's caches hold one."""
         for optimiser in (self._actor_optimiser, self._critic_optimiser):
             optimiser.zero_grad(set_to_none=True)
-        actor_loss, value_loss, entropy, ratio = self.losses(minibatch)
-        (actor_loss + value_loss).backward()
+        actor_loss, entropy, ratio = self._actor_loss(minibatch)
+        actor_loss.backward()
+        value_loss = self._value_loss(minibatch)
+        value_loss.backward()
         with torch.no_grad():
             kl = (ratio - 1 - ratio.log()).mean()  # Schulman's k3 estimator
-            outside = ((ratio - 1).abs() > self.options.clip).float().mean()
+            clip = self.options.clip
+            outside = torch.zeros_like(kl)
+            if clip is not None:
+                outside = ((ratio - 1).abs() > clip).to(kl.dtype).mean()
             row = [actor_loss, value_loss, entropy, kl, outside, torch.ones_like(kl)]
             self._row.copy_(torch.stack(row))
 
     @torch.no_grad()
     def _apply(self) -> None:
-        """One optimiser step; if losses or gradients are not finite, nothing changes but the count.
-
-        The optimisers skip on the device by ``found_inf``, so a GPU is not waited for.
-        """
+        """One optimiser step; if losses or gradients are not finite, nothing changes but the count."""
         norm = self.options.max_gradient_norm
         norms = [nn.utils.clip_grad_norm_(group, norm) for group in (self._actor, self._critic)]
         sound = torch.isfinite(torch.cat([torch.stack(norms), self._row[:2]])).all()
-        for optimiser in (self._actor_optimiser, self._critic_optimiser):
-            optimiser.found_inf = (~sound).float()  # pyright: ignore[reportAttributeAccessIssue]
-            optimiser.step()
+        optimisers.step(self._actor_optimiser, sound)
+        optimisers.step(self._critic_optimiser, sound)
         self._bad_steps.copy_(torch.where(sound, 0, self._bad_steps + 1))
         self._sums += torch.where(sound, self._row, 0.0)
 
-    def _report_fault(self, batch: Mapping[str, Tensor], rows: Tensor) -> None:
+    def _report_fault(self, minibatch: Mapping[str, Tensor]) -> None:
         """Hand out the first minibatch that went wrong; on a GPU that would cost a wait in each step."""
-        if rows.device.type == "cpu" and self.on_fault is not None and int(self._bad_steps):
-            self.on_fault({name: value[rows] for name, value in batch.items()})
+        on_cpu = self._row.device.type == "cpu"
+        if on_cpu and self.on_fault is not None and int(self._bad_steps):
+            self.on_fault({name: value.clone() for name, value in minibatch.items()})
             self.on_fault = None
 
     def _adapt_rate(self, kl: float) -> float:
@@ -228,46 +243,72 @@ class PPO(Learner):
             self._rate_on_device.fill_(self._rate)
         return self._rate
 
-    def _refuse_hopeless(self) -> None:
-        bad = int(self._bad_steps)
-        if bad >= self.options.patience:
-            raise TrainingError(
-                f"{bad} optimiser steps in a row had a non-finite loss or gradient. The usual causes "
-                "are too high a learning rate, or rewards that are huge; the weights are those before "
-                "the first of them."
-            )
+    @torch.no_grad()
+    def _adapt_penalty(self, batch: Mapping[str, Tensor]) -> dict[str, float]:
+        """Adapt β to the divergence that the update made; returns both as metrics."""
+        penalty = self.options.kl_penalty
+        if penalty is None or self._collecting is None:
+            return {}
+        seen = observations_of(batch)
+        old, new = self._collecting.distribution(seen), self.policy.distribution(seen)
+        divergence = float(distributed.mean(old.divergence(new).mean()))
+        used, (least, most) = self._coefficient, COEFFICIENT_RANGE
+        self._coefficient = min(max(penalty.adapted(used, divergence), least), most)
+        self._coefficient_on_device.fill_(self._coefficient)
+        return {"divergence": divergence, "kl_coefficient": used}
 
     def state_dict(self) -> State:
         return {
-            "actor": _optimiser_state(self._actor_optimiser),
-            "critic": _optimiser_state(self._critic_optimiser),
+            "actor": optimisers.state_of(self._actor_optimiser),
+            "critic": optimisers.state_of(self._critic_optimiser),
             "actor_rate": self._rate,
+            "kl_coefficient": self._coefficient,
+            "bad_steps": self._bad_steps.clone(),
             "generator": self._generator.get_state(),
         }
 
     def load_state_dict(self, state: State) -> None:
-        _load_optimiser(self._actor_optimiser, state["actor"])
-        _load_optimiser(self._critic_optimiser, state["critic"])
-        self._rate = state["actor_rate"]
+        optimisers.load_state(self._actor_optimiser, state["actor"])
+        optimisers.load_state(self._critic_optimiser, state["critic"])
+        self._rate, self._coefficient = state["actor_rate"], state["kl_coefficient"]
         self._rate_on_device.fill_(self._rate)
+        self._coefficient_on_device.fill_(self._coefficient)
+        self._bad_steps.copy_(state["bad_steps"])
         self._generator.set_state(state["generator"].cpu())
         self._capture()
 
 
-def _parameters(optimiser: torch.optim.Optimizer) -> Iterable[nn.Parameter]:
-    return optimiser.param_groups[0]["params"]
+def _minibatches(options: PPO.Options, samples: int) -> tuple[int, int]:
+    """Optimiser steps of an epoch, and samples of each, of the `samples` of this process."""
+    if samples < 2:
+        raise ConfigError(
+            "One sample an iteration is too few: raise num_worlds or learner.rollout_steps."
+        )
+    have = f"num_worlds × learner.rollout_steps = {samples}"
+    if options.minibatches is not None:
+        if options.minibatches > samples:
+            raise ConfigError(
+                f"learner.minibatches={options.minibatches} are more than the samples of an iteration: "
+                f"{have}."
+            )
+        return options.minibatches, samples // options.minibatches
+    assert options.batch_size is not None
+    each, left = divmod(options.batch_size, distributed.size())
+    if left:
+        raise ConfigError(
+            f"learner.batch_size={options.batch_size} cannot be shared by {distributed.size()} processes."
+        )
+    if each > samples:
+        raise ConfigError(
+            f"learner.batch_size={options.batch_size} is more than the samples of an iteration: {have}."
+        )
+    return samples // each, each
 
 
-def _optimiser_state(optimiser: torch.optim.Optimizer) -> State:
-    """Adam's moments by parameter position; empty before the first step."""
-    return {
-        str(i): {k: v.clone() for k, v in optimiser.state[p].items()}
-        for i, p in enumerate(_parameters(optimiser))
-        if p in optimiser.state
-    }
-
-
-def _load_optimiser(optimiser: torch.optim.Optimizer, state: State) -> None:
-    for i, p in enumerate(_parameters(optimiser)):
-        if str(i) in state:
-            optimiser.state[p] = {k: v.clone().to(p.device) for k, v in state[str(i)].items()}
+def _optimiser(
+    options: PPO.Options, parameters: list[nn.Parameter], rate: Tensor
+) -> torch.optim.Optimizer:
+    decay = options.weight_decay
+    if options.optimiser == "sgd":
+        return optimisers.sgd(parameters, rate, momentum=options.momentum, weight_decay=decay)
+    return optimisers.adam(parameters, rate, weight_decay=decay)

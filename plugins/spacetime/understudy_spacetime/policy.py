@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from understudy.errors import ConfigError
 from understudy.nn import DiagonalGaussian
 from understudy.task import Context, Policy
-from understudy_ppo.policy import MLPPolicy, observation_size
+from understudy_basics.policies import MLPPolicy, observation_size
 
 
 class FeedforwardFeedback(Policy):
@@ -35,6 +35,7 @@ class FeedforwardFeedback(Policy):
 
     def distribution(self, observations: Mapping[str, Tensor]) -> DiagonalGaussian:
         offset = self.feedback.distribution(observations)
+        assert isinstance(offset, DiagonalGaussian)  # joint targets are one box
         return DiagonalGaussian(observations[self._name] + offset.mean, offset.std)
 
     def value(self, observations: Mapping[str, Tensor]) -> Tensor:

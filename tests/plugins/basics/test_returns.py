@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy_ppo.returns import lambda_advantages
+from understudy_basics.returns import lambda_advantages
 
 T, N = 7, 5
 

@@ -1,0 +1,70 @@
+"""Optimisers that skip what is not finite without waiting for the device, and their exact state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.optim import SGD, Adam, Optimizer
+
+from understudy.errors import TrainingError
+from understudy.task import State
+
+
+def adam(parameters: Sequence[nn.Parameter], rate: Tensor, *, weight_decay: float = 0.0) -> Adam:
+    """Adam (Kingma and Ba 2015). `rate` () is read at every step; decay is added to the gradient."""
+    return Adam(
+        parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda
+    )
+
+
+def sgd(
+    parameters: Sequence[nn.Parameter],
+    rate: Tensor,
+    *,
+    momentum: float = 0.0,
+    weight_decay: float = 0.0,
+) -> SGD:
+    """Gradient descent, with heavy-ball `momentum`: v ← momentum·v + g, θ ← θ - rate·v."""
+    optimiser = SGD(parameters, rate, momentum=momentum, weight_decay=weight_decay, fused=True)
+    if momentum:  # made here: one that a skipped first step makes would hold whatever was in memory
+        for p in parameters:
+            optimiser.state[p]["momentum_buffer"] = torch.zeros_like(p)
+    return optimiser
+
+
+def step(optimiser: Optimizer, sound: Tensor) -> None:
+    """One step if `sound` () bool; otherwise weights and moments stay as they were.
+
+    The skip happens on the device, so a GPU is not waited for.
+    """
+    optimiser.found_inf = (~sound).float()  # pyright: ignore[reportAttributeAccessIssue]
+    optimiser.step()
+
+
+def state_of(optimiser: Optimizer) -> State:
+    """Moments by parameter position; empty before the first step."""
+    parameters = optimiser.param_groups[0]["params"]
+    return {
+        str(i): {k: v.clone() for k, v in optimiser.state[p].items()}
+        for i, p in enumerate(parameters)
+        if p in optimiser.state
+    }
+
+
+def load_state(optimiser: Optimizer, state: State) -> None:
+    """Restore what :func:`state_of` returned."""
+    for i, p in enumerate(optimiser.param_groups[0]["params"]):
+        if str(i) in state:
+            optimiser.state[p] = {k: v.clone().to(p.device) for k, v in state[str(i)].items()}
+
+
+def refuse_hopeless(bad_steps: int, patience: int) -> None:
+    """An error once `patience` steps in a row were not finite."""
+    if bad_steps >= patience:
+        raise TrainingError(
+            f"{bad_steps} optimiser steps in a row had a non-finite loss or gradient. The usual causes "
+            "are too high a learning rate, or rewards that are huge; the weights are those before "
+            "the first of them."
+        )
