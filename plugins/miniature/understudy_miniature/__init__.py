@@ -18,8 +18,12 @@ _PARTS = {
         "place": ("Place", "a place that never moves"),
         "offset": ("Offset", "the way to a target"),
     },
-    ("plane", "encoder"): {"reach": ("Reach", "the way to go and the velocity")},
+    ("plane", "encoder"): {
+        "reach": ("Reach", "the way to go and the velocity"),
+        "motion": ("Motion", "the velocity"),
+    },
     ("plane", "actuation"): {"force": ("Force", "the action is a force")},
+    ("plane", "measure"): {"slow": ("slow", "at rest")},
     ("plane", "reward"): {"near": ("near", "near a target"), "slow": ("slow", "at rest")},
     ("sitting", "fields"): {"contact": ("Contact", "at rest on the seat")},
     ("amorphous", "scene"): {"grains": ("GrainsScene", "grains and a tool")},
@@ -67,7 +71,7 @@ def understudy_register(register: Registrar) -> None:
             register.component(kind, f"miniature.{name}", where, summary)
     for name, summary in {
         "go": "a point goes to a target that is drawn anew",
-        "stop": "a point comes to rest on a seat",
+        "stop": "a point comes to rest",
         "amorphous": "a tool pushes grains together",
         "sleeve": "a point reaches a first place",
         "jumping": "a point jumps over a bar",

@@ -89,15 +89,17 @@ class Grains(Simulator):
 
 
 class Clusters(InitialStates):
-    """Grains around a few centres on the table; at difficulty 0 all centres are one."""
+    """Grains around a few centres on the table, the tool beside them; at difficulty 0 all centres are
+    one."""
 
     reads = ("difficulty",)
 
     @dataclass(frozen=True)
     class Options:
         clusters: int = 2
-        table: float = 1.0  #: m, half of its side; centres are at most so far from its middle
+        table: float = 0.5  #: m, half of its side; centres are at most so far from its middle
         size: float = 0.2  #: m, of a cluster
+        tool: tuple[float, float] = (-1.0, 0.0)  #: m, where the tool is at first
 
         def __post_init__(self) -> None:
             check_range(self, "clusters", least=1)
@@ -106,6 +108,7 @@ class Clusters(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(GrainsScene, "initial_states 'miniature.clusters'")
         self._options, self._grains = options, scene.options.grains
+        self._tool = torch.tensor(options.tool, device=context.device)
         self._cluster = torch.arange(self._grains, device=context.device) % options.clusters
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
@@ -118,24 +121,31 @@ class Clusters(InitialStates):
         apart = centres - centres[:, :1]
         centres = centres[:, :1] + apart * fields["difficulty"].view(-1, 1, 1)
         grains = centres[:, self._cluster] + spread(self._grains) * options.size
-        return {"grains": grains, "tool": spread(1).squeeze(1) * options.table}
+        return {"grains": grains, "tool": self._tool + spread(1).squeeze(1) * options.size}
 
 
 class Heap(Fields):
-    """How far the grains are from the middle of the table, on average."""
+    """How far, on average, the grains are from where they should be and from the tool, m."""
 
-    reads = ("grains",)
-    provides = {"spread": ()}
+    reads = ("grains", "tool")
+    provides = {"spread": (), "tool_spread": ()}
 
-    def __init__(self, options: None, context: Context) -> None:
-        pass
+    @dataclass(frozen=True)
+    class Options:
+        goal: tuple[float, float] = (1.0, 0.0)  #: m
 
-    def compute(self, grains: Tensor) -> dict[str, Tensor]:
-        return {"spread": grains.norm(dim=2).mean(dim=1)}
+    def __init__(self, options: Options, context: Context) -> None:
+        self._goal = torch.tensor(options.goal, device=context.device)
+
+    def compute(self, grains: Tensor, tool: Tensor) -> dict[str, Tensor]:
+        return {
+            "spread": (grains - self._goal).norm(dim=2).mean(dim=1),
+            "tool_spread": (grains - tool.unsqueeze(1)).norm(dim=2).mean(dim=1),
+        }
 
 
 class DensityMap(Encoder):
-    """Grains and the table's middle in the tool's frame, as an image (2, P, P).
+    """Grains and their goal in the tool's frame, as an image (2, P, P).
 
     A grain is a Gaussian of a pixel's width, so the map changes smoothly, and the same way every
     time: nothing is scattered.
@@ -146,6 +156,7 @@ class DensityMap(Encoder):
     @dataclass(frozen=True)
     class Options:
         pixels: int = 12  #: P
+        goal: tuple[float, float] = (1.0, 0.0)  #: m
         width: float = 3.0  #: m, of the image
 
         def __post_init__(self) -> None:
@@ -155,6 +166,7 @@ class DensityMap(Encoder):
     def __init__(self, options: Options, context: Context) -> None:
         half = 0.5 * options.width
         self.shape = (2, options.pixels, options.pixels)
+        self._goal = torch.tensor(options.goal, device=context.device)
         self._pixel = options.width / options.pixels
         self._centres = torch.linspace(-half, half, options.pixels, device=context.device)
 
@@ -165,7 +177,7 @@ class DensityMap(Encoder):
 
     def encode(self, grains: Tensor, tool: Tensor) -> Tensor:
         here = tool.unsqueeze(1)
-        return torch.stack([self._density(grains - here), self._density(-here)], dim=1)
+        return torch.stack([self._density(grains - here), self._density(self._goal - here)], dim=1)
 
 
 class ToolState(Encoder):
@@ -218,5 +230,5 @@ class ToolTarget(Actuation):
 
 
 def gathered(spread: Tensor, previous_spread: Tensor, *, scale: float = 10.0) -> Tensor:
-    """How much nearer the grains came in this decision, times `scale` (1/m)."""
+    """How much nearer the grains came in this decision, times `scale` (1/m); negative if further."""
     return scale * (previous_spread - spread)

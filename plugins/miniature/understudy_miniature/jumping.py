@@ -24,7 +24,7 @@ class Bar(Fields):
     @dataclass(frozen=True)
     class Options:
         low: float = 0.1  #: m, at difficulty 0
-        high: float = 0.6  #: m, at difficulty 1
+        high: float = 0.5  #: m, at difficulty 1
 
         def __post_init__(self) -> None:
             check_range(self, "low", "high", above=0)
@@ -71,7 +71,7 @@ class Legs(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        strength: float = 40.0  #: N along each axis
+        strength: float = 90.0  #: N along each axis
         length: float = 0.15  #: m above the floor at which there is nothing to push against
 
         def __post_init__(self) -> None:

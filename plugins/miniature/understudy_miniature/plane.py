@@ -224,6 +224,19 @@ class Reach(Encoder):
         return torch.cat([offset, velocity], dim=1)
 
 
+class Motion(Encoder):
+    """The present velocity alone, (N, 2)."""
+
+    reads = ("velocity",)
+    shape = (2,)
+
+    def __init__(self, options: None, context: Context) -> None:
+        pass
+
+    def encode(self, velocity: Tensor) -> Tensor:
+        return velocity.clone()
+
+
 class Force(Actuation):
     """The action, squashed, is the force on every pushed point."""
 
