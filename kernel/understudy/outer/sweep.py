@@ -27,7 +27,14 @@ from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.running.evaluation import Evaluation
 from understudy.running.training import Reporter, Training
-from understudy.setup.config import Experiment, compose_raw, load_experiment, replaced, validate
+from understudy.setup.config import (
+    Experiment,
+    compose_raw,
+    load_experiment,
+    replaced,
+    validate,
+    written,
+)
 from understudy.setup.plugins import installed
 
 
@@ -225,9 +232,9 @@ def _overrides(trial: Trial, work: Work, path: Path) -> list[str]:
     if trial.fidelity is not None:
         own.append(f"difficulty={trial.fidelity!r}")
     if trial.start is not None:
-        own.append(f"start={json.dumps(dict(trial.start))}")
+        own.append(f"start={written(trial.start)}")
     if trial.initial_states is not None:
-        own.append(f"initial_states={json.dumps({'name': 'bank', 'file': trial.initial_states})}")
+        own.append(f"initial_states={written({'name': 'bank', 'file': trial.initial_states})}")
     return [*replaced(work.overrides, own), f"run.dir={path}"]
 
 

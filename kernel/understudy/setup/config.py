@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import json
 import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.core.plugins import Plugins as HydraPlugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
@@ -502,6 +504,37 @@ def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
     return [*(o for o in overrides if key(o) not in new), *by]
 
 
+def written(value: Any) -> str:
+    """Plain data as the value of an override: every string is quoted, whatever is in it."""
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{key}:{written(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ",".join(written(item) for item in value) + "]"
+    if isinstance(value, str):
+        return QuotedString(value, Quote.single).with_quotes()
+    return json.dumps(value)
+
+
+def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """`raw` less the options that a component chosen by an override (``policy={name: …}``) would
+    inherit from the one that a file chose: Hydra merges the two mappings."""
+    given: dict[str, set[str]] = {}
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        key = override.key_or_group
+        value = None if override.is_delete() else override.value()
+        if isinstance(value, Mapping) and "name" in value:
+            given[key] = {str(option) for option in value}
+        for above, options in given.items():
+            if key.startswith(f"{above}."):
+                options.add(key.removeprefix(f"{above}.").partition(".")[0])
+    for key, options in given.items():
+        component = _at(raw, key)
+        if isinstance(component, dict):
+            for option in component.keys() - options:
+                del component[option]
+    return raw
+
+
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
@@ -515,7 +548,7 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     assert isinstance(raw, dict)
     refuse_code(raw)
-    return {str(k): v for k, v in raw.items()}
+    return _as_given({str(k): v for k, v in raw.items()}, overrides)
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
