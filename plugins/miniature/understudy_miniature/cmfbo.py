@@ -29,7 +29,7 @@ class RandomFidelity(OuterLoop):
         high: Mapping[str, float]
         trials: int = 4
         fidelities: tuple[float, ...] = (0.2, 1.0)  #: from the first trials to the last
-        margin: float = 0.5  #: of the objective
+        margin: float = 0.2  #: of the objective
 
         def __post_init__(self) -> None:
             check_range(self, "trials", least=1)

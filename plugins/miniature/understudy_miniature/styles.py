@@ -36,6 +36,7 @@ from understudy.task import (
     Simulator,
     State,
 )
+from understudy_basics import optimisers
 
 # ---------------------------------------------------------------------- poses and their code
 
@@ -112,7 +113,8 @@ class LearnPoses(Job):
         self.network = network.to(self.device)
 
     def prepare(self) -> None:
-        self._optimiser = torch.optim.Adam(self.network.parameters(), self.options.learning_rate)
+        rate = torch.tensor(self.options.learning_rate, device=self.device)
+        self._optimiser = optimisers.adam(list(self.network.parameters()), rate)
         self._generator = generator(self._seed, "poses", self.device)
 
     def iterate(self, samples: int) -> dict[str, Any]:
@@ -137,24 +139,15 @@ class LearnPoses(Job):
         return Evaluation(episodes=episodes, measures=measures, objective="error")
 
     def state_dict(self) -> State:
-        optimiser = {
-            str(i): dict(self._optimiser.state[p])
-            for i, p in enumerate(self.network.parameters())
-            if p in self._optimiser.state
-        }
         return {
             "network": dict(self.network.state_dict()),
-            "optimiser": optimiser,
+            "optimiser": optimisers.state_of(self._optimiser),
             "generator": self._generator.get_state(),
         }
 
     def load_state_dict(self, state: State) -> None:
         self.load_learned(state, 0)
-        for i, p in enumerate(self.network.parameters()):
-            if str(i) in state["optimiser"]:
-                found = state["optimiser"][str(i)]
-                on_cpu = {"step": found["step"]}  # where Adam counts
-                self._optimiser.state[p] = {k: v.to(p.device) for k, v in found.items()} | on_cpu
+        optimisers.load_state(self._optimiser, state["optimiser"])
         self._generator.set_state(state["generator"])
 
     def load_learned(self, state: State, samples: int) -> None:
