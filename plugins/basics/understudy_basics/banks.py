@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -42,7 +43,7 @@ class Bank(InitialStates):
                 )
         others = [name for name in self._states if name not in simulator.state_fields]
         self.varies = tuple(name for name in others if name in simulator.parameters)
-        self.episode_fields: dict[str, Shape] = {
+        self.episode_fields: Mapping[str, Shape] = {
             name: tuple(self._states[name].shape[1:]) for name in others if name not in self.varies
         }
 

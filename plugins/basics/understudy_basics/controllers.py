@@ -10,7 +10,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.running.controller import Controller
-from understudy.task import Actuation, ActionSpace, Box, Choice, Context, Shape
+from understudy.task import ActionSpace, Actuation, Box, Choice, Context, Shape
 
 
 class Controllers(Actuation):

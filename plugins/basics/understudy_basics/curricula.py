@@ -107,7 +107,7 @@ class Linear(Curriculum):
         share = min(1.0, self._samples / options.samples)
         self._stage.move(options.start + (self._target - options.start) * share)
         found = {"difficulty": self._stage.difficulty}
-        if share == 1.0 and not done or before != self._stage.decision():
+        if (share == 1.0 and not done) or before != self._stage.decision():
             found[f"mark/{self._stage}"] = 1.0
         return found
 

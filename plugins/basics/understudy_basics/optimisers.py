@@ -14,9 +14,7 @@ from understudy.task import State
 
 def adam(parameters: Sequence[nn.Parameter], rate: Tensor, *, weight_decay: float = 0.0) -> Adam:
     """Adam (Kingma and Ba 2015). `rate` () is read at every step; decay is added to the gradient."""
-    return Adam(
-        parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda
-    )
+    return Adam(parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda)
 
 
 def sgd(

@@ -95,6 +95,11 @@ def knocked(passed: Tensor, bar_clearance: Tensor) -> Tensor:
     return (passed != 0) & (bar_clearance <= 0)
 
 
+def height(passed: Tensor, bar_clearance: Tensor) -> Tensor:
+    """The clearance at the bar, m; -1 where the point has not come so far."""
+    return torch.where(passed != 0, bar_clearance, -1.0)
+
+
 def completion(
     passed: Tensor, bar_clearance: Tensor, mean_effort: Tensor, *, scale: float = 0.2
 ) -> Tensor:

@@ -67,7 +67,7 @@ class Plane(Simulator):
         self._scene = scene = context.need_scene(PlaneScene, "simulator 'miniature.plane'").options
         n, device = context.num_worlds, context.device
         shape = (scene.bodies, 2)
-        self.fields: dict[str, Shape] = {"positions": shape, "velocities": shape}
+        self.fields: Mapping[str, Shape] = {"positions": shape, "velocities": shape}
         self.control_size = 2 * scene.pushed
         self._dt, self._substeps = context.control_dt / context.substeps, context.substeps
         self._state = {name: torch.zeros(n, *shape, device=device) for name in self.fields}
@@ -81,7 +81,7 @@ class Plane(Simulator):
 
     def vary(self, names: Sequence[str]) -> None:
         super().vary([name for name in names if name not in self.parameters])
-        self.fields |= {name: self.parameters[name] for name in names}
+        self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
 
     def read(self, name: str) -> Tensor:
         return self._state[name]

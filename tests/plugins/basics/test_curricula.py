@@ -38,7 +38,10 @@ def test_linear_reaches_the_tasks_difficulty_and_says_so_once() -> None:
     curriculum = Linear(Linear.Options(samples=40, start=0.2), context(difficulty=0.8))
     found = [curriculum.update(rollout(0, 0)) for _ in range(6)]
     assert [round(f["difficulty"], 6) for f in found] == [0.35, 0.5, 0.65, 0.8, 0.8, 0.8]
-    assert [sorted(f) for f in found[3:5]] == [["difficulty", "mark/difficulty 0.80"], ["difficulty"]]
+    assert [sorted(f) for f in found[3:5]] == [
+        ["difficulty", "mark/difficulty 0.80"],
+        ["difficulty"],
+    ]
 
 
 @pytest.mark.parametrize(("by", "low", "high"), [("success", 1, 3), ("return", 2, 2)])

@@ -5,6 +5,7 @@ The first process is a fork of a server that has imported everything, so that it
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import signal
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import (  # pyright: ignore[reportAttributeAccessIssue]
+from miniatures import (
     JOBS,
     QUICK,
     TRAININGS,
@@ -104,7 +105,7 @@ def test_a_killed_search_goes_on(start: Callable[..., Any], tmp_path: Path) -> N
     """In its third trial, which begins from the best of the first two."""
     overrides = (
         "experiment=miniature/cmfbo", *USUAL, *QUICK, "evaluation.every_samples=256",
-        "outer_loop.margin=0",
+        "evaluation.seconds=2.0",
     )  # fmt: skip
     straight, cut = tmp_path / "straight", tmp_path / "cut"
     child = start("sweep", *overrides, f"run.dir={cut}")
@@ -113,5 +114,11 @@ def test_a_killed_search_goes_on(start: Callable[..., Any], tmp_path: Path) -> N
     assert main(["sweep", *overrides, f"run.dir={cut}"]) == 0
     for trial in ("trial0", "trial1", "trial2", "trial3"):
         assert_same_run(straight / trial, cut / trial)
+    journal = [json.loads(line) for line in (cut / "journal.jsonl").read_text().splitlines()]
+    starts = [row["trial"]["start"] for row in journal if row["event"] == "asked"]
+    assert starts[:2] == [None, None]
+    assert all(start["trial"] in ("trial0", "trial1") for start in starts[2:3])
+    origin = runs.open_run(cut / "trial2").info["sources"]["start"]["run"]
+    assert origin == str(cut / starts[2]["trial"])
     tables = [(folder / "summary.json").read_text() for folder in (straight, cut)]
     assert tables[0] == tables[1]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from conftest import JOBS, TRAININGS, overrides_of  # pyright: ignore[reportAttributeAccessIssue]
+from miniatures import JOBS, TRAININGS, overrides_of
 from waits import NoWaits
 from worlds import assert_same_state
 
@@ -86,6 +86,17 @@ def test_waiting_is_found() -> None:
         ):  # fmt: skip
             with pytest.raises(AssertionError, match="would wait"):
                 wait()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TRAININGS)
+def test_learns(name: str, built_on: Path) -> None:
+    """In its own budget the return rises by a third of what it was and more."""
+    training = made(name, built_on)
+    before = training.job.evaluate("before", 64).measures["return"]
+    training.train()
+    after = training.job.evaluate("after", 64).measures["return"]
+    assert after.low > before.high + abs(before.mean) / 3
 
 
 @pytest.mark.gpu
