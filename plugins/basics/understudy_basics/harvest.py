@@ -12,6 +12,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, TrainingError, suggestion
 from understudy.options import check_range
 from understudy.random import WorldStreams
+from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.evaluation import Evaluation, Measured
@@ -21,7 +22,7 @@ from understudy.running.warm_start import newest_state
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment, validate
 from understudy.task import Policy, State
-from understudy_basics import bank, runs
+from understudy_basics import bank
 
 
 class Harvest(Job):

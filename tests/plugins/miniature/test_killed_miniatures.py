@@ -25,7 +25,8 @@ from miniatures import (
 from worlds import assert_same_state
 
 from understudy.command.cli import main
-from understudy_basics import bank, checkpoint, runs
+from understudy.records import checkpoint, runs
+from understudy_basics import bank
 
 #: Budgets that leave some iterations before and after the kill at the third.
 BUDGET = {"sleeve_bank": ("job.count=300", "job.decisions=8"), "poses": ("budget.samples=4096",)}
