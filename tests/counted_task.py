@@ -16,7 +16,6 @@ import torch
 from torch import Tensor, nn
 
 from understudy.command import workflow
-from understudy.outer import sweep
 from understudy.random import WorldStreams
 from understudy.running.environment import Environment, Parts, Step
 from understudy.setup import config
@@ -40,6 +39,7 @@ from understudy.task import (
 )
 from understudy.task.terms import Bound, Term, make_term, renamed
 from understudy.testing import fake
+from understudy_sweeps import sweep
 
 
 class LineScene(Scene):
@@ -282,7 +282,7 @@ def line_plugins(**components: Mapping[str, Any] | Callable[..., Any]) -> Plugin
 
     mine.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
     this = sys.modules[__name__]
-    return load(only=["grid"], extra=[("fake", fake), ("line", this), ("mine", mine)])
+    return load(only=["sweeps", "inspect"], extra=[("fake", fake), ("line", this), ("mine", mine)])
 
 
 def bound(part: Any, where: str = "part", **names: Mapping[str, str]) -> Bound[Any]:

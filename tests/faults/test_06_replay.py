@@ -12,11 +12,11 @@ from worlds import PADDLE_TASK, SMALL, make_training, same_bits
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
-from understudy.records.replay import replay_step
 from understudy.running.environment import Fault
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_basics.nn import RunningNormaliser
+from understudy_inspect.replay import replay_step
 
 
 def test_engine_failure_replays(

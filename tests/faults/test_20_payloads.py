@@ -16,7 +16,7 @@ import torch
 
 from understudy.errors import UnderstudyError
 from understudy.records import checkpoint, runs
-from understudy.records.replay import replay_step
+from understudy_inspect.replay import replay_step
 
 ROOT = Path(__file__).parents[2]
 NOW = checkpoint.FORMAT

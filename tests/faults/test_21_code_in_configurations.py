@@ -11,10 +11,10 @@ from worlds import SMALL, make_training, resumed
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.records import checkpoint, runs
-from understudy.records.replay import replay_step
 from understudy.setup.config import CODE_KEYS, load_experiment, provenance, validate
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
+from understudy_inspect.replay import replay_step
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,6 @@ with 75, so that a scheduler can start it again; a defect keeps its traceback.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -62,15 +61,6 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
         "render", _render, "evaluate a run while recording, and make its report anew", True
     )
     sub.add_argument("run", help="run folder")
-    command("sweep", _sweep, "run an outer loop over trainings: understudy sweep ablation=…", True)
-    sub = command("plugins", _plugins, "list the plugins and what they provide")
-    sub.add_argument("--json", action="store_true")
-    sub = command("tasks", _tasks, "list the tasks")
-    sub.add_argument("--json", action="store_true")
-    sub = command(
-        "config", _config, "print every value of the configuration and where it is from", True
-    )
-    sub.add_argument("--json", action="store_true", help="plain JSON, without origins")
     _add_plugin_commands(commands, arguments)
     return parser
 
@@ -101,10 +91,11 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
         command = component.factory()
         command.arguments(parser)
 
-        def run(options: argparse.Namespace, _: list[str], command: Any = command) -> int:
+        def run(options: argparse.Namespace, overrides: list[str], command: Any = command) -> int:
+            options.overrides = overrides
             return command.run(options)
 
-        parser.set_defaults(function=run, overrides_allowed=False)
+        parser.set_defaults(function=run, overrides_allowed=command.takes_overrides)
 
 
 def _train(options: argparse.Namespace, overrides: list[str]) -> int:
@@ -130,75 +121,6 @@ def _render(options: argparse.Namespace, overrides: list[str]) -> int:
     from understudy.command.workflow import render
 
     return render(options.run, overrides)
-
-
-def _sweep(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.outer.sweep import sweep
-
-    return sweep(overrides)
-
-
-def _plugins(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.setup.plugins import installed
-
-    plugins = installed()
-    components: dict[str, list[str]] = {}
-    for (kind, name), component in sorted(plugins.registry.components.items()):
-        components.setdefault(component.plugin, []).append(f"{kind}/{name}")
-    rows = [
-        {
-            "name": plugin.name,
-            "distribution": plugin.distribution,
-            "version": plugin.version,
-            "status": plugin.status,
-            "components": components.get(plugin.name, []),
-        }
-        for plugin in plugins.loaded
-    ]
-    if options.json:
-        print(json.dumps(rows, indent=1))
-        return 0
-    for row in rows:
-        print(f"{row['name']} {row['version']} ({row['distribution']}): {row['status']}")
-        for item in row["components"]:
-            print(f"  {item}")
-    return 0
-
-
-def _tasks(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.setup.plugins import installed
-
-    tasks = sorted(installed().registry.tasks.values(), key=lambda t: t.name)
-    if options.json:
-        print(json.dumps([vars(t) for t in tasks], indent=1))
-        return 0
-    width = max((len(t.name) for t in tasks), default=0)
-    for task in tasks:
-        print(f"{task.name:<{width}}  {task.summary}  [{task.plugin}]")
-    return 0
-
-
-def _config(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.setup.config import load_experiment, provenance
-
-    effective = load_experiment(overrides).effective()
-    if options.json:
-        print(json.dumps(effective, indent=1))
-        return 0
-    origins = provenance(overrides)
-    rows = list(_flat(effective, ""))
-    width = min(72, max(len(f"{key}: {value}") for key, value in rows))
-    for key, value in rows:
-        print(f"{f'{key}: {value}':<{width}}  # {origins.get(key, 'default')}")
-    return 0
-
-
-def _flat(value: Any, prefix: str) -> list[tuple[str, str]]:
-    if isinstance(value, dict) and value:
-        return [
-            row for k, v in value.items() for row in _flat(v, f"{prefix}.{k}" if prefix else str(k))
-        ]
-    return [(prefix, json.dumps(value))]
 
 
 if __name__ == "__main__":

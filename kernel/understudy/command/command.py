@@ -10,6 +10,9 @@ class Command(ABC):
     """A command of the command line, registered as a ``command`` named by its words: the component
     ``motion check`` is run as ``understudy motion check``. Its summary is its help."""
 
+    #: Whether it takes Hydra's overrides, which it finds in ``options.overrides``.
+    takes_overrides = False
+
     @abstractmethod
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the command's arguments."""

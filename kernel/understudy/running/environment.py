@@ -457,9 +457,15 @@ class Environment:
             self.table.put(field_name, kept)
 
     def _remember(self, worlds: Tensor | None = None) -> None:
-        """Keep the fields that are read as ``previous_``, as they are now."""
+        """Keep the fields that are read as ``previous_``, as they are now: in all worlds or where
+        `worlds` (N,) is true."""
         for name, kept in self._previous.items():
-            value = self.table[name.removeprefix(_PREVIOUS)]
+            if kept is None:  # the first time; others of them may be computed from it
+                shape = (self.num_worlds, *self.table.shapes[name])
+                self.table.put(name, torch.zeros(shape, device=self.device))
+        values = {name: self.table[name.removeprefix(_PREVIOUS)] for name in self._previous}
+        for name, value in values.items():  # only now, since they may depend on one another
+            kept = self._previous[name]
             if kept is None:
                 kept = self._previous[name] = value.clone()
             elif worlds is None:
@@ -520,6 +526,7 @@ class Environment:
         self.episode_step.masked_fill_(worlds, 0)
         self.action.masked_fill_(worlds.unsqueeze(1), 0.0)
         self.refresh()
+        self._remember(worlds)  # of fields that actuation and memories may begin from
         actuation = parts.actuation
         if actuation.part.keeps:
             begun = actuation.part.begin(**self.table.pick(actuation.reads))

@@ -102,8 +102,9 @@ class EvaluationOptions:
     criterion: float | None = None
     #: An evaluation starts when training episodes would last this share of its seconds …
     gate: float = 0.3
-    #: … and this many samples were consumed since the last one.
-    every_samples: int = 100_000
+    #: … and this many samples were consumed since the last one; null is 100 000 where there is a
+    #: criterion, and never where there is none.
+    every_samples: int | None = None
 
     def __post_init__(self) -> None:
         check_range(self, "episodes", "final_episodes", least=1)
@@ -533,6 +534,26 @@ def written(value: Any) -> str:
     return json.dumps(value)
 
 
+def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """`raw` less the options that a component chosen by an override (``policy={name: …}``) would
+    inherit from the one that a file chose: Hydra merges the two mappings."""
+    given: dict[str, set[str]] = {}
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        key = override.key_or_group
+        value = None if override.is_delete() else override.value()
+        if isinstance(value, Mapping) and "name" in value:
+            given[key] = {str(option) for option in value}
+        for above, options in given.items():
+            if key.startswith(f"{above}."):
+                options.add(key.removeprefix(f"{above}.").partition(".")[0])
+    for key, options in given.items():
+        component = _at(raw, key)
+        if isinstance(component, dict):
+            for option in component.keys() - options:
+                del component[option]
+    return raw
+
+
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
@@ -548,7 +569,8 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     assert isinstance(raw, dict)
     refuse_code(raw)
-    return {**{str(k): v for k, v in raw.items()}, **dict.fromkeys(emptied)}
+    given = _as_given({str(k): v for k, v in raw.items()}, kept)
+    return given | dict.fromkeys(emptied)
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

@@ -1,4 +1,5 @@
-"""Generic parts that papers share, each of a few lines: policies, and what learners have in common."""
+"""Generic parts that papers share, each of a few lines: policies, and what learners have in common;
+terms and memories of any field, curricula of a difficulty, banks of states, controllers of other runs."""
 
 from pathlib import Path
 
@@ -14,6 +15,24 @@ def understudy_register(register: Registrar) -> None:
     add = register.component
     add("policy", "mlp", "understudy_basics.policies:MLPPolicy", "MLP actor and critic")
     add("policy", "cnn", "understudy_basics.policies:CNNPolicy", "image and flat observation")
+    for kind in ("measure", "reward"):
+        add(kind, "value", "understudy_basics.terms:value", "a field itself")
+    add("termination", "reached", "understudy_basics.terms:reached", "a field is small enough")
+    add("termination", "beyond", "understudy_basics.terms:beyond", "a field is too large")
+    memories = "understudy_basics.memories"
+    add("memory", "timer", f"{memories}:Timer", "how long a condition has held")
+    add("memory", "latch", f"{memories}:Latch", "a field as it was when a condition first held")
+    add("memory", "running_mean", f"{memories}:RunningMean", "a field's mean over the episode")
+    add("memory", "redrawn_target", f"{memories}:RedrawnTarget", "a random point in a box")
+    add("memory", "history", f"{memories}:History", "a field's last values")
+    add("curriculum", "linear", "understudy_basics.curricula:Linear", "difficulty by samples")
+    add("curriculum", "adaptive", "understudy_basics.curricula:Adaptive", "difficulty by success")
+    add("initial_states", "bank", "understudy_basics.banks:Bank", "where other episodes ended")
+    add("job", "harvest", "understudy_basics.harvest:Harvest", "keeps states of ended episodes")
+    add(
+        "actuation", "controllers", "understudy_basics.controllers:Controllers",
+        "switches between other runs' controllers and gives them a goal",
+    )  # fmt: skip
 
 
 @hookimpl

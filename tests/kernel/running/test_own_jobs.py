@@ -136,7 +136,7 @@ def plugins(broken: bool = False) -> Plugins:
             raise RuntimeError("no licence")
 
     module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
-    return load(only=["grid"], extra=[("fake", fake), ("regression", module)])
+    return load(only=["sweeps", "inspect"], extra=[("fake", fake), ("regression", module)])
 
 
 TASK = ("+job={name: my.regression}", "data={name: my.waves}", "budget.samples=640", "evaluation.final_episodes=50")  # fmt: skip

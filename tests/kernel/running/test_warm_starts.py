@@ -16,13 +16,13 @@ from worlds import assert_same_state, make_training, resumed
 from understudy.errors import ConfigError, RunError
 from understudy.random import WorldStreams
 from understudy.records import checkpoint
-from understudy.running.controller import Controller
 from understudy.running.training import Training
 from understudy.running.warm_start import policy_parts
 from understudy.setup.building import build_environment
 from understudy.setup.config import load_experiment
 from understudy.task import Actuation, Context, Curriculum, Encoder, Rollout, State, box
 from understudy.testing import FakeScene
+from understudy_basics.controller import Controller
 
 
 class Learned(Starts):

@@ -1,1 +1,0 @@
-"""Loops around whole trainings: trials, their journal, sweeps."""

@@ -1,0 +1,187 @@
+"""A job that keeps the states in which the episodes of a trained run end, for others to begin in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, TrainingError, suggestion
+from understudy.options import check_range
+from understudy.random import WorldStreams
+from understudy.records import runs
+from understudy.records.runs import Run
+from understudy.running.environment import Environment
+from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.jobs import Job
+from understudy.running.recorded import Recorded
+from understudy.running.warm_start import newest_state
+from understudy.setup.building import Built, build_environment, build_policy, device_of
+from understudy.setup.config import Experiment, validate
+from understudy.task import Policy, State
+from understudy_basics import bank
+
+
+class Harvest(Job):
+    """Runs a finished run's policy in its own task until enough episodes ended as they should.
+
+    The worlds' number, device and seed are those of this run; it leaves the bank ``bank`` in its
+    folder.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        run: str  #: folder of the run whose policy acts
+        count: int = 1024  #: how many states
+        #: Which endings count: a termination term's name, or any of an outcome.
+        ending: str = "success"
+        fields: tuple[str, ...] = ()  #: kept beside the simulator's state
+        deterministic: bool = False  #: act by the policy's mode instead of sampling
+        decisions: int = 64  #: of every world, in an iteration
+        patience: int = 50  #: iterations without any state after which there is no hope
+
+        def __post_init__(self) -> None:
+            check_range(self, "count", "decisions", "patience", least=1)
+
+    environment: Environment
+    policy: Policy
+
+    def __init__(self, options: Options, experiment: Experiment) -> None:
+        self.options, self._root = options, experiment.root
+        self.device = device_of(experiment.root.device)
+        self._source = runs.open_run(options.run)
+        own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
+        config = {**self._source.config, **own, "start": None}
+        self._experiment = validate(config, experiment.registry)
+        self._built: Built | None = None
+        self._found: dict[str, Tensor] = {}
+        self._barren = 0  #: iterations in a row that found nothing
+
+    def prepare(self) -> None:
+        built = self._built = build_environment(self._experiment)
+        self.environment = environment = built.environment
+        simulator, table = environment.parts.simulator, environment.table
+        self._names = list(dict.fromkeys((*simulator.state_fields, *self.options.fields)))
+        for name in self._names:
+            if name not in table.shapes:
+                raise ConfigError(
+                    f"job.fields names '{name}', which is no field of {self.options.run}."
+                    + suggestion(name, table.shapes)
+                )
+        terms = {t.name for t in environment.parts.terminations if t.outcome != "report"}
+        outcomes = ("success", "failure", "truncation")
+        if self.options.ending not in (*outcomes, *terms):
+            raise ConfigError(
+                f"job.ending={self.options.ending} is no ending of {self.options.run}."
+                + suggestion(self.options.ending, [*outcomes, *terms])
+            )
+        environment.reset()
+        self.policy = build_policy(self._experiment, built.context)
+        state = newest_state(self.options.run)
+        self.policy.load_state_dict(state["policy"])
+        self.policy.schedule(state["progress"]["samples"])
+        self._streams = WorldStreams(
+            self._root.seed, "harvest", environment.num_worlds, self.device
+        )
+        self._decide = Recorded(self._ended_states, environment)
+
+    def _ended_states(self, action: Tensor) -> dict[str, Tensor]:
+        """One decision; the states reached, and whether each counts, under ``""``."""
+        environment = self.environment
+        step = environment.advance(action)
+        which: dict[str, Tensor] = {
+            "success": step.terminated & ~step.failed,
+            "failure": step.failed,
+            "truncation": step.truncated,
+            **step.endings,
+        }
+        found = {name: environment.table[name].clone() for name in self._names}
+        found[""] = which[self.options.ending] & step.ended & ~step.unsound
+        environment.begin(step.ended)
+        return found
+
+    @torch.no_grad()
+    def iterate(self, samples: int) -> dict[str, Any]:
+        environment, steps = self.environment, self.options.decisions
+        seen: dict[str, list[Tensor]] = {name: [] for name in (*self._names, "")}
+        for _ in range(steps):
+            distribution = self.policy.distribution(environment.observations)
+            mode = self.options.deterministic
+            action = distribution.mode() if mode else distribution.sample(self._streams)
+            for name, value in self._decide(action).items():
+                seen[name].append(value.clone())
+        counts = torch.cat(seen.pop(""))
+        new = {name: torch.cat(values)[counts].cpu() for name, values in seen.items()}
+        self._found = {
+            name: torch.cat([self._found[name], value]) if self._found else value
+            for name, value in new.items()
+        }
+        self._barren = 0 if counts.any() else self._barren + 1
+        if self._barren >= self.options.patience:
+            raise TrainingError(
+                f"No episode of {self.options.run} ended by '{self.options.ending}' in "
+                f"{self._barren * steps} decisions of {environment.num_worlds} worlds. Train it "
+                "longer, or choose another job.ending."
+            )
+        episodes = environment.statistics.collect()
+        return {
+            "consumed": steps * environment.num_worlds,
+            "states": self._count,
+            **{f"episode/{name}": value for name, value in episodes.items()},
+        }
+
+    @property
+    def _count(self) -> int:
+        return len(next(iter(self._found.values()))) if self._found else 0
+
+    def finished(self) -> bool:
+        return self._count >= self.options.count
+
+    def stage(self) -> str:
+        return f"{min(self._count, self.options.count)} of {self.options.count} states"
+
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        """How many states there are; they need no other judgement."""
+        states = torch.tensor([float(min(self._count, self.options.count))])
+        return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
+
+    def products(self, run: Run) -> None:
+        if not self._count:
+            return
+        states = {name: value[: self.options.count] for name, value in self._found.items()}
+        about = {"run": self.options.run, "ending": self.options.ending}
+        bank.save(run.path / bank.NAME, states, about)
+
+    def sources(self) -> Mapping[str, Any]:
+        return {**self._source.info["sources"], "bank": {"run": self.options.run}}
+
+    def report(self) -> Mapping[str, int]:
+        return self._built.environment.parts.simulator.report() if self._built else {}
+
+    def state_dict(self) -> State:
+        return {
+            "environment": self.environment.state_dict(),
+            "streams": self._streams.state_dict(),
+            "found": dict(self._found),
+            "barren": self._barren,
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self.environment.load_state_dict(state["environment"])
+        self._streams.load_state_dict(state["streams"])
+        self.load_learned(state, 0)
+
+    def load_learned(self, state: State, samples: int) -> None:
+        self._found, self._barren = dict(state["found"]), state["barren"]
+
+    def forget_worlds(self) -> None:
+        self.environment.reset()
+
+    def close(self) -> None:
+        if self._built is not None:
+            self._built.environment.close()

@@ -1,0 +1,25 @@
+"""Terms on any field: ``reads: {value: FIELD}`` says which. Fields are (N,) or (N, …)."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+
+def _chosen(value: Tensor, index: int | None) -> Tensor:
+    """Number `index` of the field's flattened numbers, or all of them."""
+    return value if index is None else value.flatten(1)[:, index]
+
+
+def value(value: Tensor, *, index: int | None = None) -> Tensor:
+    """The field itself, (N,); of a vector its number `index`."""
+    return _chosen(value, index).float()
+
+
+def reached(value: Tensor, *, within: float, index: int | None = None) -> Tensor:
+    """The field is at most `within`; of a vector, all its numbers."""
+    return (_chosen(value, index) <= within).view(len(value), -1).all(dim=1)
+
+
+def beyond(value: Tensor, *, limit: float, index: int | None = None) -> Tensor:
+    """The field is at least `limit`; of a vector, any of its numbers."""
+    return (_chosen(value, index) >= limit).view(len(value), -1).any(dim=1)

@@ -1,0 +1,105 @@
+"""What there is, as text or JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from understudy.command.command import Command
+from understudy.setup.config import load_experiment, provenance
+from understudy.setup.plugins import installed
+from understudy_inspect.replay import replay_step
+
+
+class ListPlugins(Command):
+    """Each plugin with its status and components."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--json", action="store_true")
+
+    def run(self, options: argparse.Namespace) -> int:
+        plugins = installed()
+        components: dict[str, list[str]] = {}
+        for (kind, name), component in sorted(plugins.registry.components.items()):
+            components.setdefault(component.plugin, []).append(f"{kind}/{name}")
+        rows = [
+            {
+                "name": plugin.name,
+                "distribution": plugin.distribution,
+                "version": plugin.version,
+                "status": plugin.status,
+                "components": components.get(plugin.name, []),
+            }
+            for plugin in plugins.loaded
+        ]
+        if options.json:
+            print(json.dumps(rows, indent=1))
+            return 0
+        for row in rows:
+            print(f"{row['name']} {row['version']} ({row['distribution']}): {row['status']}")
+            for item in row["components"]:
+                print(f"  {item}")
+        return 0
+
+
+class ListTasks(Command):
+    """Each task with its summary and plugin."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--json", action="store_true")
+
+    def run(self, options: argparse.Namespace) -> int:
+        tasks = sorted(installed().registry.tasks.values(), key=lambda t: t.name)
+        if options.json:
+            print(json.dumps([vars(t) for t in tasks], indent=1))
+            return 0
+        width = max((len(t.name) for t in tasks), default=0)
+        for task in tasks:
+            print(f"{task.name:<{width}}  {task.summary}  [{task.plugin}]")
+        return 0
+
+
+class ShowConfiguration(Command):
+    """Every value of a composed and checked configuration, defaults too, with its origin."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--json", action="store_true", help="plain JSON, without origins")
+
+    def run(self, options: argparse.Namespace) -> int:
+        effective = load_experiment(options.overrides).effective()
+        if options.json:
+            print(json.dumps(effective, indent=1))
+            return 0
+        origins = provenance(options.overrides)
+        rows = list(_flat(effective, ""))
+        width = min(72, max(len(f"{key}: {value}") for key, value in rows))
+        for key, value in rows:
+            print(f"{f'{key}: {value}':<{width}}  # {origins.get(key, 'default')}")
+        return 0
+
+
+class Replay(Command):
+    """Repeats the step in which a run's numbers went wrong, from the dump in its ``faults/``."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("run", help="run folder")
+
+    def run(self, options: argparse.Namespace) -> int:
+        found = replay_step(Path(options.run) / "faults" / "step")
+        for world, failed in zip(found.worlds.tolist(), found.failed.tolist(), strict=True):
+            print(f"world {world}: {'goes wrong again' if failed else 'stays sound this time'}")
+        return 0
+
+
+def _flat(value: Any, prefix: str) -> Iterator[tuple[str, str]]:
+    """(key path, value as JSON) of everything in a nested configuration."""
+    if isinstance(value, dict) and value:
+        for key, item in value.items():
+            yield from _flat(item, f"{prefix}.{key}" if prefix else str(key))
+    else:
+        yield prefix, json.dumps(value)

@@ -1,0 +1,162 @@
+"""Poses of an arm, and an auto-encoder of them: a job of this plugin's own, with a slot of its own."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from understudy import distributed
+from understudy.errors import RunError
+from understudy.options import check_range
+from understudy.random import WorldStreams, generator, private_rng
+from understudy.records import runs
+from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.jobs import Job
+from understudy.running.reinforcement import misshapen
+from understudy.running.warm_start import newest_state
+from understudy.setup.building import device_of
+from understudy.setup.config import Experiment, validate
+from understudy.task import Context, State
+from understudy_basics import optimisers
+from understudy_basics.nn import mlp
+
+
+class Poses(ABC):
+    """Where poses to learn from come from; a kind of this plugin's own, built with ``(options,)``."""
+
+    #: J, how many joint angles a pose has.
+    joints: int
+
+    @abstractmethod
+    def draw(self, u: Tensor) -> Tensor:
+        """Poses (B, J), rad, from random numbers `u` (B, 2) in [0, 1)."""
+
+
+class Arcs(Poses):
+    """Arcs and waves: every joint bends alike, but for a wave along the arm. Two numbers make one."""
+
+    @dataclass(frozen=True)
+    class Options:
+        joints: int = 8
+        bend: float = 2.0  #: rad, of the whole arm, to either side
+        wave: float = 0.5  #: rad, of a joint, to either side
+
+        def __post_init__(self) -> None:
+            check_range(self, "joints", least=1)
+            check_range(self, "bend", "wave", least=0)
+
+    def __init__(self, options: Options) -> None:
+        self._options, self.joints = options, options.joints
+
+    def draw(self, u: Tensor) -> Tensor:
+        options, signed = self._options, 2 * u - 1
+        along = torch.arange(options.joints, device=u.device) / options.joints
+        wave = torch.cos(math.pi * along)
+        return signed[:, :1] * options.bend / options.joints + signed[:, 1:] * options.wave * wave
+
+
+class AutoEncoder(nn.Module):
+    """Poses (B, J) to a code (B, L) and back."""
+
+    def __init__(self, joints: int, code: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.encoder = mlp([joints, *hidden, code], activation=nn.ELU)
+        self.decoder = mlp([code, *reversed(hidden), joints], activation=nn.ELU)
+
+    def forward(self, pose: Tensor) -> Tensor:
+        return self.decoder(self.encoder(pose))
+
+
+class LearnPoses(Job):
+    """Trains an auto-encoder on drawn poses by gradient descent on the mean squared error.
+
+    A sample is a pose; the poses come from what fills the slot ``poses``.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        code: int = 2  #: L
+        hidden: tuple[int, ...] = (32,)
+        batch: int = 256  #: poses of an iteration
+        learning_rate: float = 3e-3
+
+        def __post_init__(self) -> None:
+            check_range(self, "code", "batch", least=1)
+            check_range(self, "learning_rate", above=0)
+
+    def __init__(self, options: Options, experiment: Experiment) -> None:
+        self.options, self._seed = options, experiment.root.seed
+        self.device = device_of(experiment.root.device)
+        self.poses: Poses = experiment.need("poses").build()
+        with private_rng(self._seed, "autoencoder"):
+            network = AutoEncoder(self.poses.joints, options.code, options.hidden)
+        self.network = network.to(self.device)
+
+    def prepare(self) -> None:
+        rate = torch.tensor(self.options.learning_rate, device=self.device)
+        self._optimiser = optimisers.adam(list(self.network.parameters()), rate)
+        self._generator = generator(self._seed, "poses", self.device)
+
+    def iterate(self, samples: int) -> dict[str, Any]:
+        u = torch.rand(self.options.batch, 2, generator=self._generator, device=self.device)
+        pose = self.poses.draw(u)
+        self._optimiser.zero_grad()
+        loss = (self.network(pose) - pose).square().mean()
+        loss.backward()
+        distributed.average_gradients(list(self.network.parameters()), loss.detach().view(1))
+        self._optimiser.step()
+        return {"consumed": len(pose) * distributed.size(), "loss": float(loss.detach())}
+
+    @torch.no_grad()
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        """The root mean square error of the angles, rad, over `episodes` poses."""
+        u = WorldStreams(self._seed, f"poses/{draw}", episodes, self.device).uniform(2)
+        pose = self.poses.draw(u)
+        error = (self.network(pose) - pose).square().mean(dim=1).sqrt()
+        measures = {"error": Measured.of("last", error.cpu())}
+        return Evaluation(episodes=episodes, measures=measures)
+
+    def state_dict(self) -> State:
+        return {
+            "network": dict(self.network.state_dict()),
+            "optimiser": optimisers.state_of(self._optimiser),
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self.load_learned(state, 0)
+        optimisers.load_state(self._optimiser, state["optimiser"])
+        self._generator.set_state(state["generator"])
+
+    def load_learned(self, state: State, samples: int) -> None:
+        for misfit in misshapen(dict(self.network.state_dict()), state.get("network"), "network"):
+            raise RunError(f"The checkpoint does not fit this auto-encoder: {misfit}.")
+        self.network.load_state_dict(state["network"])
+
+
+def trained_decoder(run: str, context: Context) -> tuple[nn.Module, int]:
+    """The frozen decoder that the run folder `run` has, and how many numbers it takes.
+
+    Raises
+    ------
+    RunError
+        if it is no run of the job 'miniature.autoencoder'.
+    """
+    assert context.registry is not None
+    experiment = validate(runs.open_run(run).config, context.registry)
+    job = experiment.one("job")
+    if job is None or job.component.factory is not LearnPoses:
+        raise RunError(f"{run} trained no auto-encoder (experiment=miniature/poses).")
+    options: LearnPoses.Options = job.options
+    joints = experiment.need("poses").build().joints
+    network = AutoEncoder(joints, options.code, options.hidden)
+    network.load_state_dict(newest_state(run)["network"])
+    return network.decoder.requires_grad_(False).to(context.device), options.code

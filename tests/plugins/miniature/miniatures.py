@@ -1,0 +1,42 @@
+"""The miniatures by name, and what they are composed of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from understudy.command.cli import main
+
+#: Stages that others build on: experiment, and iterations of 1024 samples.
+BUILT_ON = {"go": 4, "stop": 4, "sleeve": 10}
+
+#: Every miniature and stage of one that is a training.
+TRAININGS = ("go", "sitting", "amorphous", "dressing", "jumping", "chopsticks", "styles")
+
+#: Those that are something else.
+JOBS = ("sleeve_bank", "poses")
+
+#: So that the last evaluation takes no time.
+QUICK = (
+    "evaluation.episodes=8",
+    "evaluation.final_episodes=8",
+    "evaluation.seconds=1.0",
+    "checkpoint.minutes=0",
+)
+
+
+def train(*overrides: str) -> None:
+    assert main(["train", *overrides]) == 0
+
+
+def overrides_of(name: str, built_on: Path) -> tuple[str, ...]:
+    """The miniature `name`, above the runs that it needs."""
+    needs = {
+        "sitting": (f"actuation.runs=[{built_on / 'go'},{built_on / 'stop'}]",),
+        "dressing": (
+            f"start.run={built_on / 'sleeve'}",
+            f"initial_states.file={built_on / 'bank'}",
+        ),
+        "styles": (f"actuation.run={built_on / 'poses'}",),
+        "sleeve_bank": (f"job.run={built_on / 'sleeve'}",),
+    }
+    return (f"experiment=miniature/{name}", *needs.get(name, ()))

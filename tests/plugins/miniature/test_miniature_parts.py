@@ -1,0 +1,165 @@
+"""What the parts above other runs and searches do, with numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from miniatures import overrides_of
+
+from understudy.errors import ConfigError, RunError, TrainingError
+from understudy.running.training import Training
+from understudy.running.trials import Report
+from understudy.setup.building import build_environment
+from understudy.setup.config import load_experiment
+from understudy_basics import bank
+from understudy_basics.controller import Controller
+from understudy_miniature.cmfbo import RandomFidelity
+
+
+def prepared(*overrides: str) -> Training:
+    return Training(load_experiment(overrides)).prepare()
+
+
+def test_each_world_is_moved_by_its_own_controller_towards_its_own_goal(built_on: Path) -> None:
+    built = build_environment(load_experiment([*overrides_of("sitting", built_on), "num_worlds=4"]))
+    environment, simulator = built.environment, built.environment.parts.simulator
+    environment.reset(seed=2)
+    alone = [Controller.load(str(built_on / name), built.context) for name in ("go", "stop")]
+    action = torch.tensor([[0.0, 1.0, 0.5], [1.0, 1.0, 0.5], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+    fields = {"offset": 2.0 * action[:, 1:], "velocity": environment.table["velocity"]}
+    expected = torch.where((action[:, :1] == 0), alone[0](fields), alone[1](fields))
+    seen: list[torch.Tensor] = []
+    step = simulator.step
+
+    def spy(control: torch.Tensor, substeps: int | None = None) -> None:
+        seen.append(control.clone())
+        step(control, substeps)
+
+    simulator.step = spy  # type: ignore[method-assign]
+    environment.advance(action)
+    assert len(seen) == environment.decision == 5
+    torch.testing.assert_close(seen[0], expected)
+    assert not torch.equal(seen[0], seen[4]), "controls follow the state within a decision"
+    assert environment.table["switch"].tolist() == [0.0, 1.0, 0.0, 1.0]
+
+
+def test_a_bank_has_states_that_ended_as_they_should(built_on: Path) -> None:
+    states = bank.load(built_on / "bank")
+    assert set(states) == {"positions", "velocities", "drag"}
+    assert len(states["drag"]) == 64
+    distance = (states["positions"][:, 0] - torch.tensor([1.5, 0.0])).norm(dim=1)
+    assert (distance <= 0.2).all()
+    assert states["drag"].min() >= 0.5
+    assert states["drag"].std() > 0.1, "worlds differed"
+
+
+def test_dressing_begins_in_the_bank_with_what_was_learned(built_on: Path) -> None:
+    training = prepared(*overrides_of("dressing", built_on), "num_worlds=256")
+    table = training.job.environment.table  # type: ignore[attr-defined]
+    states = bank.load(built_on / "bank")
+    known = {tuple(row) for row in states["positions"][:, 0].tolist()}
+    assert {tuple(row) for row in table["positions"][:, 0].tolist()} <= known
+    assert set(table["drag"].tolist()) <= set(states["drag"].tolist())
+    first = prepared("experiment=miniature/sleeve", f"start.run={built_on / 'sleeve'}")
+    own, other = (t.job.policy.state_dict() for t in (training, first))  # type: ignore[attr-defined]
+    fresh = prepared("experiment=miniature/sleeve").job.policy.state_dict()  # type: ignore[attr-defined]
+    assert all(torch.equal(own[name], other[name]) for name in own)
+    assert not torch.equal(own["actor.0.weight"], fresh["actor.0.weight"])
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        ("job.fields=[darg]", "job.fields names 'darg'.*Did you mean 'drag'"),
+        ("job.ending=reaches", "job.ending=reaches is no ending.*Did you mean 'reached'"),
+    ],
+)
+def test_harvests_of_what_is_not_there_are_refused(
+    built_on: Path, more: str, sentence: str
+) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        prepared(*overrides_of("sleeve_bank", built_on), more)
+
+
+def test_a_hopeless_harvest_stops(built_on: Path) -> None:
+    """No point can get there in the first tenth of a second."""
+    training = prepared(
+        *overrides_of("sleeve_bank", built_on), "job.decisions=1", "job.patience=1", "num_worlds=2"
+    )
+    with pytest.raises(TrainingError, match=r"No episode of .* ended by 'success' in 1 decisions"):
+        training.iterate()
+
+
+def test_a_run_of_something_else_is_no_auto_encoder(built_on: Path) -> None:
+    with pytest.raises(RunError, match="trained no auto-encoder"):
+        prepared("experiment=miniature/styles", f"actuation.run={built_on / 'go'}")
+
+
+def test_both_hands_use_the_same_parts_under_names_of_their_own() -> None:
+    training = prepared("experiment=miniature/chopsticks", "num_worlds=8")
+    environment = training.job.environment  # type: ignore[attr-defined]
+    table = environment.table
+    for side, body in (("left", 2), ("right", 3)):
+        way = table[f"{side}_target"] - table["positions"][:, body]
+        torch.testing.assert_close(table[f"{side}_offset"], way)
+        torch.testing.assert_close(environment.observations[side][:, :2], way)
+    step = environment.advance(torch.zeros(8, 4))
+    expected = torch.exp(-table["left_distance"] - table["right_distance"])
+    torch.testing.assert_close(step.rewards, expected)
+
+
+def search(**more: Any) -> RandomFidelity:
+    return RandomFidelity(RandomFidelity.Options(low={"a.b": 0.0}, high={"a.b": 2.0}, **more), 3)
+
+
+def finished(key: str, objective: float) -> Report:
+    return Report(key, "ok", objective, run=f"runs/{key}")
+
+
+def test_a_search_raises_fidelity_and_begins_from_the_best() -> None:
+    loop = search(trials=4)
+    first = [loop.ask(0), loop.ask(1)]
+    assert [t and t.fidelity for t in first] == [0.2, 0.2]
+    assert all(t is not None and 0 <= t.point["a.b"] <= 2 for t in first)
+    assert loop.ask(2) is None, "what it would begin from is not known yet"
+    loop.tell(finished("trial0", 0.9))
+    loop.tell(finished("trial1", 0.4))
+    third = loop.ask(2)
+    assert third is not None
+    assert third.start is not None
+    assert (third.fidelity, third.start["trial"]) == (1.0, "trial0")
+    assert loop.ask(4) is None
+
+
+def test_a_search_stops_what_is_worse_than_the_best_at_its_fidelity() -> None:
+    loop = search(trials=3, fidelities=(0.5,), margin=0.2)
+    loop.ask(0), loop.ask(1)
+    assert loop.tell(Report("trial1", "running", 0.0)) is None, "there is nothing to compare with"
+    loop.tell(finished("trial0", 0.9))
+    assert loop.tell(Report("trial1", "running", 0.8)) is None
+    assert loop.tell(Report("trial1", "running", 0.6)) == "stop"
+
+
+def test_a_search_repeats_itself() -> None:
+    one, two = search(trials=3), search(trials=3)
+    first = one.ask(0)
+    assert first is not None
+    assert two.recall(first)
+    assert one.ask(1) == two.ask(1)
+
+
+def test_a_component_given_whole_inherits_no_option() -> None:
+    """As a trial's initial states are: the task's own have options that a bank has not."""
+    given = "initial_states={name: bank, file: somewhere}"
+    experiment = load_experiment(
+        ["experiment=miniature/sleeve", given, "initial_states.leave=[drag]"]
+    )
+    assert experiment.need("initial_states").effective() == {
+        "name": "bank", "file": "somewhere", "leave": ("drag",)
+    }  # fmt: skip
+    assert load_experiment(["experiment=miniature/sleeve", "scene.drag=2"]).effective()["scene"] == {
+        **load_experiment(["experiment=miniature/sleeve"]).effective()["scene"], "drag": 2.0
+    }  # fmt: skip

@@ -1,0 +1,441 @@
+"""Sweeps: trials as data, their journal, and going on after a stop at any moment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+import torch
+from counted_task import LINE_TASK, Starts, install, line_plugins
+from torch import Tensor
+from worlds import python
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError, RunError, TrainingError, UnderstudyError
+from understudy.random import WorldStreams
+from understudy.running.training import Training
+from understudy.running.trials import OuterLoop, Report, Trial
+from understudy.task import Context
+from understudy_basics import bank
+from understudy_sweeps import in_process
+from understudy_sweeps import sweep as module
+from understudy_sweeps.sweep import Journal
+
+#: Three iterations of 8 samples, each raising the push by `learner.rate`; the objective, where worlds
+#: are after 4 s, is 4 × push.
+BASE = (
+    *LINE_TASK,
+    "budget.samples=24",
+    "+measure.at={name: line.value}",
+    "evaluation.objective=at",
+    "evaluation.criterion=1",
+    "evaluation.every_samples=0",
+    "evaluation.gate=0",
+    "outer_loop=grid",
+    "executor=in_process",
+)
+TWO = "outer_loop.variants={slow: [], fast: ['learner.rate=2']}"
+
+
+class Scripted(OuterLoop):
+    """Asks for `trials`, one after another's end; answers `stop` to the reports of those in it."""
+
+    trials: Sequence[Trial] = ()
+    stopped: Sequence[str] = ()
+    told: list[Report] = []
+
+    def __init__(self, options: None, seed: int) -> None:
+        self._reports: dict[str, Report] = {}
+
+    def ask(self, number: int) -> Trial | None:
+        return self.trials[number] if number < len(self.trials) else None
+
+    def recall(self, trial: Trial) -> bool:
+        return True
+
+    def tell(self, report: Report) -> Literal["stop"] | None:
+        self.told.append(report)
+        self._reports[report.key] = report
+        return "stop" if report.key in self.stopped else None
+
+    def summary(self) -> list[dict[str, Any]]:
+        return [{"trial": r.key, "objective": r.objective} for r in self._reports.values()]
+
+
+class FromBank(Starts):
+    """Begins in the states of a bank."""
+
+    @dataclass(frozen=True)
+    class Options:
+        file: str
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._x = bank.load(options.file)["x"]
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        index = (streams.uniform(1)[:, 0] * len(self._x)).long()
+        return {"x": self._x[index]}
+
+
+@pytest.fixture
+def scripted(monkeypatch: pytest.MonkeyPatch) -> type[Scripted]:
+    monkeypatch.setattr(Scripted, "told", [])
+    return Scripted
+
+
+@pytest.fixture(autouse=True)
+def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(
+        monkeypatch,
+        line_plugins(outer_loop={"my.script": Scripted}, initial_states={"bank": FromBank}),
+    )
+
+
+def sweep(folder: Path, *overrides: str) -> None:
+    """Run the sweep; what the user could have caused is raised."""
+    module.sweep([*BASE, *overrides, f"run.dir={folder}"])
+
+
+def script(folder: Path, *overrides: str) -> None:
+    base = [o for o in BASE if not o.startswith("outer_loop")]
+    module.sweep([*base, "+outer_loop={name: my.script}", *overrides, f"run.dir={folder}"])
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
+
+
+def events(folder: Path) -> list[tuple[str, str, float | None]]:
+    """Event, trial and objective of each row of the journal."""
+    return [
+        (r["event"], r["trial"]["key"], None)
+        if r["event"] == "asked"
+        else (r["event"], r["report"]["key"], r["report"]["objective"])
+        for r in rows(folder)
+    ]
+
+
+def iterations(folder: Path, trial: str) -> list[int]:
+    file = folder / trial.replace("/", "%2F") / "metrics.jsonl"
+    return [json.loads(line)["iteration"] for line in file.read_text().splitlines()]
+
+
+def whole(trial: str, *objectives: float) -> list[tuple[str, str, float | None]]:
+    return [
+        ("asked", trial, None),
+        *(("reported", trial, value) for value in objectives),
+        ("finished", trial, objectives[-1]),
+    ]
+
+
+WHOLE = [*whole("slow/seed0", 4, 8, 12), *whole("fast/seed0", 8, 16, 24)]
+
+
+def test_the_journal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sweep(tmp_path / "sweep", TWO)
+    assert events(tmp_path / "sweep") == WHOLE
+    trial, report, last = (rows(tmp_path / "sweep")[i] for i in (0, 1, 4))
+    assert trial["trial"]["overrides"] == ["seed=0"]
+    run = str(tmp_path / "sweep/slow%2Fseed0")
+    assert report["report"] == {
+        "key": "slow/seed0", "status": "running", "objective": 4.0,
+        "measures": {"at": 4.0, "return": 10.0}, "cost": 8, "run": run,
+    }  # fmt: skip
+    assert last["report"] == {
+        "key": "slow/seed0", "status": "ok", "objective": 12.0,
+        "measures": {"at": 12.0, "return": 30.0}, "cost": 24.0, "run": run,
+    }  # fmt: skip
+    assert json.loads((Path(run) / "evaluation.json").read_text())["objective"]["value"] == 12.0
+    summary = json.loads((tmp_path / "sweep/summary.json").read_text())
+    assert [(r["variant"], r["objective"], r["samples"]) for r in summary] == [
+        ("slow", 12, 24),
+        ("fast", 24, 24),
+    ]
+    assert capsys.readouterr().out.splitlines()[-1] == f"sweep: {tmp_path / 'sweep'}"
+
+
+def test_repeating_a_finished_sweep_runs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sweep(tmp_path, TWO)
+    monkeypatch.setattr(module, "run_trial", None)
+    sweep(tmp_path, TWO)
+    assert events(tmp_path) == WHOLE
+
+
+#: Forks sweepers, one for each row of the journal, that die at once, handlers and all, when it is
+#: written. From a process of its own: forking one that has threads would leave locks behind.
+KILLER = """
+import os, sys
+import torch
+torch.set_num_threads(1)
+from understudy_sweeps import sweep as module
+from understudy.setup import config, plugins
+import counted_task
+found = counted_task.line_plugins()
+for place in (plugins, config, module):
+    place.installed = lambda: found
+write = module.Journal._write
+
+def dying(self, event):
+    write(self, event)
+    if len(self.events) == after:
+        os._exit(9)
+
+module.Journal._write = dying
+folder, rows, *overrides = sys.argv[1:]
+for after in range(1, int(rows) + 1):
+    child = os.fork()
+    if child == 0:
+        try:
+            module.sweep([*overrides, f"run.dir={folder}/{after}"])
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9, after
+"""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folders of sweeps that were killed after 1, 2, … rows of the journal."""
+    folder = tmp_path_factory.mktemp("killed")
+    done = python(KILLER, str(folder), str(len(WHOLE)), *BASE, TWO, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("after", range(1, len(WHOLE) + 1))
+def test_killed_at_any_point(killed: Path, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    """Finished trials are not repeated, unfinished ones continued, and the results are the same."""
+    folder = killed / str(after)
+    assert events(folder) == WHOLE[:after]
+    done = [key for event, key, _ in WHOLE[:after] if event == "finished"]
+    run_trial, begun = in_process.run_trial, []
+
+    def counted(trial: Trial, *rest: Any) -> Any:
+        begun.append(trial.key)
+        return run_trial(trial, *rest)
+
+    monkeypatch.setattr(in_process, "run_trial", counted)
+    sweep(folder, TWO)
+    keys = ["slow/seed0", "fast/seed0"]
+    assert begun == [key for key in keys if key not in done]
+    found = events(folder)
+    assert [e for e in found if e[0] != "reported"] == [e for e in WHOLE if e[0] != "reported"]
+    for key in keys:
+        assert iterations(folder, key) == [1, 2, 3]
+
+
+def test_a_row_cut_short_is_left_out(tmp_path: Path) -> None:
+    sweep(tmp_path, TWO)
+    file = tmp_path / "journal.jsonl"
+    text = file.read_text()
+    file.write_text(text[: -len(text.splitlines()[-1]) // 2])
+    sweep(tmp_path, TWO)
+    found = events(tmp_path)
+    assert found[:9] == WHOLE[:9]
+    assert found[-1] == WHOLE[-1]
+
+
+def test_an_interrupted_trial_is_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it learned until then is not learned again."""
+    tell = Journal.tell
+
+    def interrupted(self: Journal, report: Report) -> None:
+        tell(self, report)
+        if report.objective == 8.0:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "tell", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            sweep(tmp_path)
+    iterate, again = Training.iterate, []
+
+    def counted(self: Training) -> dict[str, Any]:
+        row = iterate(self)
+        again.append(row["iteration"])
+        return row
+
+    monkeypatch.setattr(Training, "iterate", counted)
+    sweep(tmp_path)
+    assert again == [3]
+    assert events(tmp_path) == whole("base/seed0", 4, 8, 12)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        ("outer_loop.variants={slow: [], fast: ['learner.rate=2'], faster: ['learner.rate=3']}",),
+        (TWO, "outer_loop.seeds=[0, 1]"),
+        ("outer_loop.variants={faster: ['learner.rate=3']}",),
+    ],
+    ids=["a variant", "a seed", "other variants"],
+)
+def test_what_is_added_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: tuple) -> None:
+    sweep(tmp_path, TWO)
+    sweep(tmp_path, *more)
+    found = events(tmp_path)
+    assert found[: len(WHOLE)] == WHOLE
+    added = [key for event, key, _ in found[len(WHOLE) :] if event == "asked"]
+    assert added == (["slow/seed1", "fast/seed1"] if TWO in more else ["faster/seed0"])
+    assert found[-1][2] == (24 if TWO in more else 36)
+
+
+def test_the_folder_of_its_own_stays_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many variants and seeds there are: the name is made of what is compared."""
+    monkeypatch.chdir(tmp_path)
+    for more in ((TWO,), (TWO, "outer_loop.seeds=[0,1]"), ("outer_loop.variants={more: []}",)):
+        module.sweep([*BASE, *more])
+    assert len(list((tmp_path / "runs").iterdir())) == 1
+    module.sweep([*BASE, TWO, "episode.seconds=3"])
+    assert len(list((tmp_path / "runs").iterdir())) == 2
+
+
+def test_a_variant_that_became_another_is_refused(tmp_path: Path) -> None:
+    sweep(tmp_path, TWO)
+    with pytest.raises(ConfigError, match=r"variant of trial 'fast/seed0' had other overrides"):
+        sweep(tmp_path, "outer_loop.variants={slow: [], fast: ['learner.rate=3']}")
+    with pytest.raises(RunError, match="holds another sweep"):
+        sweep(tmp_path, TWO, "episode.seconds=3")
+    assert events(tmp_path) == WHOLE
+
+
+def test_a_trial_that_fails_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hopeless(self: Training) -> dict[str, Any]:
+        if self.experiment.root.seed == 1 and self.progress.iteration == 2:
+            raise TrainingError("It is hopeless.")
+        return iterate(self)
+
+    iterate = Training.iterate
+    monkeypatch.setattr(Training, "iterate", hopeless)
+    variants = "outer_loop.variants={odd: ['learner.rate=fast'], hopeless: ['seed=1'], sound: []}"
+    sweep(tmp_path, variants.replace("hopeless: ['seed=1'], ", ""), "outer_loop.seeds=[0]")
+    sweep(tmp_path, variants.replace("hopeless: ['seed=1'], ", ""), "outer_loop.seeds=[0,1]")
+    found = {r["report"]["key"]: r["report"] for r in rows(tmp_path) if r["event"] == "finished"}
+    assert found["odd/seed0"]["status"].startswith("failed: learner.rate='fast' is not possible")
+    assert found["odd/seed0"]["objective"] is None
+    assert found["sound/seed0"]["status"] == "ok"
+    assert found["sound/seed1"]["status"] == "failed: It is hopeless."
+    assert found["sound/seed1"]["cost"] == 16
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert [(r["variant"], r["seeds"], r["failed"]) for r in summary] == [
+        ("odd", 0, 2),
+        ("sound", 1, 1),
+    ]
+
+
+def test_a_defect_stops_the_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: Training) -> dict[str, Any]:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Training, "iterate", broken)
+    with pytest.raises(ZeroDivisionError):
+        sweep(tmp_path)
+
+
+# ---------------------------------------------------------------------- what a trial is
+
+
+def test_stopping_a_trial_early(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr(scripted, "trials", [Trial("a"), Trial("b")])
+    monkeypatch.setattr(scripted, "stopped", ["a"])
+    script(tmp_path)
+    assert events(tmp_path) == [*whole("a", 4), *whole("b", 4, 8, 12)]
+    assert [(r.status, r.objective) for r in scripted.told[:2]] == [("running", 4), ("ok", 4)]
+    assert (iterations(tmp_path, "a"), iterations(tmp_path, "b")) == ([1], [1, 2, 3])
+    assert rows(tmp_path)[2]["report"]["cost"] == 8
+
+
+def test_point_and_fidelity(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
+    trial = Trial("a", point={"learner.rate": 0.5, "policy.push": 1.0}, fidelity=0.25)
+    monkeypatch.setattr(scripted, "trials", [trial])
+    script(tmp_path)
+    assert events(tmp_path) == whole("a", 6, 8, 10)
+    assert json.loads((tmp_path / "a/run.json").read_text())["config"]["difficulty"] == 0.25
+    recalled = Journal.open(tmp_path / "journal.jsonl").asked
+    assert recalled == [trial]
+
+
+def test_beginning_from_an_earlier_trial(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
+    second = Trial("b", start={"trial": "a", "parts": ["actor"]})
+    monkeypatch.setattr(scripted, "trials", [Trial("a"), second])
+    script(tmp_path)
+    assert events(tmp_path) == [*whole("a", 4, 8, 12), *whole("b", 16, 20, 24)]
+    assert rows(tmp_path)[5]["trial"]["start"] == {"trial": "a", "parts": ["actor"]}
+    sources = json.loads((tmp_path / "b/run.json").read_text())["sources"]
+    assert sources["start"] == {"run": str(tmp_path / "a"), "parts": ["actor"], "samples": 24}
+
+
+def test_beginning_from_a_trial_that_is_not_there(
+    tmp_path: Path, scripted: Any, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(scripted, "trials", [Trial("b", start={"trial": "a"})])
+    with pytest.raises(RunError, match=r"'b' begins from 'a', which is not finished"):
+        script(tmp_path)
+
+
+def test_beginning_in_a_bank(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
+    bank.save(tmp_path / "bank", {"x": torch.full((3, 1), 100.0)}, {})
+    trial = Trial("a", initial_states=str(tmp_path / "bank"))
+    monkeypatch.setattr(scripted, "trials", [trial])
+    script(tmp_path / "sweep")
+    assert events(tmp_path / "sweep") == whole("a", 104, 108, 112)
+
+
+def test_a_bank_that_is_damaged_fails_its_trial_alone(
+    tmp_path: Path, scripted: Any, monkeypatch: Any
+) -> None:
+    trials = [Trial("a", initial_states=str(tmp_path / "none")), Trial("b")]
+    monkeypatch.setattr(scripted, "trials", trials)
+    script(tmp_path / "sweep")
+    assert [r.status.partition(":")[0] for r in scripted.told if r.final] == ["failed", "ok"]
+
+
+def test_a_key_asked_for_twice(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr(scripted, "trials", [Trial("a"), Trial("a")])
+    with pytest.raises(UnderstudyError, match=r"asks for trial 'a' twice"):
+        script(tmp_path)
+
+
+def test_keys_of_trials_stay_in_the_folder(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr(scripted, "trials", [Trial("../../out")])
+    script(tmp_path / "deep/sweep")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["deep"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_sweeps_in_one_folder_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def again(*arguments: Any) -> Any:
+        raise AssertionError("the second one runs")
+
+    ask = Journal.ask
+
+    def nested(self: Journal, trial: Trial) -> None:
+        with pytest.raises(RunError, match="Another process is training in"):
+            sweep(tmp_path)
+        ask(self, trial)
+
+    monkeypatch.setattr(Journal, "ask", nested)
+    sweep(tmp_path)
+    assert events(tmp_path) == whole("base/seed0", 4, 8, 12)
+
+
+def test_no_sweep_without_an_outer_loop(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    base = [o for o in BASE if not o.startswith("outer_loop")]
+    assert main(["sweep", *base, f"run.dir={tmp_path / 'sweep'}"]) == 2
+    assert "outer_loop is not set" in capsys.readouterr().err
+    assert not (tmp_path / "sweep").exists()
+
+
+def test_journals_of_strangers_are_data(tmp_path: Path) -> None:
+    good: Mapping[str, Any] = {"event": "asked", "trial": {"key": "a", "overrides": ["seed=0"]}}
+    lines = [json.dumps(good), "[]", "3", '{"event": "asked"}', '{"event": "asked", "trial": {"kez": 1}}', "\0"]  # fmt: skip
+    (tmp_path / "journal.jsonl").write_text("\n".join(lines))
+    assert Journal.open(tmp_path / "journal.jsonl").events == [Trial("a", ("seed=0",))]
