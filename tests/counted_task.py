@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from understudy.command import workflow
 from understudy.random import WorldStreams
 from understudy.running.environment import Environment, Parts, Step
-from understudy.setup import config
+from understudy.setup import composition
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
@@ -39,6 +39,7 @@ from understudy.task import (
 )
 from understudy.task.terms import Bound, Term, make_term, renamed
 from understudy.testing import fake
+from understudy_inspect import origins
 from understudy_sweeps import sweep
 
 
@@ -341,5 +342,5 @@ def push(environment: Environment, *forces: float) -> Step:
 
 def install(monkeypatch: Any, plugins: Plugins) -> None:
     """Make `plugins` those that commands find installed."""
-    for module in (setup_plugins, config, sweep, workflow):
+    for module in (setup_plugins, composition, origins, sweep, workflow):
         monkeypatch.setattr(module, "installed", lambda: plugins)

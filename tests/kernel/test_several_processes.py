@@ -18,10 +18,10 @@ pytest.importorskip("torch.distributed")
 #: Begins a child's code: the command line with the line's parts. ``RANK`` says which one it is.
 CLI = """
 import os, sys, counted_task as c
-from understudy.setup import plugins, config
+from understudy.setup import plugins, composition
 from understudy.command import workflow
 found = c.line_plugins()
-for module in (plugins, config, workflow):
+for module in (plugins, composition, workflow):
     module.installed = lambda: found
 from understudy.command.cli import main
 rank = int(os.environ["RANK"])

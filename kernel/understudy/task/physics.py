@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from understudy.errors import ConfigError, UnderstudyError
+from understudy.errors import ConfigError, UnderstudyError, suggestion
 from understudy.task.base import Shape
 
 
@@ -68,8 +68,9 @@ class Simulator(ABC):
         ConfigError
             for a parameter that the simulator does not know.
         """
-        if names:
-            raise ConfigError(f"In this simulator worlds cannot differ in '{names[0]}'.")
+        for name in names:
+            known = suggestion(name, self.parameters)
+            raise ConfigError(f"There is no parameter '{name}' in which worlds may differ.{known}")
 
     @abstractmethod
     def read(self, name: str) -> Tensor:

@@ -20,6 +20,7 @@ from understudy.task import Scene
 from understudy_report import understudy_run_observers
 from understudy_report.maker import HEIGHT, WIDTH, ReportMaker
 from understudy_report.motion import FIGURES, VIDEO, Figures
+from understudy_report.progress import ProgressLine
 from understudy_report.tensorboard import TensorBoard
 
 
@@ -139,15 +140,16 @@ def test_the_recording_of_a_run_as_a_file(tmp_path: Path) -> None:
         assert int(arrays["first_episode"]) == 12
 
 
-def test_the_plugin_observes_with_both() -> None:
-    assert [type(o) for o in understudy_run_observers()] == [TensorBoard, ReportMaker]
+def test_the_plugins_observers() -> None:
+    found = [type(o) for o in understudy_run_observers()]
+    assert found == [ProgressLine, TensorBoard, ReportMaker]
 
 
 def test_tensorboard_has_every_metric_at_its_samples(tmp_path: Path) -> None:
     run, board = make_run(tmp_path), TensorBoard()
     board.started(run)
-    board.iteration(run, {"iteration": 1, "samples": 64, "reward": 0.5})
-    board.iteration(run, {"iteration": 1, "samples": 64, "evaluation/success_rate": 0.75})
+    board.iteration(run, {"iteration": 1, "samples": 64, "reward": 0.5}, "")
+    board.iteration(run, {"iteration": 1, "samples": 64, "evaluation/success_rate": 0.75}, "")
     board.finished(run, "budget")
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()

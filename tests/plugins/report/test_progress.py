@@ -1,0 +1,42 @@
+"""The progress line: share of the budget, time left, and a line now and then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from report_runs import make_run
+
+from understudy_report.progress import ProgressLine, clock, share
+
+
+@pytest.mark.parametrize(
+    ("budget", "expected"),
+    [
+        ({"samples": 1000, "minutes": None}, (0.25, 30.0)),
+        ({"samples": 1000, "minutes": 1.0 / 3}, (0.5, 10.0)),  # the nearer end counts
+        ({"samples": None, "minutes": None}, (0.0, None)),
+        ({"samples": 100, "minutes": None}, (1.0, 0.0)),
+    ],
+)
+def test_share(budget: dict[str, float | None], expected: tuple[float, float | None]) -> None:
+    assert share(budget, {"samples": 250, "seconds": 10.0}) == pytest.approx(expected)
+
+
+def test_clock() -> None:
+    assert [clock(s) for s in (0, 61, 3723)] == ["0:00", "1:01", "1:02:03"]
+
+
+def test_a_line_now_and_then(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = make_run(tmp_path)
+    run.info["config"]["budget"] = {"samples": 1000, "minutes": None}
+    line = ProgressLine()
+    line.started(run)
+    row = {"iteration": 3, "samples": 250, "seconds": 10.0, "samples_per_second": 25.0}
+    line.iteration(run, {**row, "episode/return": 2.0, "episode/episode_seconds": 1.5}, "stage 2")
+    line.iteration(run, row, "stage 3")  # too soon
+    line.finished(run, "budget")
+    shown = capsys.readouterr().err
+    assert "iteration 3 · 250 samples · 25/s · return 2.0 · episode 1.50 s · stage 2" in shown
+    assert "at most 0:30 left" in shown
+    assert "stage 3" not in shown
