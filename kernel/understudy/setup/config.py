@@ -27,8 +27,8 @@ from hydra.core.plugins import Plugins as HydraPlugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.types import RunMode
-from omegaconf import OmegaConf
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf import MISSING, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import Option, check_range, checked_options, make_options
@@ -463,8 +463,6 @@ def _plain(error: Exception, plugins: Plugins) -> str:
             for file in folder.rglob("*.yaml")
         }
         return f"There is no {group}={name}.{suggestion(name, options)}"
-    if isinstance(error, MissingMandatoryValue):
-        return f"{getattr(error, 'full_key', None) or text} is not set. Give it a value."
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
         slots = {s.name: s for s in plugins.registry.slots.values()}
@@ -499,7 +497,7 @@ def _without_emptied(
 ) -> tuple[list[str], dict[str, str]]:
     """The overrides that Hydra is to apply, and, by key, those (``policy=null``) that empty a slot
     whatever else chooses it: Hydra has no null for a group of options."""
-    groups = {*_GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
+    groups = _groups(plugins)
     kept: list[str] = []
     emptied: dict[str, str] = {}
     for override in overrides:
@@ -510,6 +508,26 @@ def _without_emptied(
             kept.append(override)
             emptied.pop(key.lstrip("+"), None)  # chosen again
     return kept, emptied
+
+
+def _groups(plugins: Plugins) -> set[str]:
+    """The root keys for which plugins offer files of options, other than tasks and experiments."""
+    return {*_GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
+
+
+def _words(overrides: Sequence[str], plugins: Plugins) -> set[str]:
+    """The groups for which an override chooses a file (``policy=mlp``)."""
+    groups, found = _groups(plugins), set()
+    for override in overrides:
+        key, equals, value = override.lstrip("+").partition("=")
+        if equals and key in groups and not value.lstrip().startswith("{"):
+            found.add(key)
+    return found
+
+
+def _alone(overrides: Sequence[str], groups: set[str]) -> list[str]:
+    """Those of the overrides that concern `groups`."""
+    return [o for o in overrides if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in groups]
 
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
@@ -556,6 +574,9 @@ def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
+    A part that an override chooses (``policy=mlp``) is as its file has it, and as other overrides
+    set it: what the task or experiment says of its own choice is not mixed in.
+
     Raises
     ------
     ConfigError
@@ -565,11 +586,28 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     kept, emptied = _without_emptied(overrides, plugins)
     with _hydra(plugins, overrides):
         config = compose("config", overrides=[_settable(o) for o in kept])
-        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        chosen = _words(kept, plugins)
+        if chosen:  # what task and experiment say of other choices does not hold for these
+            alone = compose("config", overrides=[_settable(o) for o in _alone(kept, chosen)])
+            with open_dict(config):
+                for key in chosen:
+                    config[key] = alone[key]
+        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     assert isinstance(raw, dict)
     refuse_code(raw)
-    given = _as_given({str(k): v for k, v in raw.items()}, kept)
-    return given | dict.fromkeys(emptied)
+    given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
+    for path in _missing(given):
+        raise ConfigError(f"{path} is not set. Give it a value.")
+    return given
+
+
+def _missing(value: Any, where: str = "") -> Iterator[str]:
+    """The key paths at which a value is still to be given."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _missing(item, f"{where}.{key}" if where else str(key))
+    elif value == MISSING:
+        yield where
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
@@ -588,7 +626,7 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
         defaults = loader.compute_defaults_list(
             "config", [_settable(o) for o in overrides], RunMode.RUN
         )
-        sources = _sources(plugins)
+        sources, chosen = _sources(plugins), _words(overrides, plugins)
         for item in defaults.defaults:
             path = item.config_path
             if path is None or path.startswith("hydra/"):
@@ -601,7 +639,9 @@ def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict
                     for key in _paths(
                         yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix
                     ):
-                        origin[key] = _shorten(file)
+                        group = key.partition(".")[0]
+                        if group not in chosen or path.startswith(f"{group}/"):
+                            origin[key] = _shorten(file)
         for override in OverridesParser.create().parse_overrides(list(overrides)):
             for key in _paths(override.value(), override.key_or_group):
                 if not any(k.startswith(f"{key}.") for k in origin):  # else it chose a file

@@ -1,0 +1,127 @@
+"""Which parts go with which tasks, found by trying: ``python tests/parts_and_tasks.py`` writes the
+table that ``docs/parts-and-tasks.md`` holds."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from miniatures import make_stages
+
+from understudy.errors import UnderstudyError
+from understudy.running.training import Training
+from understudy.setup.config import load_experiment, replaced
+from understudy.setup.plugins import Plugins, installed
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "parts-and-tasks.md"
+
+#: The groups whose options are swapped in.
+GROUPS = ("policy", "learner", "termination", "initial_states", "curriculum", "reward")
+
+#: What an option's file leaves to be given. RUNS stands for the folder of the stages' runs.
+GIVEN = {
+    "initial_states=bank": ("initial_states.file=RUNS/bank",),
+    "curriculum=linear": ("curriculum.samples=1000",),
+    "curriculum=adaptive": ("curriculum.threshold=0.5",),
+}
+
+#: So that an iteration and an evaluation take next to no time.
+TINY = (
+    "num_worlds=2",
+    "learner.rollout_steps=64",
+    "evaluation.episodes=2",
+    "evaluation.final_episodes=2",
+    "evaluation.seconds=0.2",
+)
+
+
+def options(plugins: Plugins, group: str) -> list[str]:
+    """The options that the plugins' files offer for `group`, as one writes them."""
+    return sorted(
+        file.relative_to(folder / group).with_suffix("").as_posix()
+        for _, folder in plugins.config_directories()
+        for file in (folder / group).rglob("*.yaml")
+    )
+
+
+def parts(plugins: Plugins) -> list[str]:
+    """The rows: every option as a word of the command line."""
+    return [f"{group}={option}" for group in GROUPS for option in options(plugins, group)]
+
+
+def tasks(plugins: Plugins) -> list[str]:
+    """The columns: every registered task."""
+    return sorted(task.option for task in plugins.registry.tasks.values())
+
+
+def attempt(task: str, part: str, runs: Path, plugins: Plugins) -> str:
+    """What comes of training `task`, or its experiment of the same name, with `part` swapped in: ""
+    if an iteration and an evaluation can be made, else the sentence that refuses it."""
+    experiment = task in options(plugins, "experiment")
+    learns = () if experiment else ("policy=mlp", "learner=ppo")
+    given = [item.replace("RUNS", str(runs)) for item in GIVEN.get(part, ())]
+    chosen = f"{'experiment' if experiment else 'task'}={task}"
+    training = None
+    try:
+        overrides = replaced([chosen, *learns, *TINY], [part, *given])
+        training = Training(load_experiment(overrides, plugins)).prepare()
+        training.iterate()
+        training.job.evaluate("parts", 2)
+    except UnderstudyError as error:
+        return str(error).replace(str(runs), "RUNS")
+    finally:
+        if training is not None:
+            training.close()
+    return ""
+
+
+def page(outcomes: Mapping[tuple[str, str], str]) -> str:
+    """The Markdown page of `outcomes`, by (part, task)."""
+    rows = list(dict.fromkeys(part for part, _ in outcomes))
+    columns = list(dict.fromkeys(task for _, task in outcomes))
+    notes = list(dict.fromkeys(sentence for sentence in outcomes.values() if sentence))
+
+    def cell(sentence: str) -> str:
+        return f"[{notes.index(sentence) + 1}](#why-not)" if sentence else "✓"
+
+    def row(cells: Iterable[str]) -> str:
+        return f"| {' | '.join(cells)} |"
+
+    table = [
+        row(["", *(f"`{task}`" for task in columns)]),
+        row(["---"] * (len(columns) + 1)),
+        *(
+            row([f"`{' '.join((part, *GIVEN.get(part, ())))}`"]
+                + [cell(outcomes[part, task]) for task in columns])
+            for part in rows
+        ),
+    ]  # fmt: skip
+    return "\n".join([
+        HEAD, *table, "", "## Why not", "", *(f"{i}. {note}" for i, note in enumerate(notes, 1)), ""
+    ])  # fmt: skip
+
+
+HEAD = """# Parts and tasks
+
+Every part that the bundled plugins offer as a word of the command line, swapped into every bundled
+task (the experiment of that name, if there is one): `understudy train experiment=TASK PART`. ✓ trains
+and is evaluated; a number is the sentence that refuses it. The bank in `RUNS/bank` was harvested from
+`miniature/sleeve`. `make parts-and-tasks` writes this page, and a test keeps it true.
+"""
+
+
+def main() -> None:
+    plugins = installed()
+    with tempfile.TemporaryDirectory() as folder:
+        runs = make_stages(Path(folder))
+        outcomes = {
+            (part, task): attempt(task, part, runs, plugins)
+            for part in parts(plugins)
+            for task in tasks(plugins)
+        }
+    PAGE.write_text(page(outcomes), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
