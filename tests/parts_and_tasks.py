@@ -1,10 +1,10 @@
-"""Which parts go with which tasks, found by trying: ``python tests/parts_and_tasks.py`` writes the
-table that ``docs/parts-and-tasks.md`` holds."""
+"""Which of the bundled parts go with which of the bundled tasks, found by trying: run as a program, it
+writes ``docs/parts-and-tasks.md``."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from miniatures import make_stages
@@ -12,7 +12,7 @@ from miniatures import make_stages
 from understudy.errors import UnderstudyError
 from understudy.running.training import Training
 from understudy.setup.config import load_experiment, replaced
-from understudy.setup.plugins import Plugins, installed
+from understudy.setup.plugins import Plugins, installed, load
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "parts-and-tasks.md"
 
@@ -36,6 +36,11 @@ TINY = (
 )
 
 
+def bundled() -> Plugins:
+    """The plugins of this distribution, without others that are installed."""
+    return load(only=[p.name for p in installed().loaded if p.distribution == "understudy"])
+
+
 def options(plugins: Plugins, group: str) -> list[str]:
     """The options that the plugins' files offer for `group`, as one writes them."""
     return sorted(
@@ -55,16 +60,22 @@ def tasks(plugins: Plugins) -> list[str]:
     return sorted(task.option for task in plugins.registry.tasks.values())
 
 
-def attempt(task: str, part: str, runs: Path, plugins: Plugins) -> str:
-    """What comes of training `task`, or its experiment of the same name, with `part` swapped in: ""
-    if an iteration and an evaluation can be made, else the sentence that refuses it."""
+def attempt(
+    task: str, part: str, runs: Path, plugins: Plugins, more: Sequence[str] | None = None
+) -> str:
+    """What comes of training `task`, or the experiment of that name, with `part` swapped in: "" if an
+    iteration and an evaluation can be made, else the sentence that refuses it.
+
+    `more` replaces what :data:`GIVEN` has for the part.
+    """
     experiment = task in options(plugins, "experiment")
     learns = () if experiment else ("policy=mlp", "learner=ppo")
-    given = [item.replace("RUNS", str(runs)) for item in GIVEN.get(part, ())]
+    given = GIVEN.get(part, ()) if more is None else more
     chosen = f"{'experiment' if experiment else 'task'}={task}"
     training = None
     try:
-        overrides = replaced([chosen, *learns, *TINY], [part, *given])
+        swapped = [part, *(item.replace("RUNS", str(runs)) for item in given)]
+        overrides = replaced([chosen, *learns, *TINY], swapped)
         training = Training(load_experiment(overrides, plugins)).prepare()
         training.iterate()
         training.job.evaluate("parts", 2)
@@ -112,7 +123,7 @@ and is evaluated; a number is the sentence that refuses it. The bank in `RUNS/ba
 
 
 def main() -> None:
-    plugins = installed()
+    plugins = bundled()
     with tempfile.TemporaryDirectory() as folder:
         runs = make_stages(Path(folder))
         outcomes = {
