@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -43,12 +43,12 @@ def build(device: str, *overrides: str, worlds: int = 8) -> Built:
     return build_environment(load_experiment([*TASK, *fixed, *overrides]))
 
 
-def on_gpu(*overrides: str) -> Training:
+def on_gpu(*overrides: str, task: Sequence[str] = TASK) -> Training:
     """A training of 64 worlds on the GPU, none of whose steps goes unrecorded silently."""
     fixed = ["simulator=mujoco_warp", "num_worlds=64", "evaluation.episodes=16"]
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message="Steps cannot be recorded")
-        training = Training(load_experiment([*TASK, *fixed, *overrides])).prepare()
+        training = Training(load_experiment([*task, *fixed, *overrides])).prepare()
         learning(training).collector.collect(6)
     return training
 
@@ -267,8 +267,10 @@ def test_an_update_waits_for_the_device_once() -> None:
 
 
 @pytest.mark.gpu
-def test_trains_and_evaluates_on_a_gpu() -> None:
-    training = on_gpu("learner.rollout_steps=16", "learner=trpo", "policy=mlp")
+@pytest.mark.parametrize("learner", ["ppo", "trpo"])
+def test_trains_and_evaluates_on_a_gpu(learner: str) -> None:
+    parts = (f"learner={learner}", "policy=mlp", "learner.rollout_steps=16")
+    training = on_gpu(*parts, task=["experiment=spacetime/walk"])
     for _ in range(2):
         row = training.iterate()
     assert all(value == value for value in row.values()), row
