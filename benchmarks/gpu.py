@@ -27,10 +27,18 @@ SCENES = {"walk": (), "self_collision": ("scene.self_collision=true",)}
 SUBSTEPS = 20
 
 
-def rate(work: Callable[[], Any], count: int, warm_up: int = 1) -> float:
-    """Calls of `work` per second, after some that are not counted."""
-    for _ in range(warm_up):
-        work()
+def seconds(step: Callable[[torch.Tensor], Any], targets: torch.Tensor) -> float:
+    """How long one `step` takes."""
+    torch.cuda.synchronize()
+    began = time.perf_counter()
+    step(targets)
+    torch.cuda.synchronize()
+    return time.perf_counter() - began
+
+
+def rate(work: Callable[[], Any], count: int) -> float:
+    """Calls of `work` per second, after one that is not counted."""
+    work()
     torch.cuda.synchronize()
     began = time.perf_counter()
     for _ in range(count):
@@ -47,16 +55,19 @@ def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[s
     assert isinstance(job, Reinforcement)
     environment, simulator = job.environment, job.environment.parts.simulator
     environment.reset(seed=0)
-    targets = environment.observations["feedforward"].clone()
-
-    # Both sides step the states of the walk: bare stepping from resets, the environment with them.
-    bare = rate(lambda: simulator.step(targets), steps) * worlds
-    environment.reset(seed=0)
-    stepping = worlds * rate(
-        lambda: environment.step(environment.observations["feedforward"]), steps, warm_up=6
-    )  # the warm-up records the step
+    for _ in range(6):  # which records the step
+        environment.step(environment.observations["feedforward"])
     if not environment.recorded_step.recording:
         raise SystemExit(f"{scene} × {worlds}: the step could not be recorded.")
+    # Each step of the environment is paired with a bare one from the same states.
+    env_time = bare_time = 0.0
+    for _ in range(steps):
+        targets = environment.observations["feedforward"].clone()
+        before = simulator.snapshot()
+        bare_time += seconds(simulator.step, targets)
+        simulator.restore(before)
+        env_time += seconds(environment.step, targets)
+    bare, stepping = worlds * steps / bare_time, worlds * steps / env_time
     environment.reset(seed=0)
     length = job.learner.rollout_steps
     collecting = rate(lambda: job.collector.collect(length), 3) * worlds * length
@@ -88,7 +99,7 @@ def main() -> None:
     )
     parser.add_argument("--worlds", type=int, nargs="+", default=[1024, 4096, 16384])
     parser.add_argument("--scenes", nargs="+", choices=sorted(SCENES), default=sorted(SCENES))
-    parser.add_argument("--steps", type=int, default=24)
+    parser.add_argument("--steps", type=int, default=48)
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("overrides", nargs="*", help="Hydra overrides of experiment=spacetime/walk")
     options = parser.parse_args()

@@ -77,7 +77,7 @@ def test_the_tutorial_shows_all_of_the_tested_distribution() -> None:
 
 def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
     overrides = commands(TUTORIAL)
-    assert len(overrides) == 3
+    assert len(overrides) == 4
     for items in overrides:
         experiment = load_experiment(items, balance)
         assert "balance.upright" in [

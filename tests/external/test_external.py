@@ -59,6 +59,10 @@ def test_trains_for_a_few_iterations(site: Path, tmp_path: Path) -> None:
         k: v for c in info["components"] if c["kind"] == "reward" for k, v in c.items()
     }.items()
     assert len((run / "metrics.jsonl").read_text().splitlines()) == 3
+    evaluation = json.loads((run / "evaluation.json").read_text())
+    assert evaluation["success"] == "upright at least 3"
+    assert 0.0 < evaluation["measures"]["upright"]["mean"] <= 0.5 + 1e-6
+    assert "The trunk was upright for the last" in (run / "report.html").read_text()
 
 
 def test_its_option_and_term_swap_into_another_task(site: Path) -> None:

@@ -133,8 +133,10 @@ def _together(experiment: Experiment) -> Iterator[None]:
         yield
         failed = False
     finally:
-        if distributed.anyone(failed, device_of(experiment.root.device)) and not failed:
+        refused = distributed.anyone(failed, device_of(experiment.root.device))
+        if refused:
             distributed.stop()
+        if refused and not failed:
             raise RunError("Another process could not start; its own message says why.")
 
 

@@ -7,6 +7,7 @@ stopped; on the CPU, to the last bit.
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -282,20 +283,20 @@ class Training:
         """Evaluate now and then; the criterion is met when it holds on one draw of starts and then on
         a second, larger one. Returns the figures for the row of metrics."""
         options, progress = self.experiment.root.evaluation, self.progress
-        criterion = options.criterion
-        if criterion is None or progress.samples - progress.evaluated_at < options.every_samples:
-            return {}
-        if not self.job.promising():
+        criterion, every = options.criterion, options.every_samples
+        if every is None:
+            every = math.inf if criterion is None else 100_000
+        if progress.samples - progress.evaluated_at < every or not self.job.promising():
             return {}
         progress.evaluated_at = progress.samples
         progress.evaluations += 1
         first = self._evaluate("evaluation", options.episodes, criterion)
-        if _reaches(first, criterion):
+        if criterion is not None and _reaches(first, criterion):
             second = self._evaluate("confirmation", options.final_episodes, criterion)
             progress.met = _reaches(second, criterion)
         return first.row() if first.complete else {}
 
-    def _evaluate(self, kind: str, episodes: int, criterion: float) -> Evaluation:
+    def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
         draw = f"{kind}/{self.progress.evaluations}"
         evaluation = self.job.evaluate(draw, episodes, give_up_below=criterion)
         self.reporter.message(

@@ -102,8 +102,9 @@ class EvaluationOptions:
     criterion: float | None = None
     #: An evaluation starts when training episodes would last this share of its seconds …
     gate: float = 0.3
-    #: … and this many samples were consumed since the last one.
-    every_samples: int = 100_000
+    #: … and this many samples were consumed since the last one; null is 100 000 where there is a
+    #: criterion, and never where there is none.
+    every_samples: int | None = None
 
     def __post_init__(self) -> None:
         check_range(self, "episodes", "final_episodes", least=1)

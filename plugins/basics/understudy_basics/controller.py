@@ -45,6 +45,13 @@ class Controller(nn.Module):
         """
         assert context.registry is not None
         experiment = validate(runs.open_run(run).config, context.registry)
+        control = experiment.root.control
+        if abs(1.0 / control.frequency - context.control_dt) > 1e-9 or control.decision != 1:
+            raise ConfigError(
+                f"{run} decides {control.frequency / control.decision:g} times a second, and this "
+                f"task's control periods are {1.0 / context.control_dt:g} a second. Set "
+                f"control.frequency={control.frequency:g}, or train that run for this task's rate."
+            )
         own = replace(context, sections=build_sections(experiment), _shared={})
 
         def bound(chosen: Chosen) -> Bound[Any]:

@@ -122,7 +122,7 @@ class LearnPoses(Job):
         pose = self.poses.draw(u)
         error = (self.network(pose) - pose).square().mean(dim=1).sqrt()
         measures = {"error": Measured.of("last", error.cpu())}
-        return Evaluation(episodes=episodes, measures=measures, objective="error")
+        return Evaluation(episodes=episodes, measures=measures)
 
     def state_dict(self) -> State:
         return {

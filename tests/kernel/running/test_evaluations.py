@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import torch
-from counted_task import LINE_TASK, Starts, line_plugins
+from counted_task import LINE_TASK, Starts, Steady, line_plugins
 from torch import Tensor
 from worlds import make_training
 
@@ -83,7 +83,7 @@ class Rungs(Starts):
 
 
 #: All worlds move by one a second for four seconds: world i is at i + 1, i + 2, i + 3, i + 4.
-RUNGS = (*LINE_TASK, "initial_states={name: my.rungs}", "policy.push=1")
+RUNGS = (*LINE_TASK, "initial_states={name: my.rungs}")
 PARTS = {"initial_states": {"my.rungs": Rungs}}
 
 
@@ -93,11 +93,12 @@ def evaluator(*overrides: str, task: Iterable[str] = RUNGS) -> Evaluator:
 
 def evaluated(*overrides: str, episodes: int = 4, task: Iterable[str] = RUNGS) -> Evaluation:
     made = evaluator(*overrides, task=task)
-    return made.run(policy(*overrides, task=task), "a", episodes)
+    return made.run(policy(), "a", episodes)
 
 
-def policy(*overrides: str, task: Iterable[str] = RUNGS) -> Any:
-    return make_training(line_plugins(**PARTS), [*task, *overrides]).job.policy
+def policy(push: float = 1.0) -> Steady:
+    """Moves worlds by `push` a second."""
+    return Steady(Steady.Options(float(push)))
 
 
 def far(limit: float, outcome: str = "failure", name: str = "far") -> str:
@@ -278,7 +279,7 @@ def test_draws_repeat_exactly_and_differ_from_each_other_and_from_training() -> 
 
 def test_another_seed_draws_other_starts() -> None:
     one, two = (evaluator(f"seed={seed}", task=DRAWN) for seed in (0, 1))
-    still = policy(task=DRAWN)
+    still = policy(0)
     assert one.run(still, "final", 4) != two.run(still, "final", 4)
 
 
@@ -286,7 +287,7 @@ def test_another_seed_draws_other_starts() -> None:
 def test_several_batches_are_one_evaluation(episodes: int) -> None:
     """Of the last batch as many worlds count as episodes are missing."""
     made = evaluator(far(500_000), task=DRAWN)
-    found = made.run(policy(task=DRAWN), "a", episodes)
+    found = made.run(policy(0), "a", episodes)
     batches = taken(made)[:: len(taken(made)) // math.ceil(episodes / 4)]
     starts = torch.cat(batches)[:episodes].tolist()
     assert found.episodes == episodes
@@ -307,10 +308,8 @@ def test_giving_up_when_success_is_out_of_reach(
 ) -> None:
     """Two of four worlds fail in each batch at once: 4 of 8, 2 more than 0.75 allows, or in the first
     batch already 2 more than 1.0 allows."""
-    made = evaluator(
-        far(6), "evaluation.seconds=60", "policy.push=0", "+measure.at={name: line.value}"
-    )
-    still = policy("policy.push=0")
+    made = evaluator(far(6), "evaluation.seconds=60", "+measure.at={name: line.value}")
+    still = policy(0)
     made.built.environment.parts.initial_states.sample = (  # type: ignore[method-assign]
         lambda streams, **fields: {"x": torch.tensor([[0.0], [6.0], [0.0], [7.0]])}
     )
@@ -341,7 +340,7 @@ def test_only_first_episodes_count() -> None:
 def test_evaluations_before_are_no_matter() -> None:
     """Nothing of an evaluation is left in the next one."""
     made = evaluator(far(6))
-    pushing, still = policy(), policy("policy.push=0")
+    pushing, still = policy(), policy(0)
     first = made.run(still, "a", 4)
     assert first.success_rate == 1.0
     assert made.run(pushing, "a", 4).success_rate == 0.5

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +12,7 @@ import pytest
 import torch
 from counted_task import LINE_TASK, Starts, install, line_plugins
 from torch import Tensor
+from worlds import python
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError, TrainingError, UnderstudyError
@@ -21,6 +21,7 @@ from understudy.running.training import Training
 from understudy.running.trials import OuterLoop, Report, Trial
 from understudy.task import Context
 from understudy_basics import bank
+from understudy_sweeps import in_process
 from understudy_sweeps import sweep as module
 from understudy_sweeps.sweep import Journal
 
@@ -166,51 +167,67 @@ def test_repeating_a_finished_sweep_runs_nothing(
     assert events(tmp_path) == WHOLE
 
 
-def killed(work: Callable[[], None], after: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do `work` in a child that dies at once, handlers and all, when the journal has `after` rows."""
-    write = Journal._write
+#: Forks sweepers, one for each row of the journal, that die at once, handlers and all, when it is
+#: written. From a process of its own: forking one that has threads would leave locks behind.
+KILLER = """
+import os, sys
+import torch
+torch.set_num_threads(1)
+from understudy_sweeps import sweep as module
+from understudy.setup import config, plugins
+import counted_task
+found = counted_task.line_plugins()
+for place in (plugins, config, module):
+    place.installed = lambda: found
+write = module.Journal._write
 
-    def dying(self: Journal, event: Trial | Report) -> None:
-        write(self, event)
-        if len(self.events) == after:
-            os._exit(9)
+def dying(self, event):
+    write(self, event)
+    if len(self.events) == after:
+        os._exit(9)
 
+module.Journal._write = dying
+folder, rows, *overrides = sys.argv[1:]
+for after in range(1, int(rows) + 1):
     child = os.fork()
     if child == 0:
-        monkeypatch.setattr(Journal, "_write", dying)
         try:
-            work()
+            module.sweep([*overrides, f"run.dir={folder}/{after}"])
         finally:
             os._exit(1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9, after
+"""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folders of sweeps that were killed after 1, 2, … rows of the journal."""
+    folder = tmp_path_factory.mktemp("killed")
+    done = python(KILLER, str(folder), str(len(WHOLE)), *BASE, TWO, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
 
 
 @pytest.mark.parametrize("after", range(1, len(WHOLE) + 1))
-def test_killed_at_any_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+def test_killed_at_any_point(killed: Path, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     """Finished trials are not repeated, unfinished ones continued, and the results are the same."""
-    killed(lambda: sweep(tmp_path, TWO), after, monkeypatch)
-    assert events(tmp_path) == WHOLE[:after]
+    folder = killed / str(after)
+    assert events(folder) == WHOLE[:after]
     done = [key for event, key, _ in WHOLE[:after] if event == "finished"]
-    run_trial, begun = importlib_run_trial(), []
+    run_trial, begun = in_process.run_trial, []
 
     def counted(trial: Trial, *rest: Any) -> Any:
         begun.append(trial.key)
         return run_trial(trial, *rest)
 
-    monkeypatch.setattr("understudy_sweeps.in_process.run_trial", counted)
-    sweep(tmp_path, TWO)
+    monkeypatch.setattr(in_process, "run_trial", counted)
+    sweep(folder, TWO)
     keys = ["slow/seed0", "fast/seed0"]
     assert begun == [key for key in keys if key not in done]
-    found = events(tmp_path)
+    found = events(folder)
     assert [e for e in found if e[0] != "reported"] == [e for e in WHOLE if e[0] != "reported"]
     for key in keys:
-        assert iterations(tmp_path, key) == [1, 2, 3]
-
-
-def importlib_run_trial() -> Any:
-    from understudy_sweeps import in_process
-
-    return in_process.run_trial
+        assert iterations(folder, key) == [1, 2, 3]
 
 
 def test_a_row_cut_short_is_left_out(tmp_path: Path) -> None:

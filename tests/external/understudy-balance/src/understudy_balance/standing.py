@@ -1,4 +1,4 @@
-"""Episodes that begin standing."""
+"""Episodes that begin standing, with a push."""
 
 from dataclasses import dataclass
 
@@ -12,20 +12,23 @@ from understudy_characters.scene import CharacterScene
 
 
 class Standing(InitialStates):
-    """The humanoid's zero pose, on its feet, with random velocities."""
+    """The character's zero pose, with random velocities that grow with the difficulty."""
+
+    reads = ("difficulty",)
 
     @dataclass(frozen=True)
     class Options:
-        noise: float = 0.1  #: largest velocity of each degree of freedom, m/s or rad/s
+        push: float = 0.5  #: largest velocity of each degree of freedom, m/s or rad/s
 
         def __post_init__(self) -> None:
-            check_range(self, "noise", least=0)
+            check_range(self, "push", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         model = context.need_scene(CharacterScene, "initial_states 'balance.standing'").model
         pose = torch.tensor(model.qpos0, dtype=torch.float32, device=context.device)
         self._qpos = pose.repeat(context.num_worlds, 1)
-        self._nv, self._noise = model.nv, options.noise
+        self._nv, self._push = model.nv, options.push
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        return {"qpos": self._qpos, "qvel": self._noise * (2 * streams.uniform(self._nv) - 1)}
+        push = self._push * fields["difficulty"].unsqueeze(1)
+        return {"qpos": self._qpos, "qvel": push * (2 * streams.uniform(self._nv) - 1)}
