@@ -7,7 +7,8 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from miniatures import make_stages
+import torch
+from miniatures import make_stages, overrides_of
 
 from understudy.errors import UnderstudyError
 from understudy.running.training import Training
@@ -24,6 +25,12 @@ GIVEN = {
     "initial_states=bank": ("initial_states.file=RUNS/bank",),
     "curriculum=linear": ("curriculum.samples=1000",),
     "curriculum=adaptive": ("curriculum.threshold=0.5",),
+}
+
+#: Tasks that need runs of other tasks, and what they are given.
+ABOVE = {
+    f"miniature/{name}": overrides_of(name, Path("RUNS"))[1:]
+    for name in ("sitting", "dressing", "styles")
 }
 
 #: So that an iteration and an evaluation take next to no time.
@@ -56,8 +63,8 @@ def parts(plugins: Plugins) -> list[str]:
 
 
 def tasks(plugins: Plugins) -> list[str]:
-    """The columns: every registered task."""
-    return sorted(task.option for task in plugins.registry.tasks.values())
+    """The columns: every registered task, and those above other runs."""
+    return sorted({*(t.option for t in plugins.registry.tasks.values()), *ABOVE})
 
 
 def attempt(
@@ -72,10 +79,12 @@ def attempt(
     learns = () if experiment else ("policy=mlp", "learner=ppo")
     given = GIVEN.get(part, ()) if more is None else more
     chosen = f"{'experiment' if experiment else 'task'}={task}"
+    group = part.partition("=")[0]
+    above = [item for item in ABOVE.get(task, ()) if not item.startswith(f"{group}.")]
+    overrides = replaced([chosen, *learns, *above, *TINY], [part, *given])
     training = None
     try:
-        swapped = [part, *(item.replace("RUNS", str(runs)) for item in given)]
-        overrides = replaced([chosen, *learns, *TINY], swapped)
+        overrides = [item.replace("RUNS", str(runs)) for item in overrides]
         training = Training(load_experiment(overrides, plugins)).prepare()
         training.iterate()
         training.job.evaluate("parts", 2)
@@ -117,12 +126,14 @@ HEAD = """# Parts and tasks
 
 Every part that the bundled plugins offer as a word of the command line, swapped into every bundled
 task (the experiment of that name, if there is one): `understudy train experiment=TASK PART`. ✓ trains
-and is evaluated; a number is the sentence that refuses it. The bank in `RUNS/bank` was harvested from
-`miniature/sleeve`. `make parts-and-tasks` writes this page, and a test keeps it true.
+and is evaluated; a number is the sentence that refuses it. RUNS holds the runs that `sitting`,
+`dressing` and `styles` build on, and `bank`, harvested from `sleeve`. `make parts-and-tasks` writes this
+page, and a test keeps it true.
 """
 
 
 def main() -> None:
+    torch.set_num_threads(1)
     plugins = bundled()
     with tempfile.TemporaryDirectory() as folder:
         runs = make_stages(Path(folder))
