@@ -31,7 +31,7 @@ from understudy.records.runs import versions
 from understudy.running.collector import Collector
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.task import Context, Rollout, box
 from understudy_basics.policies import MLPPolicy
 from understudy_ppo.learner import PPO

@@ -12,7 +12,7 @@ from miniatures import make_stages, overrides_of
 
 from understudy.errors import UnderstudyError
 from understudy.running.training import Training
-from understudy.setup.config import load_experiment, replaced
+from understudy.setup.composition import load_experiment, replaced
 from understudy.setup.plugins import Plugins, installed, load
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "parts-and-tasks.md"

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from understudy.records import runs
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.task import Context

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, installed, load
 from understudy.testing import check_plugin
 

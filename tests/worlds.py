@@ -16,7 +16,7 @@ from torch import Tensor
 from understudy.random import WorldStreams
 from understudy.records import runs
 from understudy.running.training import Reporter, Training
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.task import Actuation, Context, Encoder, InitialStates, box

@@ -8,11 +8,10 @@ process 0 writes files.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 
 import torch
 import torch.distributed as dist
-from torch import Tensor, nn
+from torch import Tensor
 
 from understudy.errors import ConfigError
 
@@ -57,36 +56,6 @@ def total(value: Tensor) -> Tensor:
         value = value.clone()
         dist.all_reduce(value)
     return value
-
-
-def mean(value: Tensor) -> Tensor:
-    """The mean of `value` over processes."""
-    return total(value) / size()
-
-
-def moments(value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Count (), mean (D,) and population variance (D,) of the rows `value` (B, D) of all processes."""
-    rows = torch.full((), float(value.shape[0]), dtype=value.dtype, device=value.device)
-    count = total(rows)
-    if size() == 1:
-        variance, mean = torch.var_mean(value, dim=0, correction=0)
-        return count, mean, variance
-    mean = total(value.sum(0)) / count
-    return count, mean, total((value - mean).square().sum(0)) / count
-
-
-def average_gradients(parameters: Sequence[nn.Parameter], values: Tensor) -> Tensor:
-    """Average the gradients of `parameters` in place; returns `values` (K,) averaged with them."""
-    if size() == 1:
-        return values
-    gradients = [p.grad for p in parameters if p.grad is not None]
-    flat = torch.cat([g.flatten() for g in gradients] + [values])
-    dist.all_reduce(flat)
-    flat /= size()
-    parts = flat.split([g.numel() for g in gradients] + [values.numel()])
-    for gradient, part in zip(gradients, parts, strict=False):
-        gradient.copy_(part.view_as(gradient))
-    return parts[-1]
 
 
 def decided(choice: int, device: torch.device) -> int:

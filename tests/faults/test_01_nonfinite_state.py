@@ -11,7 +11,7 @@ from worlds import PADDLE_TASK, SMALL, flat, low, make_training
 
 from understudy.running.environment import Environment, Step
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy.testing.fake import FAKE_TASK

@@ -9,7 +9,7 @@ import torch
 from worlds import PADDLE_TASK, SMALL
 
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 
 

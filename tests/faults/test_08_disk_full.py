@@ -133,7 +133,7 @@ def test_a_log_that_cannot_be_written_is_left_out(plugins: Plugins, tmp_path: Pa
     class Log(RunObserver):
         calls = 0
 
-        def iteration(self, run: Run, row: Mapping[str, float]) -> None:
+        def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
             self.calls += 1
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

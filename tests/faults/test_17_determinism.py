@@ -14,7 +14,7 @@ from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, load
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
@@ -95,7 +95,7 @@ def test_observers_change_nothing(plugins: Plugins, tmp_path: Path) -> None:
     class Nosy(RunObserver):
         rows = 0
 
-        def iteration(self, run: Run, row: Mapping[str, float]) -> None:
+        def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
             self.rows += 1
             torch.rand(3)
 

@@ -11,9 +11,11 @@ from worlds import SMALL, make_training, resumed
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.records import checkpoint, runs
-from understudy.setup.config import CODE_KEYS, load_experiment, provenance, validate
+from understudy.setup.composition import load_experiment
+from understudy.setup.config import CODE_KEYS, validate
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
+from understudy_inspect.origins import origins
 from understudy_inspect.replay import replay_step
 
 
@@ -46,8 +48,8 @@ def untouched(tmp_path: Path) -> Path:
     ],
 )
 def test_overrides(plugins: Plugins, untouched: Path, override: str) -> None:
-    for use in (load_experiment, provenance):
-        if use is provenance and "hydra" not in override:
+    for use in (load_experiment, origins):
+        if use is origins and "hydra" not in override:
             continue
         with pytest.raises(ConfigError):
             use([*FAKE_TASK, *SMALL, override], plugins)

@@ -15,7 +15,7 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.setup import plugins as plugins_module
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.testing import fake

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.testing import check_environment
 from understudy_characters.scene import reference_motion
 from understudy_humanoid.character import BODIES

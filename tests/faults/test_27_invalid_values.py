@@ -7,7 +7,7 @@ from worlds import PADDLE_TASK, SMALL
 
 from understudy.errors import ConfigError
 from understudy.running.training import Training
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 

@@ -26,7 +26,7 @@ from understudy.running.recorded import Recorded
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.building import Built, build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.task import Rollout
 from understudy.testing import check_environment
 from understudy_mujoco_warp.simulator import MujocoWarpSimulator
@@ -347,7 +347,7 @@ def test_cold_start(device: str, cache: str, tmp_path: Path) -> None:
     overrides = [*TASK, "simulator=mujoco_warp", f"device={device}", "num_worlds=8"]
     code = f"""
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 environment = build_environment(load_experiment({overrides!r})).environment
 environment.reset(seed=0)
 environment.step(environment.observations["feedforward"])

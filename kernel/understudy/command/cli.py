@@ -43,24 +43,16 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"understudy {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    def command(
-        name: str, function: Any, text: str, overrides: bool = False
-    ) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=text)
-        sub.set_defaults(function=function, overrides_allowed=overrides)
-        return sub
-
-    command(
-        "train", _train, "train an experiment: understudy train experiment=spacetime/walk", True
-    )
-    sub = command("resume", _resume, "continue a training from its last checkpoint", True)
-    sub.add_argument("run", help="run folder")
-    sub = command("evaluate", _evaluate, "evaluate a trained run", True)
-    sub.add_argument("run", help="run folder")
-    sub = command(
-        "render", _render, "evaluate a run while recording, and make its report anew", True
-    )
-    sub.add_argument("run", help="run folder")
+    for name, text in (
+        ("train", "train an experiment: understudy train experiment=spacetime/walk"),
+        ("resume", "continue a training from its last checkpoint"),
+        ("evaluate", "evaluate a trained run"),
+        ("render", "evaluate a run while recording, and make its report anew"),
+    ):
+        parser_of = commands.add_parser(name, help=text, description=text)
+        parser_of.set_defaults(function=_work, work=name, overrides_allowed=True)
+        if name != "train":
+            parser_of.add_argument("run", help="run folder")
     _add_plugin_commands(commands, arguments)
     return parser
 
@@ -98,29 +90,12 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
         parser.set_defaults(function=run, overrides_allowed=command.takes_overrides)
 
 
-def _train(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.command.workflow import train
-    from understudy.setup.config import load_experiment
+def _work(options: argparse.Namespace, overrides: list[str]) -> int:
+    from understudy.command import workflow
 
-    return train(load_experiment(overrides), overrides)
-
-
-def _resume(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.command.workflow import resume
-
-    return resume(options.run, overrides)
-
-
-def _evaluate(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.command.workflow import evaluate
-
-    return evaluate(options.run, overrides)
-
-
-def _render(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.command.workflow import render
-
-    return render(options.run, overrides)
+    if options.work == "train":
+        return workflow.train(overrides)
+    return getattr(workflow, options.work)(options.run, overrides)
 
 
 if __name__ == "__main__":

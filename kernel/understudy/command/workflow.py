@@ -1,17 +1,11 @@
-"""What the commands do: train, resume, evaluate, render; with progress, and files left behind."""
+"""What the commands do: train, resume, evaluate, render; and what is left behind."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
-
-from rich.console import Console
-from rich.progress import BarColumn, TextColumn
-from rich.progress import Progress as Bar
+from collections.abc import Iterator, Sequence
 
 from understudy import distributed
 from understudy.errors import RunError
@@ -19,76 +13,18 @@ from understudy.records import checkpoint, runs
 from understudy.records.runs import Run
 from understudy.running.training import Outcome, Reporter, Training
 from understudy.setup.building import device_of
-from understudy.setup.config import Experiment, compose_raw, replaced, validate
+from understudy.setup.composition import compose_raw, load_experiment, replaced
+from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 
 
-class Display:
-    """Progress of a run: a live line on a terminal, a line now and then elsewhere."""
-
-    def __init__(self, experiment: Experiment) -> None:
-        self._console = Console(stderr=True, highlight=False)
-        self._budget = experiment.root.budget
-        self._live: Bar | None = None
-        self._task: Any = None
-        self._printed = 0.0
-        if self._console.is_terminal:
-            self._live = Bar(
-                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
-                console=self._console, transient=True,
-            )  # fmt: skip
-            self._live.start()
-            self._task = self._live.add_task("training", total=1.0, note="")
-
-    def iteration(self, row: Mapping[str, Any]) -> None:
-        done, left = self._share(row)
-        return_ = row.get("episode/return")
-        parts = [
-            f"iteration {row['iteration']}",
-            f"{row['samples']:,} samples",
-            f"{row['samples_per_second']:,.0f}/s",
-        ]
-        if return_ is not None:
-            parts += [f"return {return_:.1f}", f"episode {row['episode/episode_seconds']:.2f} s"]
-        if row.get("stage"):
-            parts.append(row["stage"])
-        if left is not None:
-            parts.append(f"at most {_clock(left)} left")
-        text = " · ".join(parts)
-        if self._live is not None:
-            self._live.update(self._task, completed=done, note=text)
-        elif time.monotonic() - self._printed > 10:
-            self._printed = time.monotonic()
-            self._console.print(text, soft_wrap=True)
-
-    def _share(self, row: Mapping[str, Any]) -> tuple[float, float | None]:
-        """The share of the budget that is spent, and the seconds left at this speed."""
-        shares = []
-        if self._budget.samples:
-            shares.append(row["samples"] / self._budget.samples)
-        if self._budget.minutes:
-            shares.append(row["seconds"] / (60 * self._budget.minutes))
-        if not shares:
-            return 0.0, None
-        done = min(1.0, max(shares))
-        return done, row["seconds"] * (1 - done) / max(done, 1e-9)
-
-    def message(self, text: str) -> None:
-        self._console.print(text, markup=False, soft_wrap=True)
-
-    def close(self) -> None:
-        if self._live is not None:
-            self._live.stop()
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
-def train(experiment: Experiment, overrides: Sequence[str]) -> int:
+def train(overrides: Sequence[str]) -> int:
     """Train a new run; prints ``run: PATH`` last."""
+    experiment = load_experiment(overrides)
     distributed.start(experiment.root.device)
     with _together(experiment):
         training = Training(experiment).prepare()
@@ -112,10 +48,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     with _together(experiment):
         if leading:
             run.lock()
-        tell = Console(stderr=True, highlight=False)
-        reporter = Reporter(
-            message=lambda text: tell.print(text, markup=False) if leading else None
-        )
+        reporter = Reporter(message=_tell if leading else lambda text: None)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
     if not leading:
@@ -149,17 +82,13 @@ def _carry_out(training: Training) -> int:
             training.close()
             distributed.stop()
         return 0
-    display = Display(training.experiment)
-    reporter = Reporter(display.iteration, display.message, installed().observers())
-    training.reporter = reporter
+    training.reporter = reporter = Reporter(_tell, installed().observers())
     try:
         outcome = training.train()
         distributed.stop()
-        display.close()
-        _tell_outcome(training, outcome, display.message)
+        _tell_outcome(training, outcome)
         _judge(training, run, reporter)
     finally:
-        display.close()
         training.close()
         distributed.stop()
     print(f"run: {run.path}")
@@ -167,14 +96,14 @@ def _carry_out(training: Training) -> int:
     return 0
 
 
-def _tell_outcome(training: Training, outcome: Outcome, tell: Callable[[str], None]) -> None:
+def _tell_outcome(training: Training, outcome: Outcome) -> None:
     progress = outcome.progress
-    tell(
+    _tell(
         f"Done ({outcome.reason}): {progress.samples:,} samples in {progress.seconds / 60:.1f} min "
         "of training."
     )
     for name, count in training.job.report().items():
-        tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
+        _tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
 
 
 def _judge(training: Training, run: Run, reporter: Reporter) -> None:
@@ -218,7 +147,7 @@ def _load(path: str, overrides: Sequence[str]) -> tuple[Training, Run, Reporter]
     config = run.config
     if overrides:
         config = compose_raw(replaced(run.info["overrides"], overrides))
-    reporter = Reporter(message=lambda text: print(text, file=sys.stderr))
+    reporter = Reporter(_tell)
     state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
     training = Training(validate(config, installed().registry), reporter)
     training.load_learned(state)

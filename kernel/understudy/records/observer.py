@@ -15,7 +15,8 @@ class RunObserver:
 
     def started(self, run: Run) -> None: ...
 
-    def iteration(self, run: Run, row: Mapping[str, float]) -> None: ...
+    def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
+        """An iteration's `row` of metrics is written; `stage` is where the job stands, in words."""
 
     def finished(self, run: Run, outcome: str) -> None: ...
 

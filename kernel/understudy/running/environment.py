@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import torch
@@ -171,9 +171,8 @@ class Environment:
         known_fields: Callable[[str], Sequence[str]] = lambda name: (),
     ) -> None:
         self.parts = parts
-        self.num_worlds, self.device, self.seed = num_worlds, device, seed
-        self.control_dt, self._substeps, self._decision = control_dt, substeps, decision
-        self.episode_seconds = episode_seconds
+        self.num_worlds, self.device, self.control_dt = num_worlds, device, control_dt
+        self._substeps, self._decision = substeps, decision
         curriculum = parts.curriculum
         set_by_curriculum = dict(curriculum.provides) if curriculum else {}
         self._fixed_limit = evaluating
@@ -253,10 +252,8 @@ class Environment:
             return name.removeprefix(_PREVIOUS) in table.shapes
 
         def resolved(term: Term) -> Term:
-            absent = [p for p in term.optional if not exists(term.reads[p])]
-            return Term(**{**vars(term), "reads": {
-                p: f for p, f in term.reads.items() if p not in absent
-            }}) if absent else term  # fmt: skip
+            kept = {p: f for p, f in term.reads.items() if p not in term.optional or exists(f)}
+            return replace(term, reads=kept)
 
         parts.rewards, parts.terminations, parts.measures = (
             [resolved(term) for term in terms]

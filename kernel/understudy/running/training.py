@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -81,7 +81,6 @@ class Outcome:
 class Reporter:
     """Where the loop tells what happens; the command line replaces these."""
 
-    iteration: Callable[[Mapping[str, Any]], None] = lambda row: None
     message: Callable[[str], None] = lambda text: None
     observers: Sequence[RunObserver] = field(default_factory=tuple)
 
@@ -232,10 +231,9 @@ class Training:
                     stopping = distributed.anyone(stop.received is not None, self.job.device)
                     if distributed.rank() == 0 and not stopping:
                         row |= self._evaluate_if_due()
-                    self.reporter.iteration({**row, "stage": self.job.stage()})
                     if run is not None:
                         run.append_metrics(row)
-                        self.reporter.notify("iteration", run, row)
+                        self.reporter.notify("iteration", run, row, self.job.stage())
                         due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
                         if due or stopping:
                             self.save()

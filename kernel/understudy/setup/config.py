@@ -1,4 +1,4 @@
-"""Configuration: composed by Hydra from the plugins' options, validated against the registry.
+"""Configuration: what one consists of, validated against the registry.
 
 A configuration is data. It names components; it never names Python code, and keys by which Hydra
 would call code (``_target_`` and its like) are refused wherever they stand.
@@ -6,33 +6,14 @@ would call code (``_target_`` and its like) are refused wherever they stand.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-import json
-import re
-import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
-
-import yaml
-from hydra import compose, initialize_config_dir
-from hydra.core.config_search_path import ConfigSearchPath
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Quote, QuotedString
-from hydra.core.plugins import Plugins as HydraPlugins
-from hydra.errors import HydraException
-from hydra.plugins.search_path_plugin import SearchPathPlugin
-from hydra.types import RunMode
-from omegaconf import MISSING, OmegaConf, open_dict
-from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import Option, check_range, checked_options, make_options
-from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.registry import Component, Registry, Slot
 from understudy.task.terms import Outcome, Reduction
 
@@ -325,10 +306,10 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
                 f"There is no configuration key '{key}'.{suggestion(str(key), known)}"
                 + registry.absent()
             )
-    filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in _GROUPS)}
+    filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in GROUPS)}
     root = make_options(Root, filled, "")
     choices = {
-        slot.name: tuple(_chosen(slot, _at(raw, slot.name), registry))
+        slot.name: tuple(_chosen(slot, at(raw, slot.name), registry))
         for slot in registry.slots.values()
     }
     experiment = Experiment(
@@ -348,10 +329,10 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
 
 
 #: Groups of the root that an override of null empties.
-_GROUPS = ("reward", "termination")
+GROUPS = ("reward", "termination")
 
 
-def _at(raw: Any, path: str) -> Any:
+def at(raw: Any, path: str) -> Any:
     """What stands at the key path `path`, or None."""
     for key in path.split("."):
         raw = raw.get(key) if isinstance(raw, Mapping) else None
@@ -419,255 +400,3 @@ def refuse_code(value: Any, where: str = "") -> None:
     elif isinstance(value, (list, tuple)):
         for i, item in enumerate(value):
             refuse_code(item, f"{where}[{i}]")
-
-
-# ---------------------------------------------------------------------- composition
-
-_active = threading.local()
-
-
-class UnderstudySearchPath(SearchPathPlugin):
-    """Adds every plugin's config directory to Hydra's search path."""
-
-    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        plugins: Plugins | None = getattr(_active, "plugins", None)
-        if plugins is not None:
-            for name, directory in plugins.config_directories():
-                search_path.append(provider=f"understudy plugin {name}", path=f"file://{directory}")
-
-
-@contextlib.contextmanager
-def _hydra(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
-    for override in overrides:
-        if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
-            raise ConfigError(f"{override}: Hydra itself cannot be configured. Remove it.")
-    HydraPlugins.instance().register(UnderstudySearchPath)
-    GlobalHydra.instance().clear()
-    _active.plugins = plugins
-    try:
-        with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
-            yield
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise ConfigError(_plain(error, plugins) + plugins.registry.absent()) from error
-    finally:
-        _active.plugins = None
-        GlobalHydra.instance().clear()
-
-
-def _plain(error: Exception, plugins: Plugins) -> str:
-    """Hydra's error in one line, with a suggestion where an option was not found."""
-    text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-    missing = re.search(r"Could not find '([^/']+)/([^']+)'", text)
-    if missing:
-        group, name = missing.groups()
-        folders = [folder / group for folder in _sources(plugins)]
-        options = {
-            file.relative_to(folder).with_suffix("").as_posix()
-            for folder in folders
-            for file in folder.rglob("*.yaml")
-        }
-        return f"There is no {group}={name}.{suggestion(name, options)}"
-    stray = re.search(r"Could not override '(\w+)'", text)
-    if stray:
-        slots = {s.name: s for s in plugins.registry.slots.values()}
-        if stray[1] in slots:
-            one = "{name: COMPONENT, …}"
-            form = f"{{NAME: {one}}}" if slots[stray[1]].many else one
-            return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
-        known = _VALUES | set(slots) | set(plugins.registry.sections)
-        return f"There is no configuration key '{stray[1]}'.{suggestion(stray[1], known)}"
-    return text or type(error).__name__
-
-
-def _sources(plugins: Plugins) -> list[Path]:
-    """The directories of config options: the kernel's, then each plugin's."""
-    return [kernel_conf(), *(directory for _, directory in plugins.config_directories())]
-
-
-#: Root keys that are values, not groups of options.
-_VALUES = frozenset(f.name for f in dataclasses.fields(Root)) - {"task", "reward", "termination"}
-
-
-def _settable(override: str) -> str:
-    """Let ``a.b=value`` set an option that no file mentions; validation knows which ones exist."""
-    key, equals, value = override.partition("=")
-    plain = bool(equals and key) and key[0] not in "+~"
-    sets = "." in key or value.startswith("{") or key in _VALUES
-    return f"++{override}" if plain and sets else override
-
-
-def _without_emptied(
-    overrides: Sequence[str], plugins: Plugins
-) -> tuple[list[str], dict[str, str]]:
-    """The overrides that Hydra is to apply, and, by key, those (``policy=null``) that empty a slot
-    whatever else chooses it: Hydra has no null for a group of options."""
-    groups = _groups(plugins)
-    kept: list[str] = []
-    emptied: dict[str, str] = {}
-    for override in overrides:
-        key, _, value = override.partition("=")
-        if key in groups and value == "null":
-            emptied[key] = override
-        else:
-            kept.append(override)
-            emptied.pop(key.lstrip("+"), None)  # chosen again
-    return kept, emptied
-
-
-def _groups(plugins: Plugins) -> set[str]:
-    """The root keys for which plugins offer files of options, other than tasks and experiments."""
-    return {*_GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
-
-
-def _words(overrides: Sequence[str], plugins: Plugins) -> set[str]:
-    """The groups for which an override chooses a file (``policy=mlp``)."""
-    groups, found = _groups(plugins), set()
-    for override in overrides:
-        key, equals, value = override.lstrip("+").partition("=")
-        if equals and key in groups and not value.lstrip().startswith("{"):
-            found.add(key)
-    return found
-
-
-def _alone(overrides: Sequence[str], groups: set[str]) -> list[str]:
-    """Those of the overrides that concern `groups`."""
-    return [o for o in overrides if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in groups]
-
-
-def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
-    """`overrides`, then `by`, without those of the former that the latter set anew."""
-
-    def key(override: str) -> str:
-        return override.lstrip("+~").partition("=")[0]
-
-    new = {key(o) for o in by}
-    return [*(o for o in overrides if key(o) not in new), *by]
-
-
-def written(value: Any) -> str:
-    """Plain data as the value of an override: every string is quoted, whatever is in it."""
-    if isinstance(value, Mapping):
-        return "{" + ",".join(f"{key}:{written(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ",".join(written(item) for item in value) + "]"
-    if isinstance(value, str):
-        return QuotedString(value, Quote.single).with_quotes()
-    return json.dumps(value)
-
-
-def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """`raw` less the options that a component chosen by an override (``policy={name: …}``) would
-    inherit from the one that a file chose: Hydra merges the two mappings."""
-    given: dict[str, set[str]] = {}
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
-        key = override.key_or_group
-        value = None if override.is_delete() else override.value()
-        if isinstance(value, Mapping) and "name" in value:
-            given[key] = {str(option) for option in value}
-        for above, options in given.items():
-            if key.startswith(f"{above}."):
-                options.add(key.removeprefix(f"{above}.").partition(".")[0])
-    for key, options in given.items():
-        component = _at(raw, key)
-        if isinstance(component, dict):
-            for option in component.keys() - options:
-                del component[option]
-    return raw
-
-
-def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
-    """The composed configuration as plain data.
-
-    A part that an override chooses (``policy=mlp``) is as its file has it, and as other overrides
-    set it: what the task or experiment says of its own choice is not mixed in.
-
-    Raises
-    ------
-    ConfigError
-        if Hydra cannot compose it, or it contains a key that names code.
-    """
-    plugins = plugins or installed()
-    kept, emptied = _without_emptied(overrides, plugins)
-    with _hydra(plugins, overrides):
-        config = compose("config", overrides=[_settable(o) for o in kept])
-        chosen = _words(kept, plugins)
-        if chosen:  # what task and experiment say of other choices does not hold for these
-            alone = compose("config", overrides=[_settable(o) for o in _alone(kept, chosen)])
-            with open_dict(config):
-                for key in chosen:
-                    config[key] = alone[key]
-        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
-    assert isinstance(raw, dict)
-    refuse_code(raw)
-    given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
-    for path in _missing(given):
-        raise ConfigError(f"{path} is not set. Give it a value.")
-    return given
-
-
-def _missing(value: Any, where: str = "") -> Iterator[str]:
-    """The key paths at which a value is still to be given."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _missing(item, f"{where}.{key}" if where else str(key))
-    elif value == MISSING:
-        yield where
-
-
-def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
-    """Compose `overrides` and validate the result."""
-    plugins = plugins or installed()
-    return validate(compose_raw(overrides, plugins), plugins.registry)
-
-
-def provenance(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, str]:
-    """For each key path of the composed configuration, the file (or override) that set it."""
-    plugins = plugins or installed()
-    origin: dict[str, str] = {}
-    overrides, emptied = _without_emptied(overrides, plugins)
-    with _hydra(plugins, overrides):
-        loader = GlobalHydra.instance().config_loader()
-        defaults = loader.compute_defaults_list(
-            "config", [_settable(o) for o in overrides], RunMode.RUN
-        )
-        sources, chosen = _sources(plugins), _words(overrides, plugins)
-        for item in defaults.defaults:
-            path = item.config_path
-            if path is None or path.startswith("hydra/"):
-                continue
-            for source in sources:
-                file = source / f"{path}.yaml"
-                if file.is_file():
-                    package = item.package or ""
-                    prefix = "" if package in ("_global_", "") else package
-                    for key in _paths(
-                        yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix
-                    ):
-                        group = key.partition(".")[0]
-                        if group not in chosen or path.startswith(f"{group}/"):
-                            origin[key] = _shorten(file)
-        for override in OverridesParser.create().parse_overrides(list(overrides)):
-            for key in _paths(override.value(), override.key_or_group):
-                if not any(k.startswith(f"{key}.") for k in origin):  # else it chose a file
-                    origin[key] = f"command line: {override.input_line}"
-    for name, override in emptied.items():
-        origin = {k: v for k, v in origin.items() if k != name and not k.startswith(f"{name}.")}
-        origin[name] = f"command line: {override}"
-    return origin
-
-
-def _paths(value: Any, prefix: str) -> Iterator[str]:
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            if key != "defaults" or prefix:
-                yield from _paths(item, f"{prefix}.{key}" if prefix else str(key))
-    else:
-        yield prefix
-
-
-def _shorten(file: Path) -> str:
-    parts = file.parts
-    for anchor in ("plugins", "conf"):
-        if anchor in parts:
-            return "/".join(parts[parts.index(anchor) :])
-    return str(file)

@@ -18,23 +18,7 @@ from understudy.task.physics import Scene, Simulator
 from understudy.task.policy import Distribution, Policy
 
 __all__ = [
-    "ActionSpace",
-    "Actuation",
-    "Box",
-    "Choice",
-    "Context",
-    "Curriculum",
-    "Distribution",
-    "Encoder",
-    "Fields",
-    "InitialStates",
-    "Learner",
-    "Memory",
-    "Policy",
-    "Rollout",
-    "Scene",
-    "Shape",
-    "Simulator",
-    "State",
-    "box",
-]
+    "ActionSpace", "Actuation", "Box", "Choice", "Context", "Curriculum", "Distribution",
+    "Encoder", "Fields", "InitialStates", "Learner", "Memory", "Policy", "Rollout", "Scene",
+    "Shape", "Simulator", "State", "box",
+]  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from understudy.errors import ConfigError, UnderstudyError, suggestion
+from understudy.errors import ConfigError, UnderstudyError
 from understudy.task.base import Shape
 
 
@@ -68,11 +68,8 @@ class Simulator(ABC):
         ConfigError
             for a parameter that the simulator does not know.
         """
-        for name in names:
-            raise ConfigError(
-                f"This simulator has no parameter '{name}' in which worlds may differ."
-                + suggestion(name, self.parameters)
-            )
+        if names:
+            raise ConfigError(f"In this simulator worlds cannot differ in '{names[0]}'.")
 
     @abstractmethod
     def read(self, name: str) -> Tensor:

@@ -11,7 +11,8 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment, validate
+from understudy.setup.composition import load_experiment
+from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins, installed
 from understudy.setup.registry import Component
 from understudy.task import Simulator

@@ -11,11 +11,11 @@ from typing import Literal, TypeVar
 import torch
 from torch import Tensor, nn
 
-from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import ActionSpace, Box, Distribution
+from understudy_basics import averages
 
 _Layer = TypeVar("_Layer", nn.Linear, nn.Conv2d)
 
@@ -108,7 +108,7 @@ class RunningNormaliser(nn.Module):
     @torch.no_grad()
     def observe(self, x: Tensor) -> None:
         """Digest samples `x` (…, D)."""
-        count, mean, variance = distributed.moments(x.reshape(-1, x.shape[-1]).double())
+        count, mean, variance = averages.moments(x.reshape(-1, x.shape[-1]).double())
         total = self.count + count
         delta = mean - self.mean
         share = count / total

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from understudy import distributed
 from understudy.task import Policy, Rollout
+from understudy_basics import averages
 
 _SEEN = "observations/"
 
@@ -71,7 +71,7 @@ def digest(
     advantages = estimate(gae_lambda)
     rollout.values = values
     rollout.returns = values + (advantages if td_lambda == gae_lambda else estimate(td_lambda))
-    _, mean, variance = distributed.moments(advantages.view(-1, 1))
+    _, mean, variance = averages.moments(advantages.view(-1, 1))
     seen = {f"{_SEEN}{name}": value.flatten(0, 1) for name, value in rollout.observations.items()}
     return seen | {
         "actions": rollout.actions.flatten(0, 1),

@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 
 

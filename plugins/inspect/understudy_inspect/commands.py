@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from understudy.command.command import Command
-from understudy.setup.config import load_experiment, provenance
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
+from understudy_inspect.origins import origins
 from understudy_inspect.replay import replay_step
 
 
@@ -75,11 +76,11 @@ class ShowConfiguration(Command):
         if options.json:
             print(json.dumps(effective, indent=1))
             return 0
-        origins = provenance(options.overrides)
+        origin = origins(options.overrides)
         rows = list(_flat(effective, ""))
         width = min(72, max(len(f"{key}: {value}") for key, value in rows))
         for key, value in rows:
-            print(f"{f'{key}: {value}':<{width}}  # {origins.get(key, 'default')}")
+            print(f"{f'{key}: {value}':<{width}}  # {origin.get(key, 'default')}")
         return 0
 
 

@@ -23,7 +23,7 @@ from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment, validate
 from understudy.task import Context, State
-from understudy_basics import optimisers
+from understudy_basics import averages, optimisers
 from understudy_basics.nn import mlp
 
 
@@ -109,7 +109,7 @@ class LearnPoses(Job):
         self._optimiser.zero_grad()
         loss = (self.network(pose) - pose).square().mean()
         loss.backward()
-        distributed.average_gradients(list(self.network.parameters()), loss.detach().view(1))
+        averages.average_gradients(list(self.network.parameters()), loss.detach().view(1))
         self._optimiser.step()
         return {"consumed": len(pose) * distributed.size(), "loss": float(loss.detach())}
 

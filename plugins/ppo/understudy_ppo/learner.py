@@ -15,7 +15,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Learner, Policy, Rollout, State
-from understudy_basics import optimisers
+from understudy_basics import averages, optimisers
 from understudy_basics.nn import Precision, set_precision
 from understudy_basics.returns import digest, explained_variance, observations_of
 from understudy_ppo.graphs import Captured
@@ -176,7 +176,7 @@ class PPO(Learner):
         self._captured_differentiate(minibatch)
         if distributed.size() > 1:
             parameters = [*self._actor, *self._critic]
-            self._row.copy_(distributed.average_gradients(parameters, self._row))
+            self._row.copy_(averages.average_gradients(parameters, self._row))
         self._captured_apply({})
         self._report_fault(minibatch)
 
@@ -271,7 +271,7 @@ class PPO(Learner):
             return {}
         seen = observations_of(batch)
         old, new = self._collecting.distribution(seen), self.policy.distribution(seen)
-        divergence = float(distributed.mean(old.divergence(new).mean()))
+        divergence = float(averages.mean(old.divergence(new).mean()))
         used, (least, most) = self._coefficient, COEFFICIENT_RANGE
         self._coefficient = min(max(penalty.adapted(used, divergence), least), most)
         self._coefficient_on_device.fill_(self._coefficient)

@@ -35,6 +35,7 @@ def understudy_register(register: Registrar) -> None:
 @hookimpl
 def understudy_run_observers() -> Iterable[RunObserver]:
     from understudy_report.maker import ReportMaker
+    from understudy_report.progress import ProgressLine
     from understudy_report.tensorboard import TensorBoard
 
-    return [TensorBoard(), ReportMaker()]
+    return [ProgressLine(), TensorBoard(), ReportMaker()]

@@ -25,7 +25,7 @@ class TensorBoard(RunObserver):
         step = int(rows[-1]["samples"]) + 1 if rows else None
         self._writer = SummaryWriter(str(run.path / "tensorboard"), purge_step=step)
 
-    def iteration(self, run: Run, row: Mapping[str, float]) -> None:
+    def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
         if self._writer is not None:
             for name, value in row.items():
                 if name not in ("iteration", "samples"):

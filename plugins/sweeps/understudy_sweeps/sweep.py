@@ -27,14 +27,8 @@ from understudy.records.checkpoint import write_atomically
 from understudy.running.evaluation import Evaluation
 from understudy.running.training import Reporter, Training
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
-from understudy.setup.config import (
-    Experiment,
-    compose_raw,
-    load_experiment,
-    replaced,
-    validate,
-    written,
-)
+from understudy.setup.composition import compose_raw, load_experiment, replaced, written
+from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
-from understudy_basics import optimisers
+from understudy_basics import averages, optimisers
 from understudy_basics.nn import set_precision
 from understudy_basics.returns import digest, explained_variance, observations_of
 from understudy_trpo.natural_gradient import (
@@ -110,14 +109,14 @@ class TRPO(Learner):
         distribution = self.policy.distribution(seen)
         kl = distribution.detach().divergence(distribution).mean()
         product = hessian_product(kl, self._actor)
-        return lambda v: distributed.mean(product(v)) + self.options.damping * v
+        return lambda v: averages.mean(product(v)) + self.options.damping * v
 
     def _improve_policy(self, batch: Mapping[str, Tensor]) -> dict[str, float]:
         """The step within the trust region; returns metrics."""
         options, seen = self.options, observations_of(batch)
         distribution = self.policy.distribution(seen)
         before = self.surrogate(batch, distribution)
-        g = distributed.mean(gradient(before, self._actor))
+        g = averages.mean(gradient(before, self._actor))
         every = max(1, round(1 / options.fisher_share))
         fisher = self._fisher({name: value[::every] for name, value in seen.items()})
         s = conjugate_gradient(fisher, g, options.conjugate_gradient_steps)
@@ -135,7 +134,7 @@ class TRPO(Learner):
             new = self.policy.distribution(seen)
             gain = self.surrogate(batch, new) - before
             found = torch.stack([gain, old.divergence(new).mean(), new.entropy().mean()])
-            values.update(zip(values, distributed.mean(found).tolist(), strict=True))
+            values.update(zip(values, averages.mean(found).tolist(), strict=True))
             return values["gain"] > 0 and values["kl"] <= options.kl_limit  # false for NaN
 
         share = line_search(
@@ -157,7 +156,7 @@ class TRPO(Learner):
                 loss = (values - returns[rows]).square().mean()
                 self._optimiser.zero_grad(set_to_none=True)
                 loss.backward()
-                loss = distributed.average_gradients(self._critic, loss.detach().view(1))
+                loss = averages.average_gradients(self._critic, loss.detach().view(1))
                 sound = self._sound(loss)
                 optimisers.step(self._optimiser, sound)
                 losses = losses + torch.where(sound, loss[0], 0.0)

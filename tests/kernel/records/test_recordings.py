@@ -15,7 +15,7 @@ from understudy.command import workflow
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import hookimpl, load
 
 QUICK = (
@@ -68,7 +68,8 @@ def test_observers_are_told_after_training_and_render(
     monkeypatch.setattr(workflow, "installed", lambda: plugins)
     monkeypatch.setattr(PaddleScene, "recorded", fields)
     overrides = [*QUICK, f"run.dir={path}"]
-    assert workflow.train(load_experiment(overrides, plugins), overrides) == 0
+    monkeypatch.setattr(workflow, "load_experiment", lambda given: load_experiment(given, plugins))
+    assert workflow.train(overrides) == 0
     assert workflow.render(str(path), []) == 0
     messages = capsys.readouterr().err
     assert messages.count("The observer Breaking is left out: ValueError: too dark") == 2

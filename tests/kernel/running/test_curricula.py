@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from worlds import assert_same_state, make_training, resumed
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
+from understudy.records.observer import RunObserver
+from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluator
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.task import Context, Curriculum, Rollout, State
 
 
@@ -79,6 +82,16 @@ TASK = (
 def climbing(**more: Any) -> tuple[Any, Stairs]:
     stairs = Stairs()
     return line(curriculum=stairs, initial_states=High(), **more), stairs
+
+
+class Stages(RunObserver):
+    """Notes the stages that a run tells."""
+
+    def __init__(self, found: list[str]) -> None:
+        self.found = found
+
+    def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
+        self.found.append(stage)
 
 
 def test_fields_for_initial_states_terms_and_the_simulator() -> None:
@@ -146,7 +159,7 @@ def test_training_updates_marks_and_tells(tmp_path: Path) -> None:
     plugins = line_plugins(**PARTS)
     training = make_training(plugins, TASK, tmp_path / "run")
     stages = []
-    training.reporter.iteration = lambda row: stages.append(row["stage"])
+    training.reporter.observers = [Stages(stages)]
     rows = []
     for row in training.rows():
         rows.append(row)

@@ -13,7 +13,7 @@ from understudy.errors import ConfigError, TrainingError
 from understudy.running.environment import Environment, Step
 from understudy.running.statistics import refuse_hopeless
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing import check_environment, check_simulator
 from understudy.testing.fake import FAKE_TASK

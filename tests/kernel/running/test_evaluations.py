@@ -25,7 +25,7 @@ from understudy.running.evaluation import (
     success_of,
     wilson_interval,
 )
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.task.terms import Reduction
 
 VALUES = torch.tensor([[3.0, 0.0, -1.0], [1.0, 0.0, -4.0], [2.0, 0.0, 0.0]])  # (T, N)

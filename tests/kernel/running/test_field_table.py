@@ -12,7 +12,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment, providers_of
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.task import Context, Encoder, Fields, Memory
 
 

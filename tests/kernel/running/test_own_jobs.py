@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -18,11 +19,13 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
 from understudy.random import generator, private_rng
 from understudy.records import checkpoint
+from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
-from understudy.setup.config import Experiment, load_experiment
+from understudy.setup.composition import load_experiment
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.task import State
@@ -142,6 +145,16 @@ def plugins(broken: bool = False) -> Plugins:
 TASK = ("+job={name: my.regression}", "data={name: my.waves}", "budget.samples=640", "evaluation.final_episodes=50")  # fmt: skip
 
 
+class Stages(RunObserver):
+    """Notes the stages that a run tells."""
+
+    def __init__(self, found: list[str]) -> None:
+        self.found = found
+
+    def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
+        self.found.append(stage)
+
+
 def test_a_run_from_beginning_to_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -188,7 +201,7 @@ def test_it_is_resumed_to_the_last_bit(tmp_path: Path) -> None:
 def test_a_job_that_is_finished(tmp_path: Path) -> None:
     training = make_training(plugins(), [*TASK, "job.until=3"], tmp_path / "run")
     stages = []
-    training.reporter.iteration = lambda row: stages.append(row["stage"])
+    training.reporter.observers = [Stages(stages)]
     assert training.train().reason == "finished"
     assert stages == ["epoch 1", "epoch 2", "epoch 3"]
     assert training.progress.samples == 96

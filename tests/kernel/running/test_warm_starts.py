@@ -19,7 +19,7 @@ from understudy.records import checkpoint
 from understudy.running.training import Training
 from understudy.running.warm_start import policy_parts
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.task import Actuation, Context, Curriculum, Encoder, Rollout, State, box
 from understudy.testing import FakeScene
 from understudy_basics.controller import Controller

@@ -11,19 +11,12 @@ from worlds import SMALL, make_training
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy.setup.config import (
-    Root,
-    compose_raw,
-    load_experiment,
-    provenance,
-    refuse_code,
-    replaced,
-    validate,
-    written,
-)
+from understudy.setup.composition import compose_raw, load_experiment, replaced, written
+from understudy.setup.config import Root, refuse_code, validate
 from understudy.setup.plugins import Plugins, load
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
+from understudy_inspect.origins import origins
 
 
 def test_experiment(plugins: Plugins) -> None:
@@ -57,7 +50,7 @@ def test_provenance(plugins: Plugins) -> None:
         "+scene={name: fake}",
         "+policy.noise={start: 1, end: 2}",
     ]
-    origin = provenance(overrides, plugins)
+    origin = origins(overrides, plugins)
     assert "num_worlds" not in origin, "nobody set it"
     assert origin["learner.name"] == "plugins/ppo/understudy_ppo/conf/learner/ppo.yaml"
     assert origin["seed"] == "command line: seed=3"
@@ -77,7 +70,7 @@ def test_every_value_has_an_origin(plugins: Plugins) -> None:
         return [prefix]
 
     overrides = ["experiment=spacetime/walk", "seed=3"]
-    origin = provenance(overrides, plugins)
+    origin = origins(overrides, plugins)
     assert not [key for key in leaves(compose_raw(overrides, plugins)) if key not in origin]
 
 
@@ -221,7 +214,7 @@ def test_a_group_of_options_set_to_null(plugins: Plugins, overrides: list[str]) 
     """Hydra itself has no null for these."""
     assert load_experiment(overrides, plugins).one("learner") is None
     assert load_experiment([*overrides, "learner=ppo"], plugins).one("learner") is not None
-    origin = provenance(overrides, plugins)
+    origin = origins(overrides, plugins)
     assert origin["learner"] == "command line: learner=null"
     assert not [key for key in origin if key.startswith("learner.")]
 
@@ -271,7 +264,7 @@ def test_what_is_replaced_need_not_be_set(choice: str, found: str) -> None:
 
 def test_the_origin_of_a_part_that_a_word_chose() -> None:
     overrides = ["experiment=miniature/chopsticks", "policy=mlp", "policy.hidden=[8]"]
-    origin = {k: v for k, v in provenance(overrides).items() if k.startswith("policy.")}
+    origin = {k: v for k, v in origins(overrides).items() if k.startswith("policy.")}
     assert origin == {
         "policy.name": "plugins/basics/understudy_basics/conf/policy/mlp.yaml",
         "policy.hidden": "command line: policy.hidden=[8]",

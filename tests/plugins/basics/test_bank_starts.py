@@ -11,7 +11,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, FileError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_basics import bank

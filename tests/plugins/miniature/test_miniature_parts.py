@@ -13,7 +13,7 @@ from understudy.errors import ConfigError, RunError, TrainingError
 from understudy.running.training import Training
 from understudy.running.trials import Report
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy_basics import bank
 from understudy_basics.controller import Controller
 from understudy_miniature.cmfbo import RandomFidelity

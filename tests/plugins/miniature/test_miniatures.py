@@ -14,7 +14,7 @@ from worlds import assert_same_state
 
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.testing import check_environment, check_simulator
 
 torch.set_num_threads(1)

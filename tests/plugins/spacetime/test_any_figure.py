@@ -11,7 +11,7 @@ from robots import robot_file
 from understudy.errors import ConfigError
 from understudy.running.evaluation import Evaluator
 from understudy.setup.building import build_environment
-from understudy.setup.config import load_experiment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Policy
 from understudy.testing import check_environment

@@ -1,0 +1,80 @@
+"""How far a training is: a live line on a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+from understudy.records.observer import RunObserver
+from understudy.records.runs import Run
+
+#: Seconds between lines where there is no terminal.
+_PAUSE = 10.0
+
+
+class ProgressLine(RunObserver):
+    """Shows samples, speed, returns, and the time that the budget leaves."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        self._live: Progress | None = None
+        self._task = TaskID(0)
+        self._printed = 0.0
+
+    def started(self, run: Run) -> None:
+        if self._console.is_terminal:
+            self._live = Progress(
+                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
+                console=self._console, transient=True,
+            )  # fmt: skip
+            self._live.start()
+            self._task = self._live.add_task("training", total=1.0, note="")
+
+    def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
+        done, left = share(run.config["budget"], row)
+        parts = [
+            f"iteration {row['iteration']}",
+            f"{row['samples']:,} samples",
+            f"{row['samples_per_second']:,.0f}/s",
+        ]
+        if "episode/return" in row:
+            parts.append(f"return {row['episode/return']:.1f}")
+            parts.append(f"episode {row['episode/episode_seconds']:.2f} s")
+        if stage:
+            parts.append(stage)
+        if left is not None:
+            parts.append(f"at most {clock(left)} left")
+        text = " · ".join(parts)
+        if self._live is not None:
+            self._live.update(self._task, completed=done, note=text)
+        elif time.monotonic() - self._printed > _PAUSE:
+            self._printed = time.monotonic()
+            self._console.print(text, soft_wrap=True)
+
+    def finished(self, run: Run, outcome: str) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+
+def share(budget: Mapping[str, Any], row: Mapping[str, float]) -> tuple[float, float | None]:
+    """The share of the budget that is spent, and the seconds left at this speed."""
+    shares = []
+    if budget["samples"]:
+        shares.append(row["samples"] / budget["samples"])
+    if budget["minutes"]:
+        shares.append(row["seconds"] / (60 * budget["minutes"]))
+    if not shares:
+        return 0.0, None
+    done = min(1.0, max(shares))
+    return done, row["seconds"] * (1 - done) / max(done, 1e-9)
+
+
+def clock(seconds: float) -> str:
+    """Minutes and seconds, with hours where there are any."""
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
