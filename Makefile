@@ -2,7 +2,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
 
-.PHONY: demo test test-slow test-gpu check bench bench-gpu install
+.PHONY: demo test test-slow test-gpu check parts-and-tasks bench bench-gpu install
 
 install: $(VENV)/.installed
 
@@ -30,6 +30,10 @@ check: install
 	$(BIN)/ruff format --check kernel plugins tests benchmarks
 	$(BIN)/ruff check kernel plugins tests benchmarks
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+# Try every part in every task and write docs/parts-and-tasks.md.
+parts-and-tasks: install
+	$(BIN)/python tests/parts_and_tasks.py
 
 bench: install
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'

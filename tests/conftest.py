@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from miniatures import make_stages
 from worlds import all_plugins
 
 from understudy.setup.plugins import Plugins
@@ -23,3 +24,9 @@ torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
 def plugins() -> Plugins:
     """The installed plugins and the tests' own small tasks."""
     return all_plugins()
+
+
+@pytest.fixture(scope="session")
+def built_on(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the runs that some of the miniatures build on."""
+    return make_stages(tmp_path_factory.mktemp("stages"))

@@ -11,19 +11,23 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 import torch
 from arena import arena, states
+from torch import Tensor
 
 pytest.importorskip("warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
 
 from understudy.errors import ConfigError
+from understudy.running.recorded import Recorded
+from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
+from understudy.task import Rollout
 from understudy.testing import check_environment
 from understudy_mujoco_warp.simulator import MujocoWarpSimulator
 
@@ -39,21 +43,55 @@ def build(device: str, *overrides: str, worlds: int = 8) -> Built:
     return build_environment(load_experiment([*TASK, *fixed, *overrides]))
 
 
+def on_gpu(*overrides: str, task: Sequence[str] = TASK) -> Training:
+    """A training of 64 worlds on the GPU, none of whose steps goes unrecorded silently."""
+    fixed = ["simulator=mujoco_warp", "num_worlds=64", "evaluation.episodes=16"]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        training = Training(load_experiment([*task, *fixed, *overrides])).prepare()
+        learning(training).collector.collect(6)
+    return training
+
+
+def learning(training: Training) -> Reinforcement:
+    assert isinstance(training.job, Reinforcement)
+    return training.job
+
+
 @pytest.mark.parametrize("device", DEVICES)
 def test_agrees_with_mujoco_over_a_second(device: str) -> None:
-    """Fault 19: the same states under the same targets for 30 control steps (600 physics steps)."""
+    """Fault 19: the same states under the same targets for 30 control steps (600 physics steps).
+
+    The moment of a contact magnifies rounding, so worlds may differ as far as plain MuJoCo does from
+    itself, begun 1e-6 beside in several ways.
+    """
     reference = build_environment(load_experiment([*TASK, "num_worlds=8"])).environment
     environment = build(device).environment
-    reference.reset(seed=3)
+    everywhere = torch.ones(8, dtype=torch.bool)
+
+    def second(beside: float = 0.0, way: int = 0) -> tuple[list[Tensor], Tensor]:
+        reference.reset(seed=3)
+        simulator, noise = reference.parts.simulator, torch.Generator().manual_seed(way)
+        begun = {name: simulator.read(name).clone() for name in simulator.state_fields}
+        for value in begun.values():
+            value += beside * torch.randn(value.shape, generator=noise)
+        simulator.set_state(everywhere, begun)
+        reference.refresh()
+        targets = []
+        for _ in range(30):
+            targets.append(reference.table["reference_joint_targets"].clone())
+            simulator.step(targets[-1])
+        return targets, simulator.read("qpos").clone()
+
+    targets, exact = second()
+    beside = torch.stack([second(1e-6, way)[1] for way in range(6)])
+    own = (beside - exact).abs().amax(dim=(0, 2))
     environment.reset(seed=3)
-    for _ in range(30):
-        targets = reference.table["reference_joint_targets"]
-        reference.parts.simulator.step(targets)
-        environment.parts.simulator.step(targets.to(environment.device))
-    exact = reference.parts.simulator.read("qpos")
+    for target in targets:
+        environment.parts.simulator.step(target.to(environment.device))
     found = environment.parts.simulator.read("qpos").cpu()
-    # float32 against float64 over 600 steps with contacts; 1 mm and 1 mrad is what tasks can see
-    assert (found - exact).abs().max() < 1e-3
+    assert ((found - exact).abs().amax(dim=1) < 1e-4 + 3 * own).all()
+    assert (own < 1e-4).sum() >= 5, "too many contacts: the test shows little"
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -110,13 +148,14 @@ def test_resume_continues(device: str) -> None:
             training.iterate()
         return training
 
-    straight = train(4, Training(load_experiment(overrides)))
-    first = train(2, Training(load_experiment(overrides)))
-    second = Training(load_experiment(overrides))
+    straight = train(4, Training(load_experiment(overrides)).prepare())
+    first = train(2, Training(load_experiment(overrides)).prepare())
+    second = Training(load_experiment(overrides)).prepare()
     second.load_state_dict(first.state_dict())
     train(2, second)
-    for name, value in straight.policy.state_dict().items():
-        assert torch.equal(value, second.policy.state_dict()[name]), name
+    weights = learning(second).policy.state_dict()
+    for name, value in learning(straight).policy.state_dict().items():
+        assert torch.equal(value, weights[name]), name
 
 
 @pytest.mark.gpu
@@ -144,35 +183,98 @@ def test_without_a_gpu_one_line_says_what_is_missing() -> None:
 
 
 @pytest.mark.gpu
-def test_nothing_goes_to_the_host_inside_a_rollout() -> None:
+@pytest.mark.parametrize("recorded", [True, False])
+def test_nothing_goes_to_the_host_inside_a_rollout(recorded: bool) -> None:
     """torch raises at any operation that waits for the device."""
-    training = Training(load_experiment([*TASK, "simulator=mujoco_warp", "num_worlds=64"]))
-    training.environment.reset()
-    training.collector.collect(2)
+    job = learning(on_gpu())
+    assert job.environment.recorded_step.recording
+    if not recorded:
+        job.environment.recorded_step = Recorded(job.environment._step, job.environment)
     torch.cuda.synchronize()
     torch.cuda.set_sync_debug_mode("error")
     try:
-        training.collector.collect(4)
+        job.collector.collect(3)  # without a recording: so many steps come before one
     finally:
         torch.cuda.set_sync_debug_mode("default")
+    assert job.environment.recorded_step.recording == recorded
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("initial_states", ["importance", "evolution"])
+def test_recorded_steps_are_the_same_steps(initial_states: str) -> None:
+    """With deterministic=true to the last bit, over episodes that end and begin; also after other
+    worlds were begun by hand and after the state was restored."""
+    overrides = ["simulator.deterministic=true", f"initial_states=spacetime/{initial_states}"]
+    recorded, plain = (learning(on_gpu(*overrides)) for _ in range(2))
+    plain.environment.recorded_step._on = False
+    state = plain.environment.state_dict()
+
+    def run() -> tuple[list[Rollout], list[Rollout]]:
+        found: tuple[list[Rollout], list[Rollout]] = ([], [])
+        for job, rollouts in zip((recorded, plain), found, strict=True):
+            job.environment.load_state_dict(state)
+            job.collector.streams.restart(5, "actions")
+            for _ in range(3):
+                rollouts.append(job.collector.collect(16))
+                job.environment.parts.initial_states.update(_digested(rollouts[-1]))
+            begun = torch.arange(64, device=job.environment.device) % 3 == 0
+            job.environment.begin(begun)
+            rollouts.append(job.collector.collect(8))
+        return found
+
+    for _ in range(2):
+        found, expected = run()
+        assert sum(int((r.terminated | r.truncated).sum()) for r in expected) > 64
+        for one, other in zip(found, expected, strict=True):
+            for name in ("rewards", "actions", "terminated", "truncated", "final_values"):
+                assert torch.equal(getattr(one, name), getattr(other, name)), name
+            for name, value in one.observations.items():
+                assert torch.equal(value, other.observations[name]), name
+
+
+def _digested(rollout: Rollout) -> Rollout:
+    rollout.values, rollout.returns = torch.zeros_like(rollout.rewards), rollout.rewards.clone()
+    return rollout
+
+
+@pytest.mark.gpu
+def test_recorded_evaluations_are_the_same_evaluations() -> None:
+    job = learning(on_gpu("simulator.deterministic=true"))
+    evaluator = job.evaluator
+    first = evaluator.run(job.policy, "test", 40)
+    assert evaluator._step.recording
+    assert evaluator.run(job.policy, "test", 40) == first
+    evaluator._step._on = False
+    assert evaluator.run(job.policy, "test", 40) == first
+    assert evaluator.run(job.policy, "other", 40) != first
 
 
 @pytest.mark.gpu
 def test_an_update_waits_for_the_device_once() -> None:
-    training = Training(load_experiment([*TASK, "simulator=mujoco_warp", "num_worlds=64"]))
-    training.environment.reset()
-    rollout = training.collector.collect(training.learner.rollout_steps)
-    training.learner.update(rollout)
+    job = learning(on_gpu())
+    rollout = job.collector.collect(job.learner.rollout_steps)
+    job.learner.update(rollout)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")
         try:
-            training.learner.update(rollout)
+            job.learner.update(rollout)
         finally:
             torch.cuda.set_sync_debug_mode("default")
     waits = [str(w.message) for w in caught if "synchronizing" in str(w.message)]
     # the sums of the metrics, the count of bad steps, and the explained variance, at the end
     assert len(waits) <= 3, waits
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("learner", ["ppo", "trpo"])
+def test_trains_and_evaluates_on_a_gpu(learner: str) -> None:
+    parts = (f"learner={learner}", "policy=mlp", "learner.rollout_steps=16")
+    training = on_gpu(*parts, task=["experiment=spacetime/walk"])
+    for _ in range(2):
+        row = training.iterate()
+    assert all(value == value for value in row.values()), row
+    assert training.job.evaluate("test", 32).episodes == 32
 
 
 @pytest.mark.gpu

@@ -14,7 +14,7 @@ from understudy.errors import RunError
 from understudy.records.recording import Recording
 from understudy.running.collector import Collector
 from understudy.running.environment import Environment, Fault
-from understudy.running.evaluation import Evaluation, Evaluator
+from understudy.running.evaluation import Evaluation, Evaluator, success_of
 from understudy.running.jobs import Job
 from understudy.running.statistics import refuse_hopeless
 from understudy.running.warm_start import misshapen, take_over
@@ -51,6 +51,7 @@ class Reinforcement(Job):
 
     def prepare(self) -> None:
         experiment = self.experiment
+        success_of(experiment)  # refused now, not when the training comes to its first evaluation
         self.built = built = build_environment(experiment)
         self.environment = built.environment
         self.environment.reset()  # which also checks every term

@@ -19,8 +19,8 @@ from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.core.plugins import Plugins as HydraPlugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
-from omegaconf import OmegaConf
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf import MISSING, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.setup.config import GROUPS, Experiment, Root, at, refuse_code, validate
@@ -71,8 +71,6 @@ def _plain(error: Exception, plugins: Plugins) -> str:
             for file in folder.rglob("*.yaml")
         }
         return f"There is no {group}={name}.{suggestion(name, options)}"
-    if isinstance(error, MissingMandatoryValue):
-        return f"{getattr(error, 'full_key', None) or text} is not set. Give it a value."
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
         slots = {s.name: s for s in plugins.registry.slots.values()}
@@ -105,7 +103,7 @@ def settable(override: str) -> str:
 def without_emptied(overrides: Sequence[str], plugins: Plugins) -> tuple[list[str], dict[str, str]]:
     """The overrides that Hydra is to apply, and, by key, those (``policy=null``) that empty a slot
     whatever else chooses it: Hydra has no null for a group of options."""
-    groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
+    groups = _groups(plugins)
     kept: list[str] = []
     emptied: dict[str, str] = {}
     for override in overrides:
@@ -116,6 +114,26 @@ def without_emptied(overrides: Sequence[str], plugins: Plugins) -> tuple[list[st
             kept.append(override)
             emptied.pop(key.lstrip("+"), None)  # chosen again
     return kept, emptied
+
+
+def _groups(plugins: Plugins) -> set[str]:
+    """The root keys for which plugins offer files of options, other than tasks and experiments."""
+    return {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
+
+
+def words(overrides: Sequence[str], plugins: Plugins) -> set[str]:
+    """The groups for which an override chooses a file (``policy=mlp``)."""
+    groups, found = _groups(plugins), set()
+    for override in overrides:
+        key, equals, value = override.lstrip("+").partition("=")
+        if equals and key in groups and not value.lstrip().startswith("{"):
+            found.add(key)
+    return found
+
+
+def _alone(overrides: Sequence[str], groups: set[str]) -> list[str]:
+    """Those of the overrides that concern `groups`."""
+    return [o for o in overrides if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in groups]
 
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
@@ -162,6 +180,9 @@ def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
 def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, Any]:
     """The composed configuration as plain data.
 
+    A part that an override chooses (``policy=mlp``) is as its file has it, and as other overrides
+    set it: what the task or experiment says of its own choice is not mixed in.
+
     Raises
     ------
     ConfigError
@@ -171,11 +192,28 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     kept, emptied = without_emptied(overrides, plugins)
     with hydra_session(plugins, overrides):
         config = compose("config", overrides=[settable(o) for o in kept])
-        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        chosen = words(kept, plugins)
+        if chosen:  # what task and experiment say of other choices does not hold for these
+            alone = compose("config", overrides=[settable(o) for o in _alone(kept, chosen)])
+            with open_dict(config):
+                for key in chosen:
+                    config[key] = alone[key]
+        raw = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     assert isinstance(raw, dict)
     refuse_code(raw)
-    given = _as_given({str(k): v for k, v in raw.items()}, kept)
-    return given | dict.fromkeys(emptied)
+    given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
+    for path in _missing(given):
+        raise ConfigError(f"{path} is not set. Give it a value.")
+    return given
+
+
+def _missing(value: Any, where: str = "") -> Iterator[str]:
+    """The key paths at which a value is still to be given."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _missing(item, f"{where}.{key}" if where else str(key))
+    elif value == MISSING:
+        yield where
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

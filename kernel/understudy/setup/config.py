@@ -244,10 +244,13 @@ class Experiment:
             )
 
     def effective(self) -> dict[str, Any]:
-        """The configuration as plain data, every default filled in; validates to the same."""
+        """The configuration as plain data, every default filled in; validates to the same, also
+        where plugins that it does not use are absent."""
         found = _plain_data(dataclasses.asdict(self.root))
         for slot in self.registry.slots.values():
             chosen = self.choices[slot.name]
+            if not chosen and f"slot {slot.name}" in self.registry.owners:
+                continue
             value: Any = {c.name: c.effective() for c in chosen}
             if not slot.many:
                 value = chosen[0].effective() if chosen else None

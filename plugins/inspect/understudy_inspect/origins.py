@@ -16,6 +16,7 @@ from understudy.setup.composition import (
     option_directories,
     settable,
     without_emptied,
+    words,
 )
 from understudy.setup.plugins import Plugins, installed
 
@@ -30,7 +31,7 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
         defaults = loader.compute_defaults_list(
             "config", [settable(o) for o in overrides], RunMode.RUN
         )
-        sources = option_directories(plugins)
+        sources, chosen = option_directories(plugins), words(overrides, plugins)
         for item in defaults.defaults:
             path = item.config_path
             if path is None or path.startswith("hydra/"):
@@ -43,7 +44,9 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
                     for key in _paths(
                         yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix
                     ):
-                        origin[key] = _shorten(file)
+                        group = key.partition(".")[0]
+                        if group not in chosen or path.startswith(f"{group}/"):
+                            origin[key] = _shorten(file)
         for override in OverridesParser.create().parse_overrides(list(overrides)):
             for key in _paths(override.value(), override.key_or_group):
                 if not any(k.startswith(f"{key}.") for k in origin):  # else it chose a file

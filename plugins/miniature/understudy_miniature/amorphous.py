@@ -44,14 +44,15 @@ class GrainsScene(Scene):
 
 
 class Grains(Simulator):
-    """The tool moves straight to the control's place (N, 2) in a control period, and grains that it
-    covers on the way are pushed to its edge."""
+    """The tool moves at the control's velocity (N, 2), m/s, and grains that it covers on the way are
+    pushed to its edge."""
 
     state_fields = ("grains", "tool")
 
     def __init__(self, options: None, context: Context) -> None:
         scene = context.need_scene(GrainsScene, "simulator 'miniature.grains'").options
         self._radius, self._substeps = scene.tool, context.substeps
+        self._dt = context.control_dt / context.substeps
         self.fields: Mapping[str, Shape] = {"grains": (scene.grains, 2), "tool": (2,)}
         self.control_size = 2
         self._grains, self._tool = (
@@ -67,10 +68,8 @@ class Grains(Simulator):
             own.copy_(torch.where(worlds.view(-1, *[1] * (own.dim() - 1)), given, own))
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        pieces = substeps or self._substeps
-        move = (control - self._tool) / pieces
-        for _ in range(pieces):
-            self._tool.add_(move)
+        for _ in range(substeps or self._substeps):
+            self._tool.add_(self._dt * control)
             away = self._grains - self._tool.unsqueeze(1)
             distance = away.norm(dim=2, keepdim=True).clamp(min=1e-6)
             pushed = self._tool.unsqueeze(1) + away * (self._radius / distance)
@@ -226,7 +225,7 @@ class ToolTarget(Actuation):
         return {"tool_target": target, "tool_velocity": velocity}
 
     def control(self, action: Tensor, tool: Tensor, tool_velocity: Tensor) -> Tensor:
-        return tool + self._dt * tool_velocity
+        return tool_velocity
 
 
 def gathered(spread: Tensor, previous_spread: Tensor, *, scale: float = 10.0) -> Tensor:

@@ -241,6 +241,8 @@ def test_what_counts_if_nothing_is_said(overrides: tuple[str, ...], expected: st
 def test_success_that_cannot_be_judged(overrides: tuple[str, ...], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         evaluator(*overrides, task=LINE_TASK)
+    with pytest.raises(ConfigError, match=message):  # and before it trains
+        make_training(line_plugins(), [*LINE_TASK, *overrides])
 
 
 # ---------------------------------------------------------------------- draws

@@ -232,6 +232,51 @@ def test_groups_set_to_null_are_empty() -> None:
     assert experiment.many("termination.terms") == experiment.many("measure") == ()
 
 
+def test_a_word_chooses_a_part_as_its_file_has_it() -> None:
+    """What task and experiment say of their own choice is not mixed in; other overrides are."""
+
+    def composed(*overrides: str) -> dict[str, Any]:
+        return compose_raw(list(overrides))
+
+    raw = composed("experiment=miniature/chopsticks", "policy=mlp", "policy.hidden=[8]")
+    assert raw["policy"] == {"name": "mlp", "hidden": [8]}
+    assert raw["learner"]["minibatches"] == 4, "the experiment's, which nothing replaces"
+    assert composed("experiment=miniature/go", "learner=trpo")["learner"] == {"name": "trpo"}
+    raw = composed("experiment=miniature/jumping", "termination=spacetime")
+    assert raw["termination"] == composed("termination=spacetime")["termination"]
+    raw = composed("experiment=spacetime/walk", "simulator=mujoco_warp")
+    assert (raw["simulator"], raw["device"]) == ({"name": "mujoco_warp"}, "cuda")
+
+
+@pytest.mark.parametrize(
+    ("choice", "found"),
+    [
+        ("initial_states=spacetime/uniform", "spacetime.uniform"),
+        ("initial_states={name: miniature.somewhere}", "miniature.somewhere"),
+    ],
+)
+def test_what_is_replaced_need_not_be_set(choice: str, found: str) -> None:
+    raw = compose_raw(["task=miniature/dressing", choice])
+    assert raw["initial_states"] == {"name": found}
+    with pytest.raises(ConfigError, match=r"^initial_states.file is not set\. Give it a value\.$"):
+        compose_raw(["task=miniature/dressing"])
+
+
+def test_the_origin_of_a_part_that_a_word_chose() -> None:
+    overrides = ["experiment=miniature/chopsticks", "policy=mlp", "policy.hidden=[8]"]
+    origin = {k: v for k, v in origins(overrides).items() if k.startswith("policy.")}
+    assert origin == {
+        "policy.name": "plugins/basics/understudy_basics/conf/policy/mlp.yaml",
+        "policy.hidden": "command line: policy.hidden=[8]",
+    }
+
+
+def test_a_plugin_that_a_run_does_not_use_may_be_absent() -> None:
+    effective = load_experiment(["experiment=spacetime/walk"]).effective()
+    others = [p.name for p in load().loaded if p.name != "miniature"]
+    assert validate(effective, load(only=others).registry).effective() == effective
+
+
 def test_overrides_replaced() -> None:
     old = ["+policy={name: a}", "seed=1", "++learner.rate=2", "~measure.x"]
     assert replaced(old, ["policy={name: b}", "learner.rate=3"]) == [

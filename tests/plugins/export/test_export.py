@@ -284,7 +284,7 @@ def test_a_clip_with_more_joints_wears_the_character_that_is_asked_for(
 def test_a_trained_run_is_exported_without_simulating_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], registry: Registry
 ) -> None:
-    if "humanoid" not in registry.names("scene") or "walk" not in registry.names("clip"):
+    if "humanoid" not in registry.names("character") or "walk" not in registry.names("clip"):
         pytest.skip("the plugin humanoid is not installed")
     if "spacetime.walk" not in registry.tasks:
         pytest.skip("the plugin spacetime is not installed")

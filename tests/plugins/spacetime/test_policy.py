@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.task import Context
+from understudy.task import Context, box
 from understudy_basics.policies import MLPPolicy
 from understudy_spacetime.policy import FeedforwardFeedback
 
@@ -63,6 +63,6 @@ def test_a_missing_encoder_says_what_to_add(context: Context) -> None:
 
 
 def test_an_action_that_is_no_joint_target_is_refused(context: Context) -> None:
-    context.action_size = 4
+    context.action_space = box(4)
     with pytest.raises(ConfigError, match="28 numbers and the action 4; choose an actuation"):
         FeedforwardFeedback(OPTIONS, context)

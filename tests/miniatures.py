@@ -40,3 +40,16 @@ def overrides_of(name: str, built_on: Path) -> tuple[str, ...]:
         "sleeve_bank": (f"job.run={built_on / 'sleeve'}",),
     }
     return (f"experiment=miniature/{name}", *needs.get(name, ()))
+
+
+def make_stages(folder: Path) -> Path:
+    """Make the runs ``go``, ``stop``, ``sleeve``, ``bank`` and ``poses`` in `folder`, by the command
+    line."""
+    for name, iterations in BUILT_ON.items():
+        budget = f"budget.samples={1024 * iterations}"
+        train(f"experiment=miniature/{name}", budget, *QUICK, f"run.dir={folder / name}")
+    bank = (f"job.run={folder / 'sleeve'}", "job.count=64")
+    train("experiment=miniature/sleeve_bank", *bank, *QUICK, f"run.dir={folder / 'bank'}")
+    budget = "budget.samples=50000"
+    train("experiment=miniature/poses", budget, *QUICK[:3], f"run.dir={folder / 'poses'}")
+    return folder

@@ -1,0 +1,70 @@
+"""Any part can be swapped into any task by a word: it trains, or one sentence says what is missing."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import parts_and_tasks
+import pytest
+from parts_and_tasks import GIVEN, PAGE, attempt
+
+PLUGINS = parts_and_tasks.bundled()
+PARTS = parts_and_tasks.parts(PLUGINS)
+TASKS = parts_and_tasks.tasks(PLUGINS)
+
+#: Words of libraries and of Python, which mean nothing to whoever reads a refusal.
+_FOREIGN = re.compile(r"hydra|omegaconf|override|traceback|\w+Error|_target_|\bNone\b|<class", re.I)
+
+
+@pytest.fixture(scope="module")
+def tried(built_on: Path) -> Callable[[str, str], str]:
+    """What comes of a part in a task."""
+    return functools.cache(lambda part, task: attempt(task, part, built_on, PLUGINS))
+
+
+def assert_clear(refusal: str) -> None:
+    """One line that names what does not fit, in the product's own words."""
+    assert "\n" not in refusal
+    assert not _FOREIGN.search(refusal), refusal
+    assert re.search(r"needs|does not fit|is not set", refusal), refusal
+    assert refusal.endswith((".", "?"))
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_trains_or_says_what_is_missing(part: str, tried: Callable[[str, str], str]) -> None:
+    found = {task: tried(part, task) for task in TASKS}
+    for refusal in filter(None, found.values()):
+        assert_clear(refusal)
+    assert not all(found.values()), "it goes with no task at all"
+
+
+def test_the_page_is_up_to_date(tried: Callable[[str, str], str]) -> None:
+    found = {(part, task): tried(part, task) for part in PARTS for task in TASKS}
+    assert PAGE.read_text(encoding="utf-8") == parts_and_tasks.page(found), (
+        "run `make parts-and-tasks`"
+    )
+
+
+@pytest.mark.parametrize("part", GIVEN)
+def test_what_is_to_be_given_is_asked_for(part: str, tmp_path: Path) -> None:
+    refusal = attempt("miniature/go", part, tmp_path, PLUGINS, more=())
+    option = GIVEN[part][0].partition("=")[0]
+    assert refusal == f"{option} is not set. Give it a value."
+
+
+@pytest.mark.parametrize(
+    "part",
+    ["policy=mlp", "learner=ppo", "learner=trpo", "termination=spacetime",
+     "initial_states=spacetime/evolution"],
+)  # fmt: skip
+@pytest.mark.parametrize("skill", ["run", "cartwheel", "backflip"])
+def test_every_recorded_skill_takes_the_parts_of_the_walk(
+    skill: str, part: str, tmp_path: Path
+) -> None:
+    if "UNDERSTUDY_DATA" not in os.environ:
+        pytest.skip("no recorded clips: UNDERSTUDY_DATA is not set")
+    assert attempt(f"spacetime/{skill}", part, tmp_path, PLUGINS) == ""
