@@ -174,10 +174,10 @@ import os, sys
 import torch
 torch.set_num_threads(1)
 from understudy_sweeps import sweep as module
-from understudy.setup import config, plugins
+from understudy.setup import composition, plugins
 import counted_task
 found = counted_task.line_plugins()
-for place in (plugins, config, module):
+for place in (plugins, composition, module):
     place.installed = lambda: found
 write = module.Journal._write
 
