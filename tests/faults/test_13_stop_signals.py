@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from worlds import CLI, SMALL, assert_same_state, child_environment, make_traini
 
 from understudy.errors import PreemptedError
 from understudy.records import checkpoint
+from understudy.records.observer import RunObserver
+from understudy.records.runs import Run
 from understudy.running.training import Training
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
@@ -35,12 +38,13 @@ def test_each_signal(plugins: Plugins, tmp_path: Path, number: signal.Signals) -
     before = signal.getsignal(number)
     training = make_training(plugins, LONG, tmp_path / "run")
 
-    def kill(row: Any) -> None:
-        if row["iteration"] == 3:
-            os.kill(os.getpid(), number)
-            os.kill(os.getpid(), signal.SIGTERM)  # a second one does no harm
+    class Killer(RunObserver):
+        def iteration(self, run: Run, row: Mapping[str, Any], stage: str) -> None:
+            if row["iteration"] == 3:
+                os.kill(os.getpid(), number)
+                os.kill(os.getpid(), signal.SIGTERM)  # a second one does no harm
 
-    training.reporter.iteration = kill
+    training.reporter.observers = [Killer()]
     with pytest.raises(
         PreemptedError, match=r"everything is saved\. Continue with `understudy resume"
     ) as caught:
