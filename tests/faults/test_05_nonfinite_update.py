@@ -11,7 +11,7 @@ from worlds import SMALL, assert_same_state, flat, make_training
 from understudy.errors import TrainingError
 from understudy.records import checkpoint
 from understudy.running.training import Training
-from understudy.setup.building import build_environment, build_learner, build_policy
+from understudy.setup.building import build_environment, build_policy
 from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
@@ -121,7 +121,7 @@ def test_dump_replays(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.Monk
     context = build_environment(experiment).context
     policy = build_policy(experiment, context)
     policy.load_state_dict(state["policy"])
-    learner = build_learner(experiment, context, policy)
+    learner = experiment.need("learner").build(context, policy)
     assert isinstance(learner, PPO)
     actor_loss, value_loss, *_ = learner.losses(state["minibatch"])
     assert not torch.isfinite(actor_loss)

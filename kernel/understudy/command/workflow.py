@@ -37,9 +37,8 @@ def train(overrides: Sequence[str]) -> int:
 def resume(path: str, overrides: Sequence[str]) -> int:
     """Continue the run at `path` to its criterion or budget."""
     run = runs.open_run(path)
-    given = run.info["overrides"]
     if overrides:
-        run.info["overrides"] = replaced(given, overrides)
+        run.info["overrides"] = replaced(run.info["overrides"], overrides)
         experiment = validate(compose_raw(run.info["overrides"]), installed().registry)
         run.info["config"] = experiment.effective() | {"run": run.config["run"]}
     experiment = validate(run.config, installed().registry)

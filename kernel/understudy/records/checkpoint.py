@@ -22,11 +22,8 @@ from torch import Tensor
 
 from understudy.errors import RunError
 
-#: Version of the layout written here. Older ones are migrated, newer ones refused.
+#: Version of the layout written here. Others are refused.
 FORMAT = 2
-
-#: Changes an older layout into the next one: ``{from_version: function(state, meta)}``.
-MIGRATIONS: dict[int, Any] = {}
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -78,16 +75,16 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     Raises
     ------
     RunError
-        if it is missing, damaged, or of a newer format.
+        if it is missing, damaged, or of another format.
     """
     document = read_sealed(path.with_suffix(".json"))
     if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():
         raise RunError(f"{path.with_suffix('.json')} is damaged: it is no checkpoint.")
     version = document.get("format")
-    if not isinstance(version, int) or version > FORMAT:
+    if version != FORMAT:
         raise RunError(
-            f"{path} has checkpoint format {version}, and this understudy reads up to {FORMAT}. "
-            "Use the version of understudy that wrote it, or a newer one."
+            f"{path} has checkpoint format {version}, and this understudy reads {FORMAT}. Use the "
+            "version of understudy that wrote it, or train anew."
         )
     try:
         data = path.with_suffix(".safetensors").read_bytes()
@@ -107,10 +104,6 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise RunError(
             f"{path.with_suffix('.json')} is damaged: its state is not readable."
         ) from error
-    for old in range(version, FORMAT):
-        if old not in MIGRATIONS:
-            raise RunError(f"{path} has checkpoint format {version}, which cannot be migrated.")
-        state, meta = MIGRATIONS[old](state, meta)
     return state, meta
 
 

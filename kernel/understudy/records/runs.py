@@ -38,9 +38,7 @@ VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-war
 
 def cores() -> int:
     """Processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):  # Linux
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def versions() -> dict[str, str]:
@@ -226,17 +224,12 @@ def open_run(path: str | Path) -> Run:
         )
     if layout < LAYOUT:
         raise RunError(
-            f"{path} was written by understudy {_written_by(info)}, whose tasks and states mean other "
-            f"things (layout {layout}; this one reads {LAYOUT}). Use that version for it, or train anew."
+            f"{path} was written by an older understudy, whose tasks and states mean other things "
+            f"(layout {layout}; this one reads {LAYOUT}). Use that version for it, or train anew."
         )
     if not isinstance(config, dict):
         raise RunError(f"{file} is damaged: its config is no mapping.")
     return Run(path, info)
-
-
-def _written_by(info: Mapping[str, Any]) -> str:
-    found = info.get("versions")
-    return str(found.get("understudy", "0.1.0")) if isinstance(found, Mapping) else "0.1.0"
 
 
 def differences(old: Any, new: Any, where: str = "") -> list[str]:

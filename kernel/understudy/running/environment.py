@@ -31,7 +31,7 @@ from understudy.task import (
     Simulator,
     State,
 )
-from understudy.task.terms import Bound, Reduction, Term
+from understudy.task.terms import Bound, Term
 
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
@@ -396,11 +396,6 @@ class Environment:
     def measure(self) -> dict[str, Tensor]:
         """Each measure of the states reached, (N,) float32."""
         return {term.name: self._evaluate(term).float() for term in self.parts.measures}
-
-    @property
-    def reductions(self) -> dict[str, Reduction]:
-        """By measure: how its values over an episode become one number."""
-        return {term.name: term.reduce for term in self.parts.measures}
 
     # ------------------------------------------------------------------ within a step
 

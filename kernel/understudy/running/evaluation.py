@@ -41,10 +41,8 @@ class Measured:
         return cls(reduce, mean, spread, mean - reach, mean + reach)
 
     def as_json(self) -> dict[str, Any]:
-        interval = [self.low, self.high]
-        return {
-            "reduce": self.reduce, "mean": self.mean, "spread": self.spread, "mean_95": interval
-        }  # fmt: skip
+        found = {"reduce": self.reduce, "mean": self.mean, "spread": self.spread}
+        return {**found, "mean_95": [self.low, self.high]}
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,7 @@ class Evaluation:
 
     def sentence(self) -> str:
         """The result in words."""
-        figures = [
-            f"{name} {m.mean:.3g}" for name, m in self.measures.items() if name != "return"
-        ]  # fmt: skip
+        figures = [f"{name} {m.mean:.3g}" for name, m in self.measures.items() if name != "return"]
         if self.success_rate is None:
             return "; ".join(figures) + "."
         early = "" if self.complete else " (stopped early: out of reach)"
@@ -237,7 +233,7 @@ class Evaluator:
         self._seconds = torch.zeros(n, device=device)
         self._returns = Reducer("sum", n, device)
         self._reducers = {
-            name: Reducer(reduce, n, device) for name, reduce in environment.reductions.items()
+            term.name: Reducer(term.reduce, n, device) for term in environment.parts.measures
         }
         self._step = Recorded(self._judge, environment)
 
@@ -288,7 +284,7 @@ class Evaluator:
             found.append(batch)
             on_step = None
         joined = {name: torch.cat([batch[name] for batch in found]) for name in found[0]}
-        reductions = {"return": "sum", **self.built.environment.reductions}
+        reductions = {"return": "sum", **{k: r.reduce for k, r in self._reducers.items()}}
         rate = None if self.success is None else (done - lost) / done
         return Evaluation(
             episodes=done,

@@ -63,7 +63,7 @@ class Recorded(Generic[T]):
             recording = self._graphs[kind]
             recording.action.copy_(action)
             recording.graph.replay()
-            environment.table.values = recording.values
+            environment.table.values = dict(recording.values)
             environment.observations = recording.observations
             return recording.result
         self._calls[kind] = self._calls.get(kind, 0) + 1
@@ -81,7 +81,7 @@ class Recorded(Generic[T]):
     def _record(self, action: Tensor, kind: int) -> T:
         environment = self._environment
         given, graph, pool = action.clone(), torch.cuda.CUDAGraph(), torch.cuda.MemPool()
-        before = environment.table.values
+        before = dict(environment.table.values)
         try:
             # A pool of its own: a simulator may end and resume the capture, after which torch no
             # longer knows that its allocations belong to it.
@@ -99,7 +99,7 @@ class Recorded(Generic[T]):
             )
             return self._work(action)
         self._graphs[kind] = _Recording(
-            graph, pool, given, result, environment.table.values, environment.observations
+            graph, pool, given, result, dict(environment.table.values), environment.observations
         )
         graph.replay()
         return result

@@ -21,7 +21,6 @@ from understudy.running.warm_start import misshapen, take_over
 from understudy.setup.building import (
     Built,
     build_environment,
-    build_learner,
     build_policy,
     device_of,
 )
@@ -56,7 +55,7 @@ class Reinforcement(Job):
         self.environment = built.environment
         self.environment.reset()  # which also checks every term
         self.policy = build_policy(experiment, built.context)
-        self.learner = build_learner(experiment, built.context, self.policy)
+        self.learner = experiment.need("learner").build(built.context, self.policy)
         initial, curriculum = self._adapting()
         records = (*initial.records, *(curriculum.records if curriculum else ()))
         seed = experiment.root.seed

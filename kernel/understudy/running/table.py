@@ -28,7 +28,7 @@ class FieldTable:
     ) -> None:
         self._simulator = simulator
         self._provider: dict[str, Bound[Fields]] = {}
-        self._values: dict[str, Tensor] = {}
+        self.values: dict[str, Tensor] = {}  #: what is known of the present state
         self.shapes: dict[str, Shape] = {}
         self.source: dict[str, str] = {}
         self.add(simulator.fields, "the simulator")
@@ -90,36 +90,27 @@ class FieldTable:
 
     def moved(self, own: Mapping[str, Tensor]) -> None:
         """Forget all values: the state has changed. `own` are the environment's fields now."""
-        self._values = dict(own)
+        self.values = dict(own)
 
     def put(self, name: str, value: Tensor) -> None:
         """Set a field of the environment's own, and forget what was computed from it."""
-        self._values[name] = value
+        self.values[name] = value
         for dependent in self._above.get(name, ()):
-            self._values.pop(dependent, None)
+            self.values.pop(dependent, None)
 
     def __getitem__(self, name: str) -> Tensor:
-        value = self._values.get(name)
+        value = self.values.get(name)
         if value is None:
             provider = self._provider.get(name)
             if provider is None:
-                value = self._values[name] = self._simulator.read(name)
+                value = self.values[name] = self._simulator.read(name)
             else:
                 given = provider.part.compute(**self.pick(provider.reads))
                 for own_name, field in provider.provides.items():
-                    self._values[field] = given[own_name]
-                value = self._values[name]
+                    self.values[field] = given[own_name]
+                value = self.values[name]
         return value
 
     def pick(self, names: Mapping[str, str]) -> dict[str, Tensor]:
         """The fields that `names` maps parameters to, by parameter."""
         return {parameter: self[name] for parameter, name in names.items()}
-
-    @property
-    def values(self) -> dict[str, Tensor]:
-        """What is known of the present state."""
-        return dict(self._values)
-
-    @values.setter
-    def values(self, values: Mapping[str, Tensor]) -> None:
-        self._values = dict(values)

@@ -14,7 +14,7 @@ from understudy.random import private_rng
 from understudy.running.environment import Environment, Parts
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
-from understudy.task import Context, Learner, Policy, Scene, Simulator
+from understudy.task import Context, Policy, Scene, Simulator
 from understudy.task.terms import Bound, Term, make_term, renamed
 
 
@@ -171,7 +171,3 @@ def build_policy(experiment: Experiment, context: Context) -> Policy:
     """The policy, its weights drawn from the seed alone."""
     with private_rng(context.seed, "policy"):
         return experiment.need("policy").build(context).to(context.device)
-
-
-def build_learner(experiment: Experiment, context: Context, policy: Policy) -> Learner:
-    return experiment.need("learner").build(context, policy)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import re
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +14,6 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.core.plugins import Plugins as HydraPlugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
@@ -144,17 +142,6 @@ def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
 
     new = {key(o) for o in by}
     return [*(o for o in overrides if key(o) not in new), *by]
-
-
-def written(value: Any) -> str:
-    """Plain data as the value of an override: every string is quoted, whatever is in it."""
-    if isinstance(value, Mapping):
-        return "{" + ",".join(f"{key}:{written(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ",".join(written(item) for item in value) + "]"
-    if isinstance(value, str):
-        return QuotedString(value, Quote.single).with_quotes()
-    return json.dumps(value)
 
 
 def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

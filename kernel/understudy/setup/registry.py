@@ -131,6 +131,15 @@ class TaskEntry:
         return self.name.replace(".", "/")
 
 
+def _refuse_twice(other: Component | TaskEntry | Section | None, plugin: str, what: str) -> None:
+    """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already."""
+    if other is not None:
+        raise PluginError(
+            f"Both plugin '{other.plugin}' and plugin '{plugin}' register the {what}. Rename one of "
+            f"them, or disable a plugin with UNDERSTUDY_DISABLE_PLUGINS={plugin}."
+        )
+
+
 @dataclass
 class Registry:
     """All components, tasks, sections and citations of the loaded plugins."""
@@ -160,12 +169,7 @@ class Registry:
 
     def add(self, component: Component) -> None:
         other = self.components.get((component.kind, component.name))
-        if other is not None:
-            raise PluginError(
-                f"Both plugin '{other.plugin}' and plugin '{component.plugin}' register the "
-                f"{component.kind} '{component.name}'. Rename one of them, or disable a plugin with "
-                f"UNDERSTUDY_DISABLE_PLUGINS={component.plugin}."
-            )
+        _refuse_twice(other, component.plugin, f"{component.kind} '{component.name}'")
         self.components[component.kind, component.name] = component
 
     def names(self, kind: str) -> list[str]:
@@ -220,11 +224,7 @@ class Registrar:
 
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name with />.yaml``."""
-        other = self.registry.tasks.get(name)
-        if other is not None:
-            raise PluginError(
-                f"Both plugin '{other.plugin}' and plugin '{self.plugin}' register the task '{name}'."
-            )
+        _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
         self.registry.tasks[name] = TaskEntry(
             name, summary, self.plugin, self.distribution, self.version
         )
@@ -233,11 +233,7 @@ class Registrar:
         self, name: str, options: type | str, build: Callable[[Any, Registry], Any] | str
     ) -> None:
         """Register a top-level config section and what is built from it."""
-        other = self.registry.sections.get(name)
-        if other is not None:
-            raise PluginError(
-                f"Both plugin '{other.plugin}' and plugin '{self.plugin}' register the section '{name}'."
-            )
+        _refuse_twice(self.registry.sections.get(name), self.plugin, f"section '{name}'")
         self.registry.sections[name] = Section(name, options, build, self.plugin)
 
     def kind(self, name: str, summary: str) -> None:

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from hydra.core.override_parser.types import Quote, QuotedString
+
 from understudy import distributed
 from understudy.errors import ConfigError, FileError, RunError, TrainingError
 from understudy.records import runs
@@ -27,7 +29,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.running.evaluation import Evaluation
 from understudy.running.training import Reporter, Training
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
-from understudy.setup.composition import compose_raw, load_experiment, replaced, written
+from understudy.setup.composition import compose_raw, load_experiment, replaced
 from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 
@@ -230,6 +232,17 @@ def _overrides(trial: Trial, work: Work, path: Path) -> list[str]:
     if trial.initial_states is not None:
         own.append(f"initial_states={written({'name': 'bank', 'file': trial.initial_states})}")
     return [*replaced(work.overrides, own), f"run.dir={path}"]
+
+
+def written(value: Any) -> str:
+    """Plain data as the value of an override: every string is quoted, whatever is in it."""
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{key}:{written(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ",".join(written(item) for item in value) + "]"
+    if isinstance(value, str):
+        return QuotedString(value, Quote.single).with_quotes()
+    return json.dumps(value)
 
 
 def _open(path: Path, overrides: list[str]) -> Training:

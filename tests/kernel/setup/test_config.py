@@ -11,12 +11,13 @@ from worlds import SMALL, make_training
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy.setup.composition import compose_raw, load_experiment, replaced, written
+from understudy.setup.composition import compose_raw, load_experiment, replaced
 from understudy.setup.config import Root, refuse_code, validate
 from understudy.setup.plugins import Plugins, load
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.origins import origins
+from understudy_sweeps.sweep import written
 
 
 def test_experiment(plugins: Plugins) -> None:
