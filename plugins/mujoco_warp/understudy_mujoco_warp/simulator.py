@@ -142,6 +142,8 @@ class MujocoWarpSimulator(Simulator):
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")
         self.model = scene.compiled(context)
         self._device = context.device
+        if self._device.type == "cuda" and self._device.index is None:  # Warp wants it said
+            self._device = torch.device("cuda", torch.cuda.current_device())
         self._n = context.num_worlds
         self._substeps = context.substeps
         self._deterministic = options.deterministic
