@@ -67,6 +67,8 @@ class System:
     relaxation: float
     sleep: float
     reach: float
+    room: int  # M
+    slots: int  # K
     smoothing: float
     stiffness: float  # of springs, in an iteration
     per_iteration: float  # 1 / iterations
@@ -118,8 +120,7 @@ def global_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ..
 def _shared_memory(rows: int) -> Any:
     """A function that gives a block's `rows` of shared memory; on the CPU there is none."""
 
-    @wp.func_native(
-        f"""
+    snippet = f"""
 #if defined(__CUDA_ARCH__)
     __shared__ float4 rows[{rows}];
     return (uint64_t)(void*)rows;
@@ -127,7 +128,8 @@ def _shared_memory(rows: int) -> Any:
     return (uint64_t)(memory.data + offset);
 #endif
 """
-    )
+
+    @wp.func_native(snippet)
     def shared_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ...
 
     return shared_memory
@@ -177,7 +179,7 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
     """`x`, or where a particle on its way there from `start` first met a tool that both move fast
     enough to miss each other in a sub-step (sphere tracing in the frame of the shape)."""
     result = x
-    for shape in range(s.tools.kind.shape[0]):
+    for shape in range(s.tools.shapes):
         at_before = s.tools.shape_position_before[world, shape]
         at = s.tools.shape_position[world, shape]
         # no faster than the particle's motion and that of the shape's farthest point
@@ -207,13 +209,13 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
 @wp.func
 def advance_tools(s: System, world: int, lane: int, lanes: int):
     remaining = float(s.substeps - s.substep[world])
-    for tool in range(lane, s.tools.position.shape[1], lanes):
+    for tool in range(lane, s.tools.tools, lanes):
         move_tool(s.tools, s.control, world, tool, remaining, s.dt)
 
 
 @wp.func
 def place_shapes(s: System, world: int, lane: int, lanes: int):
-    for shape in range(lane, s.tools.kind.shape[0], lanes):
+    for shape in range(lane, s.tools.shapes, lanes):
         place_shape(s.tools, world, shape)
 
 
@@ -230,7 +232,7 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
     material = s.material[i]
     mu = s.friction[world, material]
     ratio = s.static_ratio[material]
-    for shape in range(s.tools.kind.shape[0]):
+    for shape in range(s.tools.shapes):
         at = s.tools.shape_position[world, shape]
         turn = s.tools.shape_rotation[world, shape]
         away = x - (at + wp.quat_rotate(turn, s.tools.centre[shape]))
@@ -306,7 +308,7 @@ def build_kernels(features: Features) -> Kernels:
         found = int(0)
         touching = int(0)
         reach = s.reach * s.reach
-        room = s.neighbour.shape[2]
+        room = s.room
         radius = s.radius[i]
         if own[3] > 0.0:
             for j in range(P):
@@ -428,7 +430,7 @@ def build_kernels(features: Features) -> Kernels:
                     delta += (share / wp.max(own[3], other[3])) * change
                     active += 1.0
             if wp.static(SPRINGS):
-                for k in range(s.spring_partner.shape[2]):
+                for k in range(s.slots):
                     j = s.spring_partner[world, i, k]
                     if j >= 0:
                         other = load(memory, source + j)
