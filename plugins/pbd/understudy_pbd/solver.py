@@ -16,7 +16,15 @@ from typing import Any
 
 import warp as wp
 
-from understudy_pbd.constraints import contact, density_kernel, density_slope, friction, spring
+from understudy_pbd.constraints import (
+    contact,
+    density_kernel,
+    density_slope,
+    friction,
+    missing_density,
+    missing_slope,
+    spring,
+)
 from understudy_pbd.shapes import Tools, local_distance, move_tool, place_shape, shape_distance
 
 #: Rows of working memory for each particle: two of positions (x, y, z, number of constraints), which
@@ -225,6 +233,32 @@ def count_substep(s: System, world: int):
 
 
 @wp.func
+def wall(s: System, side: int, x: wp.vec3) -> wp.vec4:
+    """Normal of one of four walls, or of the table (the last), and the distance of x from it."""
+    result = wp.vec4(0.0, 0.0, 1.0, x[2])
+    if side == 0:
+        result = wp.vec4(1.0, 0.0, 0.0, x[0] - s.lower[0])
+    elif side == 1:
+        result = wp.vec4(-1.0, 0.0, 0.0, s.upper[0] - x[0])
+    elif side == 2:
+        result = wp.vec4(0.0, 1.0, 0.0, x[1] - s.lower[1])
+    elif side == 3:
+        result = wp.vec4(0.0, -1.0, 0.0, s.upper[1] - x[1])
+    return result
+
+
+@wp.func
+def wall_gradient(s: System, x: wp.vec3, h: float) -> wp.vec3:
+    """Of the share of the rest density that table and walls leave out around x, 1/m."""
+    result = wp.vec3(0.0)
+    for side in range(5):
+        plane = wall(s, side, x)
+        if plane[3] < h:
+            result += missing_slope(plane[3], h) * xyz(plane)
+    return result
+
+
+@wp.func
 def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp.vec3:
     """`moved` out of tools, walls and table, whole and not averaged: nobody pushes these back."""
     x = moved
@@ -254,21 +288,10 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
     if s.has_table != 0:
         dynamic = 0.5 * (mu + s.table_friction)
         for side in range(5):
-            n = wp.vec3(0.0, 0.0, 1.0)
-            depth = radius - x[2]
-            if side == 0:
-                n = wp.vec3(1.0, 0.0, 0.0)
-                depth = radius + s.lower[0] - x[0]
-            elif side == 1:
-                n = wp.vec3(-1.0, 0.0, 0.0)
-                depth = radius + x[0] - s.upper[0]
-            elif side == 2:
-                n = wp.vec3(0.0, 1.0, 0.0)
-                depth = radius + s.lower[1] - x[1]
-            elif side == 3:
-                n = wp.vec3(0.0, -1.0, 0.0)
-                depth = radius + x[1] - s.upper[1]
+            plane = wall(s, side, x)
+            depth = radius - plane[3]
             if depth > 0.0:
+                n = xyz(plane)
                 slip = x - start
                 slip = slip - wp.dot(slip, n) * n
                 x = x + depth * n - friction(slip, depth, ratio * dynamic, dynamic)
@@ -355,6 +378,11 @@ def build_kernels(features: Features) -> Kernels:
                         g = (other / rest * density_slope(r, h) / r) * apart
                         gradient += g
                         squares += s.inverse_mass[j] * wp.dot(g, g)
+            if s.has_table != 0:  # the fluid goes on behind a wall
+                for side in range(5):
+                    plane = wall(s, side, x)
+                    rho += rest * missing_density(plane[3], h)
+                gradient += wall_gradient(s, x, h)
             c = rho / rest - 1.0
             if c < 0.0:
                 c = c * s.tension[s.material[i]]
@@ -429,6 +457,9 @@ def build_kernels(features: Features) -> Kernels:
                     change = contact(apart, r, both, slip, static, dynamic, holds)
                     delta += (share / wp.max(own[3], other[3])) * change
                     active += 1.0
+            if wp.static(FLUIDS):
+                if rest > 0.0 and s.has_table != 0:
+                    flow += begin[3] * w * wall_gradient(s, x, s.smoothing)
             if wp.static(SPRINGS):
                 for k in range(s.slots):
                     j = s.spring_partner[world, i, k]
