@@ -34,6 +34,9 @@ ROWS = 3
 SHARED_PARTICLES = 1024
 #: Nearer than this particles have no direction from each other, m.
 _NEAR = wp.constant(1e-9)
+#: Particles of fluids touch at this share of the sum of their radii: nearer than the density
+#: constraint ever has them in a body of fluid, but where a sheet is thin it does not hold.
+_FLUID_CONTACT = wp.constant(0.7)
 
 
 @wp.struct
@@ -347,6 +350,9 @@ def build_kernels(features: Features) -> Kernels:
                         both += radius
                     else:
                         both += s.radius[j]
+                    if wp.static(FLUIDS):
+                        if s.rest_density[s.material[i]] > 0.0 and s.rest_density[s.material[j]] > 0.0:
+                            both = _FLUID_CONTACT * both
                     if r2 < both * both:
                         touching += 1
         s.neighbour_count[world, i] = wp.min(found, room)
@@ -445,10 +451,15 @@ def build_kernels(features: Features) -> Kernels:
                             lambdas = begin[3] / (s.inverse_mass[j] * rest)
                             lambdas += load(memory, 2 * P + j)[3] / (w * density_j)
                             flow += (lambdas * w * density_slope(r, s.smoothing) / r) * apart
+                        if flowing:
+                            both = _FLUID_CONTACT * both
+                            static = 0.0
+                            dynamic = 0.0
+                            holds = 0.0
                 limit = both
                 if holds > 0.0:
                     limit = both * (1.0 + far)
-                if r2 < limit * limit and not flowing:
+                if r2 < limit * limit:
                     r = wp.sqrt(r2)
                     if r < _NEAR:  # on each other: apart along z, each its own way
                         r = _NEAR
