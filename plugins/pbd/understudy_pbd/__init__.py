@@ -1,0 +1,17 @@
+"""Position-based dynamics of particles in Warp, N worlds at once."""
+
+from understudy import hookimpl
+from understudy.setup.registry import Registrar
+
+#: Plugins that this one builds on.
+REQUIRES = ("mujoco",)
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    register.component(
+        "simulator",
+        "pbd",
+        "understudy_pbd.simulator:ParticleSimulator",
+        "particles, springs and tools by position-based dynamics",
+    )
