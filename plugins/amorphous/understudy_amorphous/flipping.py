@@ -38,7 +38,7 @@ class Toss(Fields):
     def compute(
         self, particle_position: Tensor, particle_velocity: Tensor, tool_position: Tensor
     ) -> dict[str, Tensor]:
-        above = particle_position[..., 2] - tool_position[:, None, 2]
+        above = particle_position[..., 2] - tool_position[:, :1, 2]
         return {
             "clearance": above.amin(dim=1),
             "material_angular_velocity": angular_velocity(particle_position, particle_velocity),

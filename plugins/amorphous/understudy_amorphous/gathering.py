@@ -31,7 +31,7 @@ class Farthest(Fields):
         return {
             "farthest_distance": far.clamp(min=0.0),
             "farthest_position": position,
-            "tool_distance": (position - tool_position[:, :2]).norm(dim=1),
+            "tool_distance": (position - tool_position[:, 0, :2]).norm(dim=1),
         }
 
 

@@ -134,7 +134,7 @@ class MaterialMaps(Encoder):
         tool_orientation: Tensor,
         goal: Tensor | None = None,
     ) -> Tensor:
-        options, pose = self.options, (tool_position, tool_orientation)
+        options, pose = self.options, (tool_position[:, 0], tool_orientation[:, 0])
         material, height = density_and_height(self._seen(particle_position, *pose), options.grid)
         found = {"density": options.scale * material, "height": options.height_scale * height}
         if goal is not None:

@@ -12,6 +12,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, Shape, box
+from understudy_basics import rotations
 
 #: q = [x, y, z, φ, ψ, θ] (section 3.5): position in m, then turns about the tool's x, y and z axes.
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -61,8 +62,8 @@ class ToolTarget(Actuation):
 
     An action's number, squashed by tanh, is the share of its ``reach`` that the target is away along
     one axis. The frame is the tool's up to its tilt: z is up, x is where it faces. What the tool may
-    not leave stops it. The control is its pose at the end of the control period, position and
-    quaternion.
+    not leave stops it. The control is its pose at the end of the control period: position and rotation
+    vector.
     """
 
     reads = ("tool_position", "tool_orientation", "tool_pose", "tool_rate")
@@ -113,7 +114,7 @@ class ToolTarget(Actuation):
     def begin(
         self, tool_position: Tensor, tool_orientation: Tensor, tool_pose: Tensor, tool_rate: Tensor
     ) -> dict[str, Tensor]:
-        pose = torch.cat([tool_position, euler_angles(tool_orientation)], dim=1)
+        pose = torch.cat([tool_position[:, 0], euler_angles(tool_orientation[:, 0])], dim=1)
         return {"tool_pose": pose, "tool_rate": torch.zeros_like(pose)}
 
     def advance(
@@ -148,7 +149,8 @@ class ToolTarget(Actuation):
         tool_pose: Tensor,
         tool_rate: Tensor,
     ) -> Tensor:
-        return torch.cat([tool_pose[:, :3], orientation(tool_pose[:, 3:])], dim=1)
+        turn = rotations.to_exponential_map(orientation(tool_pose[:, 3:]))
+        return torch.cat([tool_pose[:, :3], turn], dim=1)
 
 
 class ToolState(Encoder):

@@ -31,8 +31,8 @@ def tool(frequency: float = 30.0, **options: Any) -> ToolTarget:
 
 def started(part: ToolTarget, *, x: float = 0.0, yaw: float = 0.0) -> dict[str, torch.Tensor]:
     given = {
-        "tool_position": torch.tensor([[x, 0.0, 0.0]]),
-        "tool_orientation": orientation(torch.tensor([[0.0, 0.0, yaw]])),
+        "tool_position": torch.tensor([[[x, 0.0, 0.0]]]),
+        "tool_orientation": orientation(torch.tensor([[[0.0, 0.0, yaw]]])),
     }
     nothing = torch.zeros(1, 6)
     return given | part.begin(**given, tool_pose=nothing, tool_rate=nothing)
@@ -107,7 +107,9 @@ def test_it_leans_in_the_direction_of_its_motion(direction: float) -> None:
     leaning = driven(part, started(part, yaw=2.0), [9.0 * direction, 0.0, 0.0], 60)
     assert float(leaning["tool_pose"][0, 4]) == pytest.approx(0.4 * direction, abs=0.01)
     control = part.control(torch.zeros(1, 3), **leaning)
-    up = rotations.rotate(control[:, 3:], torch.tensor([[0.0, 0.0, 1.0]]))[0]
+    up = rotations.rotate(
+        rotations.from_exponential_map(control[:, 3:]), torch.tensor([[0.0, 0.0, 1.0]])
+    )[0]
     forward = direction * torch.tensor([math.cos(2.0), math.sin(2.0)])
     assert float(up[:2] @ forward) > 0.3, "its upper edge is ahead"
 
