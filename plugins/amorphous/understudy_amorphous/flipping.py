@@ -38,16 +38,14 @@ class Toss(Fields):
     def compute(
         self, particle_position: Tensor, particle_velocity: Tensor, tool_position: Tensor
     ) -> dict[str, Tensor]:
-        above = particle_position[..., 2] - tool_position[:, :1, 2]
+        above = particle_position[..., 2] - tool_position[:, None, 2]
         return {
             "clearance": above.amin(dim=1),
             "material_angular_velocity": angular_velocity(particle_position, particle_velocity),
         }
 
 
-def height(
-    clearance: Tensor, *, c_1: float = 0.1, w_1: float = 10.0, w_2: float = 0.1
-) -> Tensor:
+def height(clearance: Tensor, *, c_1: float = 0.1, w_1: float = 10.0, w_2: float = 0.1) -> Tensor:
     """r_h (eq. 11) of d_ymin (m)."""
     return torch.where(clearance > 0, c_1 + w_1 * clearance, w_2 * clearance)
 
@@ -129,9 +127,7 @@ class Turned(Memory):
         }
 
 
-def flipped(
-    caught_turn: Tensor, *, direction: float = 1.0, least: float = 2.4
-) -> Tensor:
+def flipped(caught_turn: Tensor, *, direction: float = 1.0, least: float = 2.4) -> Tensor:
     """Whether the material came back into the pan turned over at least once: by `least` rad or more, a
     little less than half a turn, in `direction` (1 or −1)."""
     return (direction * caught_turn >= least).float()

@@ -22,7 +22,11 @@ class Farthest(Fields):
         pass
 
     def compute(
-        self, particle_position: Tensor, active_particles: Tensor, tool_position: Tensor, goal: Tensor
+        self,
+        particle_position: Tensor,
+        active_particles: Tensor,
+        tool_position: Tensor,
+        goal: Tensor,
     ) -> dict[str, Tensor]:
         flat = particle_position[..., :2]
         distance = (flat - goal.unsqueeze(1)).norm(dim=2)
@@ -31,7 +35,7 @@ class Farthest(Fields):
         return {
             "farthest_distance": far.clamp(min=0.0),
             "farthest_position": position,
-            "tool_distance": (position - tool_position[:, 0, :2]).norm(dim=1),
+            "tool_distance": (position - tool_position[:, :2]).norm(dim=1),
         }
 
 
@@ -76,9 +80,7 @@ def gathering(
     """
     before = (c_1 + previous_farthest_distance).square()
     nearer = before - (c_1 + farthest_distance).square()
-    motion = path_length(
-        particle_position, previous_particle_position, active_particles, mean=mean
-    )
+    motion = path_length(particle_position, previous_particle_position, active_particles, mean=mean)
     vicinity = (farthest_distance < c_3).float()
     r_p = c_2 + w_1 * nearer + w_2 * motion + w_4 * vicinity
     r_tool = -w_3 * tool_distance

@@ -6,7 +6,7 @@ along z, which the paper calls y.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context, Encoder, Fields, Shape
+from understudy_amorphous.scene import AmorphousScene
 from understudy_basics import rotations
 
 #: A particle counts in its own cell and in two rings around it.
@@ -101,8 +102,8 @@ class MaterialMaps(Encoder):
         frame: Literal["tool", "world"] = "tool"
         grid: Grid = Grid()
         centre: tuple[float, float] = (0.0, 0.0)  #: m, of maps in the world's frame
-        #: By what eq. 2's sums are multiplied, so that a layer of particles is about 1. Where
-        #: particles are smaller, it is smaller: the same material then makes the same map.
+        #: By what eq. 2's sums are multiplied, so that a layer of particles is about 1. Of smaller
+        #: particles (``scene.resolution``) each counts less: the same material makes the same map.
         scale: float = 0.1
         height_scale: float = 1.0  #: 1/m, of heights
 
@@ -120,28 +121,39 @@ class MaterialMaps(Encoder):
         self.reads = ("particle_position", "tool_position", "tool_orientation")
         if "goal" in options.channels:
             self.reads = (*self.reads, "goal")
-        self._centre = torch.tensor([*options.centre, 0.0], device=context.device)
+        scene = context.need_scene(AmorphousScene, "encoder 'amorphous.maps'")
+        self._scaled = replace(options, scale=options.scale / scene.options.resolution**3)
 
-    def _seen(self, points: Tensor, position: Tensor, orientation: Tensor) -> Tensor:
-        if self.options.frame == "world":
-            return points - self._centre
-        return in_tool_frame(points, position, orientation)
+    def encode(self, **fields: Tensor) -> Tensor:
+        return draw_maps(self._scaled, **fields)
 
-    def encode(
-        self,
-        particle_position: Tensor,
-        tool_position: Tensor,
-        tool_orientation: Tensor,
-        goal: Tensor | None = None,
-    ) -> Tensor:
-        options, pose = self.options, (tool_position[:, 0], tool_orientation[:, 0])
-        material, height = density_and_height(self._seen(particle_position, *pose), options.grid)
-        found = {"density": options.scale * material, "height": options.height_scale * height}
-        if goal is not None:
-            on_table = torch.cat([goal, torch.zeros_like(goal[:, :1])], dim=1).unsqueeze(1)
-            peak = 2**0.5 * _REACH * options.grid.width  # what eq. 3 gives at a cell's centre
-            found["goal"] = density(self._seen(on_table, *pose), options.grid) / peak
-        return torch.stack([found[name] for name in options.channels], dim=1)
+
+def draw_maps(
+    options: MaterialMaps.Options,
+    particle_position: Tensor,
+    tool_position: Tensor,
+    tool_orientation: Tensor,
+    goal: Tensor | None = None,
+) -> Tensor:
+    """The maps (N, C, cells, cells) that `options` describe, of a scene with one tool.
+
+    ``particle_position`` (N, P, 3) m, ``tool_position`` (N, 3) m, ``tool_orientation`` (N, 4), ``goal``
+    (N, 2) m on the table.
+    """
+
+    def seen(points: Tensor) -> Tensor:
+        if options.frame == "tool":
+            return in_tool_frame(points, tool_position, tool_orientation)
+        x, y = options.centre
+        return torch.stack([points[..., 0] - x, points[..., 1] - y, points[..., 2]], dim=-1)
+
+    material, height = density_and_height(seen(particle_position), options.grid)
+    found = {"density": options.scale * material, "height": options.height_scale * height}
+    if goal is not None:
+        on_table = torch.nn.functional.pad(goal, (0, 1)).unsqueeze(1)
+        peak = 2**0.5 * _REACH * options.grid.width  # what eq. 3 gives at a cell's centre
+        found["goal"] = density(seen(on_table), options.grid) / peak
+    return torch.stack([found[name] for name in options.channels], dim=1)
 
 
 class TableMap(Fields):

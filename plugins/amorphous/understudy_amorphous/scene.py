@@ -101,6 +101,8 @@ class AmorphousScene(ParticleScene):
             if min(self.block) < 1:
                 raise ValueError(f"block={list(self.block)} is not possible: give at least 1 each.")
 
+    recorded = (*ParticleScene.recorded, "goal")
+
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
         #: m, between particles at rest.

@@ -54,7 +54,9 @@ def integrate(
 def _check_axes(option: str, names: tuple[str, ...]) -> None:
     for name in names:
         if name not in AXES:
-            raise ValueError(f"{option}: there is no '{name}'; a tool moves along {', '.join(AXES)}.")
+            raise ValueError(
+                f"{option}: there is no '{name}'; a tool moves along {', '.join(AXES)}."
+            )
 
 
 class ToolTarget(Actuation):
@@ -89,11 +91,17 @@ class ToolTarget(Actuation):
             _check_axes("limits", tuple(self.limits))
             for name, (low, high) in self.limits.items():
                 if not low <= high:
-                    raise ValueError(f"limits.{name}=[{low}, {high}] is not possible: give least first.")
+                    raise ValueError(
+                        f"limits.{name}=[{low}, {high}] is not possible: give least first."
+                    )
             if self.tilt and "pitch" in self.reach:
-                raise ValueError("tilt is not possible beside reach.pitch: one of them turns the tool.")
+                raise ValueError(
+                    "tilt is not possible beside reach.pitch: one of them turns the tool."
+                )
             if not self.reach or any(reach <= 0 for reach in self.reach.values()):
-                raise ValueError(f"reach={dict(self.reach)} is not possible: give an axis, above 0.")
+                raise ValueError(
+                    f"reach={dict(self.reach)} is not possible: give an axis, above 0."
+                )
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options, self._dt = options, context.control_dt
@@ -114,7 +122,7 @@ class ToolTarget(Actuation):
     def begin(
         self, tool_position: Tensor, tool_orientation: Tensor, tool_pose: Tensor, tool_rate: Tensor
     ) -> dict[str, Tensor]:
-        pose = torch.cat([tool_position[:, 0], euler_angles(tool_orientation[:, 0])], dim=1)
+        pose = torch.cat([tool_position, euler_angles(tool_orientation)], dim=1)
         return {"tool_pose": pose, "tool_rate": torch.zeros_like(pose)}
 
     def advance(

@@ -59,7 +59,9 @@ def update_springs(
         j = partner[world, i, k]
         if j >= 0:
             d = wp.length(position[world, i] - position[world, j])
-            keep = d < d_b and not tool_between(tools, world, position[world, i], position[world, j])
+            keep = d < d_b and not tool_between(
+                tools, world, position[world, i], position[world, j]
+            )
             mutual = int(0)
             for other in range(slots):
                 if partner[world, j, other] == i:
@@ -118,17 +120,19 @@ class ViscoPlastic(Rule):
         wp.launch(
             create_springs,
             dim=size,
-            inputs=[
-                particles.position, particles.tools, *near, *springs, p.merge * self._distance
-            ],
+            inputs=[particles.position, particles.tools, *near, *springs, p.merge * self._distance],
             device=particles.device,
         )
         wp.launch(
             update_springs,
             dim=size,
             inputs=[
-                particles.position, particles.tools, *springs,
-                p.split * self._distance, p.compress, p.stretch,
+                particles.position,
+                particles.tools,
+                *springs,
+                p.split * self._distance,
+                p.compress,
+                p.stretch,
             ],
             device=particles.device,
         )

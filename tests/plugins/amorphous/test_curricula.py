@@ -18,7 +18,9 @@ def curriculum(*, evaluating: bool = False, **options: Any) -> Clusters:
     context = Context(
         seed=0, device=CPU, num_worlds=4, control_dt=0.1, substeps=1, evaluating=evaluating
     )
-    return Clusters(Clusters.Options(**{"seconds": Between(10.0, 20.0), "episodes": 4, **options}), context)
+    return Clusters(
+        Clusters.Options(**{"seconds": Between(10.0, 20.0), "episodes": 4, **options}), context
+    )
 
 
 def rollout(distances: list[float], returns: float = 0.0, ended: bool = True) -> Rollout:

@@ -50,7 +50,10 @@ def test_all_within_a_metre_of_the_goal_is_rewarded() -> None:
 def test_what_is_not_on_the_table_counts_for_nothing() -> None:
     positions = torch.tensor([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [90.0, 0.0, 0.0]]])
     found = gathering.Farthest(None, None).compute(  # type: ignore[arg-type]
-        positions, torch.tensor([[1.0, 1.0, 0.0]]), torch.tensor([[[0.0, 1.5, 0.4]]]), torch.zeros(1, 2)
+        positions,
+        torch.tensor([[1.0, 1.0, 0.0]]),
+        torch.tensor([[0.0, 1.5, 0.4]]),
+        torch.zeros(1, 2),
     )
     assert found["farthest_distance"].tolist() == [2.0]
     assert found["farthest_position"].tolist() == [[0.0, 2.0]]

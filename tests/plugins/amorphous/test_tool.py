@@ -31,8 +31,8 @@ def tool(frequency: float = 30.0, **options: Any) -> ToolTarget:
 
 def started(part: ToolTarget, *, x: float = 0.0, yaw: float = 0.0) -> dict[str, torch.Tensor]:
     given = {
-        "tool_position": torch.tensor([[[x, 0.0, 0.0]]]),
-        "tool_orientation": orientation(torch.tensor([[[0.0, 0.0, yaw]]])),
+        "tool_position": torch.tensor([[x, 0.0, 0.0]]),
+        "tool_orientation": orientation(torch.tensor([[0.0, 0.0, yaw]])),
     }
     nothing = torch.zeros(1, 6)
     return given | part.begin(**given, tool_pose=nothing, tool_rate=nothing)
@@ -115,9 +115,7 @@ def test_it_leans_in_the_direction_of_its_motion(direction: float) -> None:
 
 
 def test_what_the_policy_sees_of_it() -> None:
-    context = Context(
-        seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=DT, substeps=1
-    )
+    context = Context(seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=DT, substeps=1)
     pose, rate = torch.tensor([[1.0, 2, 3, 4, 5, 6]]), torch.tensor([[7.0, 8, 9, 10, 11, 12]])
     seen = ToolState(ToolState.Options(), context)
     expected = [1, 2, math.cos(6), math.sin(6), 7, 8, math.cos(12), math.sin(12)]
