@@ -9,4 +9,9 @@ REQUIRES: tuple[str, ...] = ()
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    register.component(
+        "simulator",
+        "pbd",
+        "understudy_pbd.simulator:ParticleSimulator",
+        "particles, springs and tools by position-based dynamics",
+    )

@@ -1,0 +1,60 @@
+"""The formulas of the solver, for one pair or one particle; who calls them in which order is in
+:mod:`understudy_pbd.solver`."""
+
+import warp as wp
+
+
+@wp.func
+def friction(slip: wp.vec3, depth: float, static: float, dynamic: float) -> wp.vec3:
+    """The part of the tangential displacement `slip` that friction takes back, at a contact
+    corrected by `depth` (Macklin et al. 2014, equation 24)."""
+    length = wp.length(slip)
+    share = float(1.0)
+    if length >= static * depth:
+        share = wp.min(dynamic * depth / length, 1.0)
+    if length <= 0.0:
+        share = 0.0
+    return share * slip
+
+
+@wp.func
+def contact(
+    apart: wp.vec3,
+    distance: float,
+    touching: float,
+    slip: wp.vec3,
+    static: float,
+    dynamic: float,
+    cohesion: float,
+) -> wp.vec3:
+    """How the vector `apart` between two particles is to change.
+
+    Nearer than `touching` they are pushed apart, with friction against the relative displacement
+    `slip`; else the share `cohesion` of the gap is closed.
+    """
+    n = apart / distance
+    depth = touching - distance
+    if depth <= 0.0:
+        return cohesion * depth * n
+    return depth * n - friction(slip - wp.dot(slip, n) * n, depth, static, dynamic)
+
+
+@wp.func
+def spring(apart: wp.vec3, distance: float, length: float, stiffness: float) -> wp.vec3:
+    """How `apart` is to change towards the rest length (distance constraint)."""
+    return (stiffness * (length - distance) / distance) * apart
+
+
+@wp.func
+def density_kernel(r2: float, h: float) -> float:
+    """W, poly6 (Müller et al. 2003), 1/m³, at the squared distance `r2` < h²."""
+    h2 = h * h
+    a = h2 - r2
+    return 315.0 / (64.0 * wp.pi) * (a / h2) * (a / h2) * (a / h2) / (h2 * h)
+
+
+@wp.func
+def density_slope(distance: float, h: float) -> float:
+    """dW/dr of the spiky kernel (Müller et al. 2003), 1/m⁴; negative."""
+    a = (h - distance) / h
+    return -45.0 / wp.pi * a * a / (h * h * h * h)

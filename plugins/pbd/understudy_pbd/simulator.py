@@ -1,0 +1,453 @@
+"""N worlds of particles on one device: the state as torch views of Warp's arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
+from understudy.task import Context, Shape, Simulator
+from understudy_pbd.scene import ParticleModel, ParticleScene
+
+try:
+    import warp as wp
+except ImportError as error:
+    raise ImportError(f"simulator 'pbd' needs Warp ({error}): pip install 'understudy[gpu]'") from error
+
+from understudy_pbd.rules import Particles
+from understudy_pbd.shapes import build_tools
+from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
+
+#: Beyond this a position, or a velocity, is one of a simulation that diverged.
+_LIMIT = 1e6
+#: Wider than any table, m.
+_OPEN = 1e9
+
+
+class ParticleSimulator(Simulator):
+    """Position-based dynamics (Macklin et al. 2014): a control period is so many sub-steps, each one
+    prediction and `iterations` of Jacobi.
+
+    A control (N, 6·T) is the pose that each of T tools has when the period ends: position (m) and
+    rotation vector (axis × angle, rad), both in the world frame. On the way it moves evenly.
+
+    ===========================================  =========================================
+    field                                        shape; T leads only if there are several tools
+    ===========================================  =========================================
+    ``particle_position``, ``particle_velocity``  (P, 3) m, m/s
+    ``tool_position``, ``tool_orientation``      (3,) m, (4,) wxyz
+    ``tool_velocity``, ``tool_angular_velocity``  (3,) m/s, rad/s, in the last sub-step
+    ``active_particles``                         (P,), 0 where a world has no such particle
+    ``spring_partners``, ``spring_lengths``      (P, K), −1 where no spring is; m
+    ===========================================  =========================================
+
+    Worlds may differ in ``gravity`` (3,), ``active_particles`` (P,), and for each of Q materials in
+    ``friction``, ``cohesion`` and ``viscosity`` (Q,).
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        iterations: int = 8  #: of a sub-step
+        #: ω of Macklin et al. 2014, section 4.2; under 2 a sum of averaged corrections converges
+        relaxation: float = 1.5
+        sleep: float = 0.0  #: m/s; slower particles stay where they are (section 4.5)
+        neighbours: int | None = None  #: M, the most that a particle has; null: what can fit
+        #: `block` keeps a world on one multiprocessor; `launches` has a kernel for each phase
+        traversal: Literal["block", "launches"] = "block"
+        threads: int = 256  #: of a block, at most
+
+        def __post_init__(self) -> None:
+            check_range(self, "iterations", "threads", least=1)
+            check_range(self, "threads", most=1024)
+            check_range(self, "relaxation", above=0, most=1.99)
+            check_range(self, "sleep", least=0)
+            if self.neighbours is not None:
+                check_range(self, "neighbours", least=1)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        scene = context.need_scene(ParticleScene, "simulator 'pbd'")
+        self.model = model = scene.model()
+        self._options = options
+        self._device = context.device
+        if self._device.type == "cuda" and self._device.index is None:  # Warp wants it said
+            self._device = torch.device("cuda", torch.cuda.current_device())
+        self._n, self._substeps = context.num_worlds, context.substeps
+        self._dt = context.control_dt / context.substeps
+        wp.config.quiet = True
+        wp.init()
+        with wp.ScopedDevice(wp.device_from_torch(self._device)):
+            self._system, features = self._build(model)
+            self._kernels = build_kernels(features)
+        self._features = features
+        self.control_size = 6 * len(model.tools)
+        system, tools, p = self._system, self._system.tools, features.particles
+        views = {
+            "particle_position": (wp.to_torch(system.position), (p, 3)),
+            "particle_velocity": (wp.to_torch(system.velocity), (p, 3)),
+            "active_particles": (wp.to_torch(system.active), (p,)),
+        }
+        k = system.spring_partner.shape[2]
+        if k:
+            views["spring_partners"] = (wp.to_torch(system.spring_partner), (p, k))
+            views["spring_lengths"] = (wp.to_torch(system.spring_length), (p, k))
+        t = len(model.tools)
+        lead = (t,) if t > 1 else ()
+        if t:
+            views["tool_position"] = (wp.to_torch(tools.position), (*lead, 3))
+            views["tool_orientation"] = (wp.to_torch(tools.orientation), (*lead, 4))
+            views["tool_velocity"] = (wp.to_torch(tools.velocity), (*lead, 3))
+            views["tool_angular_velocity"] = (wp.to_torch(tools.angular_velocity), (*lead, 3))
+        self._views = {name: view.view(self._n, *shape) for name, (view, shape) in views.items()}
+        self.fields: Mapping[str, Shape] = {name: shape for name, (_, shape) in views.items()}
+        self.state_fields = ("particle_position", "particle_velocity")
+        if t:
+            self.state_fields += ("tool_position", "tool_orientation")
+        q = len(model.materials)
+        self._known = {
+            "active_particles": self._views["active_particles"],
+            "gravity": wp.to_torch(system.gravity),
+            "friction": wp.to_torch(system.friction),
+            "cohesion": wp.to_torch(system.cohesion),
+            "viscosity": wp.to_torch(system.viscosity),
+        }
+        self.parameters: Mapping[str, Shape] = {
+            "active_particles": (p,),
+            "gravity": (3,),
+            **dict.fromkeys(("friction", "cohesion", "viscosity"), (q,)),
+        }
+        self._varied: tuple[str, ...] = ()
+        self._particles = self._seen_by_rules()
+        with wp.ScopedDevice(wp.device_from_torch(self._device)):
+            for rule in model.rules:
+                rule.build(self._particles)
+        kept = {
+            f"rule_{number}_{name}": view
+            for number, rule in enumerate(model.rules)
+            for name, view in rule.state().items()
+        }
+        #: All that decides the future, beside varied parameters.
+        self._state = {
+            **{n: v for n, v in self._views.items() if n != "active_particles"},
+            "substep": wp.to_torch(system.substep),
+            **kept,
+        }
+        self._initial = {name: view[:1].clone() for name, view in self._state.items()}
+        for name in ("tool_velocity", "tool_angular_velocity", "particle_velocity", *kept):
+            if name in self._initial:
+                self._initial[name].zero_()
+        self._control = wp.to_torch(system.control)
+        self._overflow = wp.to_torch(system.overflow)
+        self._graphs: dict[Hashable, Any] = {}
+        self._outer: list[Any] = []
+        self._streams: dict[int, Any] = {}
+
+    def _build(self, model: ParticleModel) -> tuple[Any, Features]:
+        """The system on Warp's present device, and what its kernels have to know."""
+        n, p = self._n, len(model.positions)
+        radius = _each(model.radius, p, "radius")
+        mass = _each(model.mass, p, "mass")
+        material = _each(np.asarray(model.material), p, "material").astype(np.int32)
+        materials = model.materials
+        if p < 1 or (radius <= 0).any() or (mass < 0).any():
+            raise ConfigError("A scene of particles needs some, of positive radius and no negative mass.")
+        if not ((material >= 0) & (material < len(materials))).all():
+            raise ConfigError(f"A particle is of a material that the scene's {len(materials)} do not have.")
+        fluids = [m.fluid for m in materials if m.fluid is not None]
+        if len({fluid.smoothing for fluid in fluids}) > 1:
+            raise ConfigError("All fluids of a scene need the same smoothing radius.")
+        is_fluid = np.array([m.fluid is not None for m in materials])[material]
+        if (mass[is_fluid] == 0).any():
+            raise ConfigError("Particles of a fluid need a mass.")
+        smoothing = fluids[0].smoothing if fluids else 0.0
+        widest = 2 * float(radius.max()) * max(
+            1 + (m.cohesion_range if m.cohesion > 0 else 0.0) for m in materials
+        )
+        # in a sub-step others come near; those within the slack are seen
+        reach = max(1.2 * widest, smoothing, *(rule.reach for rule in model.rules), 0.0)
+        room = self._options.neighbours or min(p - 1, most_neighbours(reach, float(radius.min())))
+        partners, lengths = spring_slots(model, p)
+        options, s = self._options, System()
+
+        def each_world(value: Any, dtype: Any) -> Any:
+            value = np.asarray(value, np.int32 if dtype is int else np.float32)
+            return wp.array(np.tile(value, (n, *[1] * value.ndim)), dtype=dtype)
+
+        def one_each(values: Sequence[float]) -> Any:
+            return wp.array(np.asarray(values, np.float32), dtype=float)
+
+        s.position = each_world(model.positions, wp.vec3)
+        s.velocity = wp.zeros((n, p), dtype=wp.vec3)
+        s.active = wp.full((n, p), 1.0, dtype=float)
+        s.spring_partner, s.spring_length = each_world(partners, int), each_world(lengths, float)
+        s.substep = wp.zeros(n, dtype=int)
+        s.tools = build_tools(model.tools, n)
+        s.control = wp.zeros((n, 6 * len(model.tools)), dtype=float)
+        s.radius = one_each(radius)
+        s.inverse_mass = one_each(np.divide(1.0, mass, out=np.zeros(p), where=mass > 0))
+        s.material = wp.array(material, dtype=int)
+        s.gravity = each_world(model.gravity, wp.vec3)
+        s.friction = each_world([m.friction for m in materials], float)
+        s.static_ratio = one_each(
+            [
+                m.static_friction / m.friction if m.static_friction and m.friction else 1.0
+                for m in materials
+            ]
+        )
+        s.cohesion = each_world([m.cohesion for m in materials], float)
+        s.cohesion_range = one_each([m.cohesion_range for m in materials])
+        s.damping = one_each([m.damping for m in materials])
+        s.rest_density = one_each([m.fluid.rest_density if m.fluid else 0.0 for m in materials])
+        s.viscosity = each_world([m.fluid.viscosity if m.fluid else 0.0 for m in materials], float)
+        s.tension = one_each([m.fluid.tension if m.fluid else 0.0 for m in materials])
+        s.softening = one_each([_softening(m.fluid) for m in materials])
+        table = model.table
+        s.has_table = int(table is not None)
+        s.table_friction = table.friction if table else 0.0
+        s.lower = wp.vec2(*((table and table.lower) or (-_OPEN, -_OPEN)))
+        s.upper = wp.vec2(*((table and table.upper) or (_OPEN, _OPEN)))
+        s.dt, s.substeps, s.iterations = self._dt, self._substeps, options.iterations
+        s.relaxation, s.sleep = options.relaxation, options.sleep
+        s.reach, s.smoothing = reach, smoothing
+        s.per_iteration = 1.0 / options.iterations
+        s.stiffness = 1.0 - (1.0 - model.springs.stiffness) ** s.per_iteration
+        s.memory = wp.zeros(n * ROWS * p, dtype=wp.vec4)
+        if self._device.type == "cuda":  # threads side by side read numbers side by side
+            s.neighbour = wp.zeros((n, max(room, 1), p), dtype=int).transpose((0, 2, 1))
+        else:
+            s.neighbour = wp.zeros((n, p, max(room, 1)), dtype=int)
+        s.neighbour_count = wp.zeros((n, p), dtype=int)
+        s.overflow = wp.zeros((n, p), dtype=int)
+        rounds = math.ceil(p / options.threads)
+        threads = 32 * math.ceil(math.ceil(p / rounds) / 32)
+        features = Features(
+            particles=p,
+            fluids=bool(fluids),
+            springs=partners.shape[1] > 0,
+            alike=not fluids
+            and len(materials) == 1
+            and bool((radius == radius[0]).all() and (mass == mass[0]).all()),
+            shared=p <= SHARED_PARTICLES and self._device.type == "cuda",
+            threads=threads if self._device.type == "cuda" else 1,
+        )
+        return s, features
+
+    def _seen_by_rules(self) -> Particles:
+        s = self._system
+        return Particles(
+            worlds=self._n,
+            count=self._features.particles,
+            slots=s.spring_partner.shape[2],
+            dt=self._dt,
+            device=wp.device_from_torch(self._device),
+            position=s.position,
+            velocity=s.velocity,
+            active=s.active,
+            radius=s.radius,
+            inverse_mass=s.inverse_mass,
+            material=s.material,
+            spring_partner=s.spring_partner,
+            spring_length=s.spring_length,
+            neighbour=s.neighbour,
+            neighbour_count=s.neighbour_count,
+            tools=s.tools,
+            substep=s.substep,
+        )
+
+    # ------------------------------------------------------------------ Warp and torch together
+
+    def _on_stream(self) -> Any:
+        """Let Warp use torch's stream, so that both libraries' kernels keep their order."""
+        stream = torch.cuda.current_stream(self._device)
+        if stream.cuda_stream not in self._streams:
+            self._streams[stream.cuda_stream] = wp.stream_from_torch(stream)
+        # Warp's own stream has nothing that this one would have to wait for
+        return wp.ScopedStream(self._streams[stream.cuda_stream], sync_enter=False)
+
+    def _run(self, key: Hashable, work: Callable[[], None]) -> None:
+        """Do `work`, a sequence of Warp's kernels that is the same whenever `key` is."""
+        if self._device.type != "cuda":
+            with wp.ScopedDevice("cpu"):
+                work()
+        elif torch.cuda.is_current_stream_capturing():
+            with (
+                self._on_stream(),
+                wp.ScopedCapture(
+                    external=True, force_module_load=False, capture_mode=wp.CaptureMode.GLOBAL
+                ) as capture,
+            ):
+                work()
+            self._outer.append(capture.graph)  # keeps the kernels' code loaded
+        else:
+            if key not in self._graphs:
+                self._graphs[key] = self._record(work)
+            with self._on_stream():
+                wp.capture_launch(self._graphs[key])
+
+    def _record(self, work: Callable[[], None]) -> Any:
+        """The CUDA graph of `work`. Kernels must be compiled before, so it is done once in vain."""
+        before = {name: view.clone() for name, view in self._state.items()}
+        overflow = self._overflow.clone()
+        with self._on_stream():
+            work()
+        for name, value in before.items():
+            self._state[name].copy_(value)
+        self._overflow.copy_(overflow)
+        with (
+            wp.ScopedDevice(wp.device_from_torch(self._device)),
+            wp.ScopedCapture() as capture,
+        ):
+            work()
+        return capture.graph
+
+    def _advance(self, count: int) -> None:
+        """`count` sub-steps; rules are asked between them."""
+        rules = self.model.rules
+        if not rules:
+            self._solve(count)
+            return
+        for _ in range(count):
+            for rule in rules:
+                rule.before(self._particles)
+            self._solve(1)
+            for rule in rules:
+                rule.after(self._particles)
+
+    def _solve(self, count: int) -> None:
+        s, kernels, features = self._system, self._kernels, self._features
+        if self._options.traversal == "block":
+            wp.launch_tiled(
+                kernels.block, dim=[self._n], inputs=[s, count], block_dim=features.threads
+            )
+            return
+        p = features.particles
+        everyone = (self._n, p)
+        for _ in range(count):
+            wp.launch(kernels.tools, dim=self._n, inputs=[s])
+            wp.launch(kernels.predict, dim=everyone, inputs=[s])
+            wp.launch(kernels.find, dim=everyone, inputs=[s])
+            source = p
+            for _ in range(self._options.iterations):
+                if features.fluids:
+                    wp.launch(kernels.density, dim=everyone, inputs=[s, source])
+                wp.launch(kernels.solve, dim=everyone, inputs=[s, source])
+                source = p - source
+            wp.launch(kernels.finish, dim=everyone, inputs=[s, source])
+            if features.fluids:
+                wp.launch(kernels.viscosity, dim=everyone, inputs=[s, source])
+
+    # ------------------------------------------------------------------ Simulator
+
+    def vary(self, names: Sequence[str]) -> None:
+        for name in names:
+            if name not in self.parameters:
+                known = suggestion(name, self.parameters)
+                raise ConfigError(
+                    f"simulator 'pbd' has no parameter '{name}' in which worlds may differ.{known}"
+                )
+        self._varied = tuple(names)
+        self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
+        self._views.update({name: self._known[name] for name in names})
+
+    def read(self, name: str) -> Tensor:
+        return self._views[name]
+
+    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
+        for name in self._varied:
+            if name in state:
+                _put(self._known[name], worlds, state[name])
+        for name, view in self._state.items():
+            _put(view, worlds, state[name] if name in self.state_fields else self._initial[name])
+
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        count = self._substeps if substeps is None else substeps
+        self._control.copy_(control)
+        self._run(count, lambda: self._advance(count))
+
+    def failed(self) -> Tensor:
+        sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
+        for name in self.state_fields:
+            sound &= (self._views[name].abs() < _LIMIT).flatten(1).all(dim=1)  # false for NaN
+        return ~sound
+
+    def snapshot(self) -> dict[str, Tensor]:
+        varied = {name: self._known[name] for name in self._varied}
+        return {name: view.clone() for name, view in {**self._state, **varied}.items()}
+
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        if worlds is None:
+            worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
+        for name in self._varied:
+            _put(self._known[name], worlds, snapshot[name])
+        for name, view in self._state.items():
+            _put(view, worlds, snapshot[name])
+
+    def report(self) -> dict[str, int]:
+        count = int(self._overflow.sum())
+        return {"neighbour_overflows": count} if count else {}
+
+
+def _put(view: Tensor, worlds: Tensor, values: Tensor) -> None:
+    """Write the rows of `values` (N or 1, …) where `worlds` (N,) is true, in place."""
+    rows = worlds.view(-1, *([1] * (view.dim() - 1)))
+    torch.where(rows, values.to(view.device, view.dtype), view, out=view)
+
+
+def _each(value: Any, count: int, name: str) -> np.ndarray:
+    """(P,), of one number or of so many."""
+    value = np.asarray(value, float)
+    if value.shape not in ((), (count,)):
+        raise ConfigError(f"The scene's {name} has shape {value.shape}, not ({count},), nor is it one.")
+    return np.broadcast_to(value, count).copy()
+
+
+def most_neighbours(reach: float, radius: float) -> int:
+    """How many spheres packed as densely as spheres can be have their centres within `reach`."""
+    return math.ceil(math.pi / math.sqrt(18) * (reach / radius + 1) ** 3)
+
+
+def spring_slots(model: ParticleModel, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(P, K) partners and lengths of the scene's springs, each in a slot of both its ends.
+
+    Raises
+    ------
+    ConfigError
+        if a pair is none, or has no place in `slots`.
+    """
+    springs = model.springs
+    pairs = np.asarray(springs.pairs, np.int64).reshape(-1, 2)
+    lengths = np.asarray(springs.lengths, float)
+    if lengths.shape != (len(pairs),) or (lengths <= 0).any():
+        raise ConfigError(f"{len(pairs)} springs need as many lengths, all above 0.")
+    if ((pairs < 0) | (pairs >= count)).any() or (pairs[:, 0] == pairs[:, 1]).any():
+        raise ConfigError("A spring ties a particle that the scene does not have, or one to itself.")
+    used = np.bincount(pairs.reshape(-1), minlength=count)
+    slots = springs.slots or int(used.max(initial=0))
+    if used.max(initial=0) > slots:
+        raise ConfigError(f"A particle has {used.max()} springs, but slots={slots}.")
+    partners, table = np.full((count, slots), -1), np.zeros((count, slots))
+    filled = np.zeros(count, int)
+    for (i, j), length in zip(pairs, lengths, strict=True):
+        for own, other in ((i, j), (j, i)):
+            partners[own, filled[own]], table[own, filled[own]] = other, length
+            filled[own] += 1
+    return partners, table
+
+
+def _softening(fluid: Any) -> float:
+    """ε of the density constraint (Macklin and Müller 2013, equation 11), (1/m²): a hundredth of the
+    sum of squared gradients inside the fluid at rest, on a grid of half a smoothing radius."""
+    if fluid is None:
+        return 0.0
+    h = fluid.smoothing
+    axis = np.arange(-2, 3) * 0.5 * h
+    r = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis)), axis=0)
+    r = r[(r > 0) & (r < h)]
+    slopes = (0.5 * h) ** 3 * 45 / math.pi / h**6 * (h - r) ** 2
+    return 0.01 * float((slopes**2).sum())

@@ -1,0 +1,567 @@
+"""Position-based dynamics of N worlds: the phases of a sub-step, and two ways to go through them.
+
+Each phase is a function of one particle of one world, which reads others and writes only its own.
+:func:`build_kernels` makes of them
+
+- ``block``: one kernel for any number of sub-steps, a thread block for each world. Positions stay in
+  shared memory if they fit. On the CPU a block has one thread.
+- one kernel for each phase with a thread for each particle, the same numbers by launches.
+
+The kernels are specialised: what a scene does not have costs nothing.
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from understudy_pbd.constraints import contact, density_kernel, density_slope, friction, spring
+from understudy_pbd.shapes import Tools, local_distance, move_tool, place_shape, shape_distance
+
+#: Rows of working memory for each particle: two of positions (x, y, z, number of constraints), which
+#: iterations read and write in turn, and one of where the sub-step began (x, y, z, λ of the fluid).
+ROWS = 3
+#: Particles whose working memory fits into the shared memory of a block (48 KiB).
+SHARED_PARTICLES = 1024
+#: Nearer than this particles have no direction from each other, m.
+_NEAR = wp.constant(1e-9)
+
+
+@wp.struct
+class System:
+    """What kernels are handed. N worlds, P particles, K slots for springs, M neighbours, Q materials."""
+
+    # the state
+    position: wp.array2d(dtype=wp.vec3)
+    velocity: wp.array2d(dtype=wp.vec3)
+    active: wp.array2d(dtype=float)
+    spring_partner: wp.array3d(dtype=int)
+    spring_length: wp.array3d(dtype=float)
+    substep: wp.array(dtype=int)  # done in the present control period, (N,)
+    tools: Tools
+    control: wp.array2d(dtype=float)
+    # particles and materials; what worlds may differ in is (N, …)
+    radius: wp.array(dtype=float)
+    inverse_mass: wp.array(dtype=float)
+    material: wp.array(dtype=int)
+    gravity: wp.array(dtype=wp.vec3)
+    friction: wp.array2d(dtype=float)
+    static_ratio: wp.array(dtype=float)  # of static to dynamic friction, (Q,)
+    cohesion: wp.array2d(dtype=float)
+    cohesion_range: wp.array(dtype=float)
+    damping: wp.array(dtype=float)
+    rest_density: wp.array(dtype=float)  # 0: no fluid
+    viscosity: wp.array2d(dtype=float)
+    tension: wp.array(dtype=float)
+    softening: wp.array(dtype=float)  # of the density constraint, (Q,)
+    # table
+    has_table: int
+    table_friction: float
+    lower: wp.vec2
+    upper: wp.vec2
+    # solver
+    dt: float
+    substeps: int
+    iterations: int
+    relaxation: float
+    sleep: float
+    reach: float
+    smoothing: float
+    stiffness: float  # of springs, in an iteration
+    per_iteration: float  # 1 / iterations
+    # working memory
+    memory: wp.array(dtype=wp.vec4)  # (N · ROWS · P,)
+    neighbour: wp.array3d(dtype=int)
+    neighbour_count: wp.array2d(dtype=int)
+    overflow: wp.array2d(dtype=int)
+
+
+@dataclass(frozen=True)
+class Features:
+    """What the kernels of a scene can do, known when they are compiled."""
+
+    particles: int
+    fluids: bool
+    springs: bool
+    alike: bool  #: all particles have one radius, mass and material, which is no fluid
+    shared: bool  #: whether the working memory of a world is on its multiprocessor
+    threads: int  #: of a block
+
+
+@dataclass(frozen=True)
+class Kernels:
+    block: Any  #: (system, sub-steps), tiled by worlds
+    tools: Any  #: (system,), N
+    predict: Any  #: (system,), (N, P), as all below
+    find: Any
+    density: Any  #: (system, iteration)
+    solve: Any  #: (system, iteration)
+    finish: Any  #: (system, iterations)
+    viscosity: Any  #: (system, iterations)
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+"""
+)
+def wait_for_block(): ...
+
+
+@wp.func_native("return (uint64_t)(memory.data + offset);")
+def global_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ...
+
+
+def _shared_memory(rows: int) -> Any:
+    """A function that gives a block's `rows` of shared memory; on the CPU there is none."""
+
+    @wp.func_native(
+        f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ float4 rows[{rows}];
+    return (uint64_t)(void*)rows;
+#else
+    return (uint64_t)(memory.data + offset);
+#endif
+"""
+    )
+    def shared_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ...
+
+    return shared_memory
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const float4 v = ((const float4*)memory)[row];
+    return wp::vec_t<4, float>(v.x, v.y, v.z, v.w);
+#else
+    return ((const wp::vec_t<4, float>*)memory)[row];
+#endif
+"""
+)
+def load(memory: wp.uint64, row: int) -> wp.vec4: ...
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    ((float4*)memory)[row] = make_float4(value[0], value[1], value[2], value[3]);
+#else
+    ((wp::vec_t<4, float>*)memory)[row] = value;
+#endif
+"""
+)
+def store(memory: wp.uint64, row: int, value: wp.vec4): ...
+
+
+@wp.func
+def xyz(v: wp.vec4) -> wp.vec3:
+    return wp.vec3(v[0], v[1], v[2])
+
+
+@wp.func
+def share_of(share: float, power: float) -> float:
+    """What an iteration corrects, so that all together correct `share` (Müller et al. 2007, 3.3)."""
+    result = float(0.0)
+    if share > 0.0:
+        result = 1.0 - wp.pow(1.0 - share, power)
+    return result
+
+
+@wp.func
+def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> wp.vec3:
+    """`x`, or where a particle on its way there from `start` first met a tool that both move fast
+    enough to miss each other in a sub-step (sphere tracing in the frame of the shape)."""
+    result = x
+    for shape in range(s.tools.kind.shape[0]):
+        at_before = s.tools.shape_position_before[world, shape]
+        at = s.tools.shape_position[world, shape]
+        # no faster than the particle's motion and that of the shape's farthest point
+        before = wp.quat_rotate_inv(s.tools.shape_rotation_before[world, shape], start - at_before)
+        turn = s.tools.shape_rotation[world, shape]
+        after = wp.quat_rotate_inv(turn, result - at)
+        way = after - before
+        length = wp.length(way)
+        if length > radius:
+            meets = float(-1.0)
+            done = float(0.0)
+            for _step in range(16):
+                found = local_distance(s.tools, shape, before + (done / length) * way)
+                gap = found[3] - 0.5 * radius
+                if gap < 0.0:
+                    if wp.dot(xyz(found), way) < 0.0:
+                        meets = done
+                    break
+                done = done + wp.max(gap, 0.1 * radius)
+                if done >= length:
+                    break
+            if meets >= 0.0:
+                result = at + wp.quat_rotate(turn, before + (meets / length) * way)
+    return result
+
+
+@wp.func
+def advance_tools(s: System, world: int, lane: int, lanes: int):
+    remaining = float(s.substeps - s.substep[world])
+    for tool in range(lane, s.tools.position.shape[1], lanes):
+        move_tool(s.tools, s.control, world, tool, remaining, s.dt)
+
+
+@wp.func
+def place_shapes(s: System, world: int, lane: int, lanes: int):
+    for shape in range(lane, s.tools.kind.shape[0], lanes):
+        place_shape(s.tools, world, shape)
+
+
+@wp.func
+def count_substep(s: System, world: int):
+    s.substep[world] = (s.substep[world] + 1) % s.substeps
+
+
+@wp.func
+def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp.vec3:
+    """`moved` out of tools, walls and table, whole and not averaged: nobody pushes these back."""
+    x = moved
+    radius = s.radius[i]
+    material = s.material[i]
+    mu = s.friction[world, material]
+    ratio = s.static_ratio[material]
+    for shape in range(s.tools.kind.shape[0]):
+        at = s.tools.shape_position[world, shape]
+        turn = s.tools.shape_rotation[world, shape]
+        away = x - (at + wp.quat_rotate(turn, s.tools.centre[shape]))
+        near = s.tools.bound[shape] + radius
+        if wp.dot(away, away) < near * near:
+            found = shape_distance(s.tools, world, shape, x)
+            depth = radius - found[3]
+            if depth > 0.0:
+                n = xyz(found)
+                # where that point of the tool was when the sub-step began
+                local = wp.quat_rotate_inv(turn, x - at)
+                carried = s.tools.shape_position_before[world, shape] + wp.quat_rotate(
+                    s.tools.shape_rotation_before[world, shape], local
+                )
+                slip = (x - start) - (x - carried)
+                slip = slip - wp.dot(slip, n) * n
+                dynamic = 0.5 * (mu + s.tools.friction[shape])
+                x = x + depth * n - friction(slip, depth, ratio * dynamic, dynamic)
+    if s.has_table != 0:
+        dynamic = 0.5 * (mu + s.table_friction)
+        for side in range(5):
+            n = wp.vec3(0.0, 0.0, 1.0)
+            depth = radius - x[2]
+            if side == 0:
+                n = wp.vec3(1.0, 0.0, 0.0)
+                depth = radius + s.lower[0] - x[0]
+            elif side == 1:
+                n = wp.vec3(-1.0, 0.0, 0.0)
+                depth = radius + x[0] - s.upper[0]
+            elif side == 2:
+                n = wp.vec3(0.0, 1.0, 0.0)
+                depth = radius + s.lower[1] - x[1]
+            elif side == 3:
+                n = wp.vec3(0.0, -1.0, 0.0)
+                depth = radius + x[1] - s.upper[1]
+            if depth > 0.0:
+                slip = x - start
+                slip = slip - wp.dot(slip, n) * n
+                x = x + depth * n - friction(slip, depth, ratio * dynamic, dynamic)
+    return x
+
+
+@functools.cache
+def build_kernels(features: Features) -> Kernels:
+    """The kernels of all scenes with these `features`."""
+    P = wp.constant(features.particles)
+    FLUIDS = wp.constant(features.fluids)
+    SPRINGS = wp.constant(features.springs)
+    ALIKE = wp.constant(features.alike)
+    LANES = features.threads
+    block_memory = _shared_memory(ROWS * features.particles) if features.shared else global_memory
+
+    @wp.func
+    def predict(s: System, memory: wp.uint64, world: int, i: int):
+        """Macklin et al. 2014, algorithm 1, lines 1 to 4."""
+        start = s.position[world, i]
+        x = start
+        constraints = float(1.0)
+        if s.active[world, i] == 0.0:
+            constraints = -1.0
+        elif s.inverse_mass[i] > 0.0:
+            v = s.velocity[world, i] + s.dt * s.gravity[world]
+            v = v / (1.0 + s.dt * s.damping[s.material[i]])
+            x = swept(s, world, start, start + s.dt * v, s.radius[i])
+        store(memory, i, wp.vec4(x[0], x[1], x[2], constraints))
+        store(memory, 2 * P + i, wp.vec4(start[0], start[1], start[2], 0.0))
+
+    @wp.func
+    def find(s: System, memory: wp.uint64, world: int, i: int):
+        """Particles within reach, and how many of them touch."""
+        own = load(memory, i)
+        x = xyz(own)
+        found = int(0)
+        touching = int(0)
+        reach = s.reach * s.reach
+        room = s.neighbour.shape[2]
+        radius = s.radius[i]
+        if own[3] > 0.0:
+            for j in range(P):
+                other = load(memory, j)
+                apart = x - xyz(other)
+                r2 = wp.dot(apart, apart)
+                if r2 < reach and other[3] > 0.0 and i != j:
+                    if found < room:
+                        s.neighbour[world, i, found] = j
+                    found += 1
+                    both = radius
+                    if wp.static(ALIKE):
+                        both += radius
+                    else:
+                        both += s.radius[j]
+                    if r2 < both * both:
+                        touching += 1
+        s.neighbour_count[world, i] = wp.min(found, room)
+        if found > room:
+            s.overflow[world, i] += 1
+        # of the second row, so that who still looks for neighbours reads nothing half-written
+        store(memory, P + i, wp.vec4(x[0], x[1], x[2], wp.where(own[3] > 0.0, wp.max(float(touching), 1.0), -1.0)))
+
+    @wp.func
+    def density(s: System, memory: wp.uint64, world: int, i: int, source: int):
+        """λ of the density constraint (Macklin and Müller 2013, equations 1, 2, 8, 9 and 11), into the row of starts."""
+        rest = s.rest_density[s.material[i]]
+        if rest > 0.0:
+            h = s.smoothing
+            x = xyz(load(memory, source + i))
+            mass = 1.0 / s.inverse_mass[i]
+            rho = mass * density_kernel(0.0, h)
+            gradient = wp.vec3(0.0)
+            squares = float(0.0)
+            for k in range(s.neighbour_count[world, i]):
+                j = s.neighbour[world, i, k]
+                if s.rest_density[s.material[j]] > 0.0:
+                    apart = x - xyz(load(memory, source + j))
+                    r2 = wp.dot(apart, apart)
+                    if r2 < h * h:
+                        other = 1.0 / s.inverse_mass[j]
+                        rho += other * density_kernel(r2, h)
+                        r = wp.max(wp.sqrt(r2), _NEAR)
+                        g = (other / rest * density_slope(r, h) / r) * apart
+                        gradient += g
+                        squares += s.inverse_mass[j] * wp.dot(g, g)
+            c = rho / rest - 1.0
+            if c < 0.0:
+                c = c * s.tension[s.material[i]]
+            squares += s.inverse_mass[i] * (wp.dot(gradient, gradient) + s.softening[s.material[i]])
+            begin = load(memory, 2 * P + i)
+            store(memory, 2 * P + i, wp.vec4(begin[0], begin[1], begin[2], -c / squares))
+
+    @wp.func
+    def solve(s: System, memory: wp.uint64, world: int, i: int, source: int, target: int):
+        """One Jacobi iteration: where all constraints on a particle, averaged, would have it, and
+        then out of what is kinematic."""
+        own = load(memory, source + i)
+        begin = load(memory, 2 * P + i)
+        x = xyz(own)
+        start = xyz(begin)
+        w = s.inverse_mass[i]
+        if own[3] > 0.0 and w > 0.0:
+            material = s.material[i]
+            radius = s.radius[i]
+            mu = s.friction[world, material]
+            ratio = s.static_ratio[material]
+            cohesion = share_of(s.cohesion[world, material], s.per_iteration)
+            cohering = s.cohesion_range[material]
+            rest = float(0.0)
+            if wp.static(FLUIDS):
+                rest = s.rest_density[material]
+            moved = x - start
+            delta = wp.vec3(0.0)
+            flow = wp.vec3(0.0)
+            active = float(0.0)
+            for k in range(s.neighbour_count[world, i]):
+                j = s.neighbour[world, i, k]
+                other = load(memory, source + j)
+                apart = x - xyz(other)
+                r2 = wp.dot(apart, apart)
+                both = radius
+                share = float(0.5)
+                static = ratio * mu
+                dynamic = mu
+                holds = cohesion
+                far = cohering
+                flowing = bool(False)
+                if wp.static(ALIKE):
+                    both += radius
+                else:
+                    both += s.radius[j]
+                    share = w / (w + s.inverse_mass[j])
+                    theirs = s.material[j]
+                    if theirs != material:
+                        dynamic = 0.5 * (mu + s.friction[world, theirs])
+                        static = 0.5 * (static + s.static_ratio[theirs] * s.friction[world, theirs])
+                        holds = share_of(s.cohesion[world, theirs], s.per_iteration)
+                        holds = 0.5 * (cohesion + holds)
+                        far = 0.5 * (cohering + s.cohesion_range[theirs])
+                    if wp.static(FLUIDS):
+                        density_j = s.rest_density[theirs]
+                        flowing = rest > 0.0 and density_j > 0.0
+                        if flowing and r2 < s.smoothing * s.smoothing:
+                            r = wp.max(wp.sqrt(r2), _NEAR)
+                            lambdas = begin[3] / (s.inverse_mass[j] * rest)
+                            lambdas += load(memory, 2 * P + j)[3] / (w * density_j)
+                            flow += (lambdas * w * density_slope(r, s.smoothing) / r) * apart
+                limit = both
+                if holds > 0.0:
+                    limit = both * (1.0 + far)
+                if r2 < limit * limit and not flowing:
+                    r = wp.sqrt(r2)
+                    if r < _NEAR:  # on each other: apart along z, each its own way
+                        r = _NEAR
+                        apart = wp.vec3(0.0, 0.0, wp.where(i < j, -_NEAR, _NEAR))
+                    slip = moved - (xyz(other) - xyz(load(memory, 2 * P + j)))
+                    change = contact(apart, r, both, slip, static, dynamic, holds)
+                    delta += (share / wp.max(own[3], other[3])) * change
+                    active += 1.0
+            if wp.static(SPRINGS):
+                for k in range(s.spring_partner.shape[2]):
+                    j = s.spring_partner[world, i, k]
+                    if j >= 0:
+                        other = load(memory, source + j)
+                        if other[3] > 0.0:
+                            apart = x - xyz(other)
+                            r = wp.max(wp.length(apart), _NEAR)
+                            change = spring(apart, r, s.spring_length[world, i, k], s.stiffness)
+                            share = w / (w + s.inverse_mass[j])
+                            delta += (share / wp.max(own[3], other[3])) * change
+                            active += 1.0
+            x = outside(s, world, i, start, x + s.relaxation * delta + flow)
+            own = wp.vec4(x[0], x[1], x[2], wp.max(own[3], active))
+        store(memory, target + i, own)
+
+    @wp.func
+    def finish(s: System, memory: wp.uint64, world: int, i: int, source: int, target: int):
+        """New velocities, and positions of what does not sleep (Macklin et al. 2014, algorithm 1,
+        lines 27 to 30)."""
+        own = load(memory, source + i)
+        start = xyz(load(memory, 2 * P + i))
+        x = xyz(own)
+        v = wp.vec3(0.0)
+        if own[3] > 0.0 and s.inverse_mass[i] > 0.0:
+            v = (x - start) / s.dt
+            if wp.length(v) < s.sleep:
+                x = start
+            s.position[world, i] = x
+        s.velocity[world, i] = v
+        if wp.static(FLUIDS):
+            store(memory, target + i, wp.vec4(v[0], v[1], v[2], own[3]))
+
+    @wp.func
+    def viscosity(s: System, memory: wp.uint64, world: int, i: int, source: int, target: int):
+        """XSPH (Macklin and Müller 2013, equation 17), with the rest density for the density, so that
+        a pair gives and takes the same."""
+        material = s.material[i]
+        rest = s.rest_density[material]
+        if rest > 0.0 and s.active[world, i] != 0.0:
+            h = s.smoothing
+            x = xyz(load(memory, source + i))
+            v = xyz(load(memory, target + i))
+            change = wp.vec3(0.0)
+            for k in range(s.neighbour_count[world, i]):
+                j = s.neighbour[world, i, k]
+                if s.material[j] == material:
+                    apart = x - xyz(load(memory, source + j))
+                    r2 = wp.dot(apart, apart)
+                    if r2 < h * h:
+                        change += density_kernel(r2, h) * (xyz(load(memory, target + j)) - v)
+            s.velocity[world, i] = v + s.viscosity[world, material] / (
+                s.inverse_mass[i] * rest
+            ) * change
+
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=(max(LANES, 32), max(1, 1024 // max(LANES, 32))))
+    def block_kernel(s: System, count: int):
+        world, lane = wp.tid()
+        lanes = wp.block_dim()
+        memory = block_memory(s.memory, world * ROWS * P)
+        for _substep in range(count):
+            advance_tools(s, world, lane, lanes)
+            wait_for_block()
+            place_shapes(s, world, lane, lanes)
+            if lane == 0:
+                count_substep(s, world)
+            wait_for_block()
+            for i in range(lane, P, lanes):
+                predict(s, memory, world, i)
+            wait_for_block()
+            for i in range(lane, P, lanes):
+                find(s, memory, world, i)
+            wait_for_block()
+            source = P
+            for _iteration in range(s.iterations):
+                if wp.static(FLUIDS):
+                    for i in range(lane, P, lanes):
+                        density(s, memory, world, i, source)
+                    wait_for_block()
+                for i in range(lane, P, lanes):
+                    solve(s, memory, world, i, source, P - source)
+                wait_for_block()
+                source = P - source
+            for i in range(lane, P, lanes):
+                finish(s, memory, world, i, source, P - source)
+            wait_for_block()
+            if wp.static(FLUIDS):
+                for i in range(lane, P, lanes):
+                    viscosity(s, memory, world, i, source, P - source)
+                wait_for_block()
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def tools_kernel(s: System):
+        world = wp.tid()
+        advance_tools(s, world, 0, 1)
+        place_shapes(s, world, 0, 1)
+        count_substep(s, world)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def predict_kernel(s: System):
+        world, i = wp.tid()
+        predict(s, global_memory(s.memory, world * ROWS * P), world, i)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def find_kernel(s: System):
+        world, i = wp.tid()
+        find(s, global_memory(s.memory, world * ROWS * P), world, i)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def density_kernel_(s: System, source: int):
+        world, i = wp.tid()
+        density(s, global_memory(s.memory, world * ROWS * P), world, i, source)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def solve_kernel(s: System, source: int):
+        world, i = wp.tid()
+        solve(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def finish_kernel(s: System, source: int):
+        world, i = wp.tid()
+        finish(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def viscosity_kernel(s: System, source: int):
+        world, i = wp.tid()
+        viscosity(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
+
+    return Kernels(
+        block=block_kernel,
+        tools=tools_kernel,
+        predict=predict_kernel,
+        find=find_kernel,
+        density=density_kernel_,
+        solve=solve_kernel,
+        finish=finish_kernel,
+        viscosity=viscosity_kernel,
+    )
