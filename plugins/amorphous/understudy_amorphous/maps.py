@@ -49,7 +49,7 @@ def spread(points: Tensor, values: Tensor, grid: Grid) -> Tensor:
         ``sum_k w(k, i, j) · values[k]`` over the points at most 2.5 h from the centre of cell (i, j)
         along both axes.
     """
-    worlds, count, size = values.shape
+    worlds, _, size = values.shape
     cells, h = grid.cells, grid.width
     ring = torch.arange(-_RINGS, _RINGS + 1, device=points.device)
     at = points / h + 0.5 * cells  # in cells, from the corner

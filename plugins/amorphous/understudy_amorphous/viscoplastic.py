@@ -1,6 +1,8 @@
 """Visco-plastic material: springs between particles that are made, changed and removed as the
 simulation runs (Zhang et al. 2020, section 3.5.1, algorithms 1 and 2)."""
 
+# ruff: noqa: UP018, RUF046 - Warp changes only those local numbers that were made by int(…)
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -96,10 +98,13 @@ def create_springs(
                     exists = 1
                 if partner[world, i, k] < 0 and free < 0:
                     free = k
-            if exists == 0 and free >= 0:
-                if not tool_between(tools, world, position[world, i], position[world, j]):
-                    partner[world, i, free] = j
-                    length[world, i, free] = d
+            if (
+                exists == 0
+                and free >= 0
+                and not tool_between(tools, world, position[world, i], position[world, j])
+            ):
+                partner[world, i, free] = j
+                length[world, i, free] = d
 
 
 class ViscoPlastic(Rule):

@@ -137,7 +137,7 @@ def test_what_the_policy_sees_of_it() -> None:
     ],
 )
 def test_impossible_tools_are_refused(options: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="not possible|there is no"):
+    with pytest.raises(ValueError, match=r"not possible|there is no"):
         ToolTarget.Options(**options)
 
 
