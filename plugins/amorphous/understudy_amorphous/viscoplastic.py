@@ -20,9 +20,9 @@ class Plasticity:
 
     merge: float = 1.5  #: d_m, of the particles' distance at rest: nearer ones become tied
     split: float = 2.2  #: d_b, of the particles' distance at rest: farther ones come apart
-    compress: float = 0.85  #: r_c: a spring that is shorter than this share takes its new length
+    compress: float = 0.8  #: r_c: a spring that is shorter than this share takes its new length
     stretch: float = 1.15  #: r_s: one that is longer than this share does, too
-    stiffness: float = 0.8  #: share of an error that an iteration of the solver corrects
+    stiffness: float = 0.6  #: share of an error that an iteration of the solver corrects
 
     def __post_init__(self) -> None:
         check_range(self, "merge", "compress", above=0)
