@@ -58,3 +58,21 @@ def density_slope(distance: float, h: float) -> float:
     """dW/dr of the spiky kernel (Müller et al. 2003), 1/m⁴; negative."""
     a = (h - distance) / h
     return -45.0 / wp.pi * a * a / (h * h * h * h)
+
+
+@wp.func
+def missing_density(distance: float, h: float) -> float:
+    """∫W over the half-space beyond a wall at `distance`: the share of the rest density that a
+    particle there misses. A half at the wall, 0 from h on."""
+    q = wp.clamp(distance / h, 0.0, 1.0)
+    q2 = q * q
+    f = q * (1.0 + q2 * (-4.0 / 3.0 + q2 * (6.0 / 5.0 + q2 * (-4.0 / 7.0 + q2 / 9.0))))
+    return 0.5 - 315.0 / 256.0 * f
+
+
+@wp.func
+def missing_slope(distance: float, h: float) -> float:
+    """The derivative of :func:`missing_density`, 1/m; negative."""
+    q = wp.clamp(distance / h, 0.0, 1.0)
+    a = 1.0 - q * q
+    return -315.0 / 256.0 * a * a * a * a / h

@@ -19,6 +19,8 @@ FAR = wp.constant(1e6)
 class Tools:
     """T tools that consist of S shapes together, in N worlds. Rotations of shapes are Warp's (xyzw)."""
 
+    tools: int  # T
+    shapes: int  # S
     # what does not change, (S,)
     kind: wp.array(dtype=int)  # pyright: ignore[reportInvalidTypeForm]
     tool: wp.array(dtype=int)  # pyright: ignore[reportInvalidTypeForm]
@@ -223,7 +225,7 @@ def shape_distance(tools: Tools, world: int, shape: int, x: wp.vec3) -> wp.vec4:
 def tool_distance(tools: Tools, world: int, x: wp.vec3) -> float:
     """Signed distance from x to the nearest tool, m."""
     nearest = FAR
-    for shape in range(tools.kind.shape[0]):
+    for shape in range(tools.shapes):
         found = shape_distance(tools, world, shape, x)
         nearest = wp.min(nearest, found[3])
     return nearest
@@ -234,7 +236,7 @@ def tool_between(tools: Tools, world: int, a: wp.vec3, b: wp.vec3) -> bool:
     """Whether a tool cuts the segment from a to b, which is the same seen from either end."""
     middle = 0.5 * (a + b)
     half = 0.5 * wp.length(b - a)
-    for shape in range(tools.kind.shape[0]):
+    for shape in range(tools.shapes):
         found = shape_distance(tools, world, shape, middle)
         if found[3] <= 0.0:
             return True
@@ -302,6 +304,7 @@ def build_tools(tools: Sequence[Tool], worlds: int) -> Any:
         return wp.array(shaped, dtype=dtype)
 
     result = Tools()
+    result.tools, result.shapes = t, s
     result.kind, result.tool = constant(kinds, int), constant(owners, int)
     result.size, result.offset = constant(sizes, wp.vec3, 3), constant(offsets, wp.vec3, 3)
     result.turn, result.centre = constant(turns, wp.quat, 4), constant(centres, wp.vec3, 3)

@@ -215,13 +215,14 @@ class ParticleSimulator(Simulator):
         s.dt, s.substeps, s.iterations = self._dt, self._substeps, options.iterations
         s.relaxation, s.sleep = options.relaxation, options.sleep
         s.reach, s.smoothing = reach, smoothing
+        s.room, s.slots = max(room, 1), partners.shape[1]
         s.per_iteration = 1.0 / options.iterations
         s.stiffness = 1.0 - (1.0 - model.springs.stiffness) ** s.per_iteration
         s.memory = wp.zeros(n * ROWS * p, dtype=wp.vec4)
         if self._device.type == "cuda":  # threads side by side read numbers side by side
-            s.neighbour = wp.zeros((n, max(room, 1), p), dtype=int).transpose((0, 2, 1))
+            s.neighbour = wp.zeros((n, s.room, p), dtype=int).transpose((0, 2, 1))
         else:
-            s.neighbour = wp.zeros((n, p, max(room, 1)), dtype=int)
+            s.neighbour = wp.zeros((n, p, s.room), dtype=int)
         s.neighbour_count = wp.zeros((n, p), dtype=int)
         s.overflow = wp.zeros((n, p), dtype=int)
         rounds = math.ceil(p / options.threads)

@@ -16,7 +16,15 @@ from typing import Any
 
 import warp as wp
 
-from understudy_pbd.constraints import contact, density_kernel, density_slope, friction, spring
+from understudy_pbd.constraints import (
+    contact,
+    density_kernel,
+    density_slope,
+    friction,
+    missing_density,
+    missing_slope,
+    spring,
+)
 from understudy_pbd.shapes import Tools, local_distance, move_tool, place_shape, shape_distance
 
 #: Rows of working memory for each particle: two of positions (x, y, z, number of constraints), which
@@ -67,6 +75,8 @@ class System:
     relaxation: float
     sleep: float
     reach: float
+    room: int  # M
+    slots: int  # K
     smoothing: float
     stiffness: float  # of springs, in an iteration
     per_iteration: float  # 1 / iterations
@@ -118,8 +128,7 @@ def global_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ..
 def _shared_memory(rows: int) -> Any:
     """A function that gives a block's `rows` of shared memory; on the CPU there is none."""
 
-    @wp.func_native(
-        f"""
+    snippet = f"""
 #if defined(__CUDA_ARCH__)
     __shared__ float4 rows[{rows}];
     return (uint64_t)(void*)rows;
@@ -127,7 +136,8 @@ def _shared_memory(rows: int) -> Any:
     return (uint64_t)(memory.data + offset);
 #endif
 """
-    )
+
+    @wp.func_native(snippet)
     def shared_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ...
 
     return shared_memory
@@ -177,7 +187,7 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
     """`x`, or where a particle on its way there from `start` first met a tool that both move fast
     enough to miss each other in a sub-step (sphere tracing in the frame of the shape)."""
     result = x
-    for shape in range(s.tools.kind.shape[0]):
+    for shape in range(s.tools.shapes):
         at_before = s.tools.shape_position_before[world, shape]
         at = s.tools.shape_position[world, shape]
         # no faster than the particle's motion and that of the shape's farthest point
@@ -207,19 +217,45 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
 @wp.func
 def advance_tools(s: System, world: int, lane: int, lanes: int):
     remaining = float(s.substeps - s.substep[world])
-    for tool in range(lane, s.tools.position.shape[1], lanes):
+    for tool in range(lane, s.tools.tools, lanes):
         move_tool(s.tools, s.control, world, tool, remaining, s.dt)
 
 
 @wp.func
 def place_shapes(s: System, world: int, lane: int, lanes: int):
-    for shape in range(lane, s.tools.kind.shape[0], lanes):
+    for shape in range(lane, s.tools.shapes, lanes):
         place_shape(s.tools, world, shape)
 
 
 @wp.func
 def count_substep(s: System, world: int):
     s.substep[world] = (s.substep[world] + 1) % s.substeps
+
+
+@wp.func
+def wall(s: System, side: int, x: wp.vec3) -> wp.vec4:
+    """Normal of one of four walls, or of the table (the last), and the distance of x from it."""
+    result = wp.vec4(0.0, 0.0, 1.0, x[2])
+    if side == 0:
+        result = wp.vec4(1.0, 0.0, 0.0, x[0] - s.lower[0])
+    elif side == 1:
+        result = wp.vec4(-1.0, 0.0, 0.0, s.upper[0] - x[0])
+    elif side == 2:
+        result = wp.vec4(0.0, 1.0, 0.0, x[1] - s.lower[1])
+    elif side == 3:
+        result = wp.vec4(0.0, -1.0, 0.0, s.upper[1] - x[1])
+    return result
+
+
+@wp.func
+def wall_gradient(s: System, x: wp.vec3, h: float) -> wp.vec3:
+    """Of the share of the rest density that table and walls leave out around x, 1/m."""
+    result = wp.vec3(0.0)
+    for side in range(5):
+        plane = wall(s, side, x)
+        if plane[3] < h:
+            result += missing_slope(plane[3], h) * xyz(plane)
+    return result
 
 
 @wp.func
@@ -230,7 +266,7 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
     material = s.material[i]
     mu = s.friction[world, material]
     ratio = s.static_ratio[material]
-    for shape in range(s.tools.kind.shape[0]):
+    for shape in range(s.tools.shapes):
         at = s.tools.shape_position[world, shape]
         turn = s.tools.shape_rotation[world, shape]
         away = x - (at + wp.quat_rotate(turn, s.tools.centre[shape]))
@@ -252,21 +288,10 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
     if s.has_table != 0:
         dynamic = 0.5 * (mu + s.table_friction)
         for side in range(5):
-            n = wp.vec3(0.0, 0.0, 1.0)
-            depth = radius - x[2]
-            if side == 0:
-                n = wp.vec3(1.0, 0.0, 0.0)
-                depth = radius + s.lower[0] - x[0]
-            elif side == 1:
-                n = wp.vec3(-1.0, 0.0, 0.0)
-                depth = radius + x[0] - s.upper[0]
-            elif side == 2:
-                n = wp.vec3(0.0, 1.0, 0.0)
-                depth = radius + s.lower[1] - x[1]
-            elif side == 3:
-                n = wp.vec3(0.0, -1.0, 0.0)
-                depth = radius + x[1] - s.upper[1]
+            plane = wall(s, side, x)
+            depth = radius - plane[3]
             if depth > 0.0:
+                n = xyz(plane)
                 slip = x - start
                 slip = slip - wp.dot(slip, n) * n
                 x = x + depth * n - friction(slip, depth, ratio * dynamic, dynamic)
@@ -306,7 +331,7 @@ def build_kernels(features: Features) -> Kernels:
         found = int(0)
         touching = int(0)
         reach = s.reach * s.reach
-        room = s.neighbour.shape[2]
+        room = s.room
         radius = s.radius[i]
         if own[3] > 0.0:
             for j in range(P):
@@ -353,6 +378,11 @@ def build_kernels(features: Features) -> Kernels:
                         g = (other / rest * density_slope(r, h) / r) * apart
                         gradient += g
                         squares += s.inverse_mass[j] * wp.dot(g, g)
+            if s.has_table != 0:  # the fluid goes on behind a wall
+                for side in range(5):
+                    plane = wall(s, side, x)
+                    rho += rest * missing_density(plane[3], h)
+                gradient += wall_gradient(s, x, h)
             c = rho / rest - 1.0
             if c < 0.0:
                 c = c * s.tension[s.material[i]]
@@ -427,8 +457,11 @@ def build_kernels(features: Features) -> Kernels:
                     change = contact(apart, r, both, slip, static, dynamic, holds)
                     delta += (share / wp.max(own[3], other[3])) * change
                     active += 1.0
+            if wp.static(FLUIDS):
+                if rest > 0.0 and s.has_table != 0:
+                    flow += begin[3] * w * wall_gradient(s, x, s.smoothing)
             if wp.static(SPRINGS):
-                for k in range(s.spring_partner.shape[2]):
+                for k in range(s.slots):
                     j = s.spring_partner[world, i, k]
                     if j >= 0:
                         other = load(memory, source + j)
