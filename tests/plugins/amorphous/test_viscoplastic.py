@@ -129,8 +129,8 @@ def test_a_block_splits_when_it_is_pulled_hard(pull: float, pieces: int) -> None
     assert bench.pieces == 1
     bench.move(3.0, 30)
     assert bench.pieces == pieces
-    across = [(i, j) for i, j in bench.springs() if held[i] != held[j]]
-    assert (across == []) == (pieces == 2)
+    stretched = bench.position[:, 0].max() - bench.model.positions[:, 0].max()
+    assert (stretched > 1.0) == (pieces == 2)
     assert_mutual(bench)
 
 
@@ -138,7 +138,7 @@ def test_two_blocks_merge_where_one_is_pressed_onto_the_other() -> None:
     bench = Bench(blocks=2)
     assert bench.pieces == 2
     one = bench.scene.block
-    apart = np.concatenate([one, one + [0.0, 0.0, 0.8]])
+    apart = np.concatenate([one, one + np.array([0.0, 0.0, 0.8])])
     bench.begin(apart)
     bench.move(3.0, 1)
     assert bench.pieces == 2
