@@ -74,22 +74,30 @@ class Turned(Memory):
     """How far the material has turned about the pan's y axis since the episode began.
 
     ``turned`` () rad, counted over whole turns; ``angle`` () rad, the same within (−π, π]; ``toss_height``
-    () m, the greatest clearance so far; ``caught_turn`` () rad, what ``turned`` was when the material was
-    last in the pan. The angle is that of the rotation in the x-z plane that best maps the particles'
-    places at rest to where they are.
+    () m, the greatest clearance so far; ``caught_turn`` () rad, what ``turned`` was when the material last
+    lay in the pan: over it, low, and moving with it. The angle is that of the rotation in the x-z plane
+    that best maps the particles' places at rest to where they are.
     """
 
-    reads = ("particle_position", "clearance")
+    reads = (
+        "particle_position",
+        "particle_velocity",
+        "tool_position",
+        "tool_velocity",
+        "clearance",
+    )
     keeps: Mapping[str, tuple[int, ...]] = {
         "turned": (), "angle": (), "toss_height": (), "caught_turn": ()
     }  # fmt: skip
 
     @dataclass(frozen=True)
     class Options:
-        caught: float = 0.2  #: m, the greatest clearance of material that lies in the pan
+        low: float = 0.3  #: m, the greatest clearance of material that lies in the pan
+        slow: float = 1.0  #: m/s, the greatest speed of its centre of mass relative to the pan
+        near: float = 0.9  #: m, the greatest distance of its centre of mass from the pan's middle
 
         def __post_init__(self) -> None:
-            check_range(self, "caught", above=0)
+            check_range(self, "low", "slow", "near", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -106,19 +114,30 @@ class Turned(Memory):
         cosine = (self._x * x + self._z * z).sum(dim=1)
         return torch.atan2(sine, cosine)
 
-    def begin(self, particle_position: Tensor, clearance: Tensor) -> dict[str, Tensor]:
+    def begin(
+        self, particle_position: Tensor, clearance: Tensor, **fields: Tensor
+    ) -> dict[str, Tensor]:
         nothing = torch.zeros_like(clearance)
         angle = self._angle(particle_position)
         return {"turned": nothing, "angle": angle, "toss_height": nothing, "caught_turn": nothing}
 
     def advance(
-        self, kept: Mapping[str, Tensor], particle_position: Tensor, clearance: Tensor
+        self,
+        kept: Mapping[str, Tensor],
+        particle_position: Tensor,
+        particle_velocity: Tensor,
+        tool_position: Tensor,
+        tool_velocity: Tensor,
+        clearance: Tensor,
     ) -> dict[str, Tensor]:
+        options = self.options
         angle = self._angle(particle_position)
         step = angle - kept["angle"]
-        step = torch.atan2(step.sin(), step.cos())
-        turned = kept["turned"] + step
-        caught = (clearance > 0) & (clearance < self.options.caught)
+        turned = kept["turned"] + torch.atan2(step.sin(), step.cos())
+        apart = (particle_position.mean(dim=1) - tool_position)[:, :2].norm(dim=1)
+        speed = (particle_velocity.mean(dim=1) - tool_velocity).norm(dim=1)
+        low = (clearance > 0) & (clearance < options.low)
+        caught = low & (apart < options.near) & (speed < options.slow)
         return {
             "turned": turned,
             "angle": angle,

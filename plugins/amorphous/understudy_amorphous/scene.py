@@ -35,7 +35,10 @@ class Substance:
     #: Half the distance at which two particles touch, as a share of half their distance at rest. What
     #: springs hold apart touches later, so that it can be compressed.
     contact: float = 1.0
-    springs: bool = False
+    #: Where it is elastic: how far apart particles are tied, as a share of their distance at rest.
+    ties: float | None = None
+    #: Share of a tie's error that an iteration corrects; with 1, many ties of one particle overshoot.
+    stiffness: float = 0.7
     plasticity: Plasticity | None = None
 
 
@@ -53,7 +56,7 @@ def _viscoplastic(distance: float) -> Substance:
 
 
 def _elastic(distance: float) -> Substance:
-    return Substance(Material(friction=0.4), contact=0.8, springs=True)
+    return Substance(Material(friction=0.4), contact=0.8, ties=2.1)
 
 
 SUBSTANCES: dict[str, Callable[[float], Substance]] = {
@@ -133,9 +136,9 @@ class AmorphousScene(ParticleScene):
             pairs, lengths = near_pairs(positions, plasticity.merge * self.distance)
             springs = Springs(pairs, lengths, options.springs, plasticity.stiffness)
             rules = (ViscoPlastic(plasticity, self.distance),)
-        elif substance.springs:
-            pairs, lengths = near_pairs(positions, 2.1 * self.distance)
-            springs = Springs(pairs, lengths)
+        elif substance.ties is not None:
+            pairs, lengths = near_pairs(positions, substance.ties * self.distance)
+            springs = Springs(pairs, lengths, stiffness=substance.stiffness)
         return ParticleModel(
             positions=positions,
             radius=self.radius,
