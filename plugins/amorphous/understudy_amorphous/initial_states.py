@@ -62,7 +62,7 @@ class AroundGoal(InitialStates):
 
     Each block has a sector of the circle around the goal of its own, so that none is in another; which
     ones are taken, and where in them, is drawn. The others are far away and inactive. The tool begins
-    anywhere near the goal and faces anywhere.
+    outside the circle and more or less faces the goal.
     """
 
     reads = ("clusters",)
@@ -74,22 +74,23 @@ class AroundGoal(InitialStates):
         distance: tuple[float, float] = (1.8, 2.8)  #: m, from the goal to a block: least, most
         goal: tuple[float, float] = (0.0, 0.0)  #: m
         goal_spread: float = 0.0  #: m, how far from there the goal may be drawn along x and y
-        tool: float = 0.8  #: m, how far from the goal the tool may begin along x and y
+        tool: tuple[float, float] = (3.9, 4.2)  #: m, from the goal to the tool: least, most
+        facing: float = 1.0  #: rad, how far the tool may be turned from facing the goal
         spread: float = 0.5  #: share of its sector in which a block's middle may be
 
         def __post_init__(self) -> None:
-            check_range(self, "goal_spread", "tool", least=0)
+            check_range(self, "goal_spread", "facing", least=0)
             check_range(self, "spread", least=0, most=1)
-            if not 0 < self.distance[0] <= self.distance[1]:
-                raise ValueError(
-                    f"distance={list(self.distance)} is not possible: give least first."
-                )
+            for name in ("distance", "tool"):
+                least, most = getattr(self, name)
+                if not 0 <= least <= most:
+                    raise ValueError(
+                        f"{name}=[{least}, {most}] is not possible: least comes first."
+                    )
 
     def __init__(self, options: Options, context: Context) -> None:
-        self.options, self._blocks = (
-            options,
-            _Blocks(context, "initial_states 'amorphous.clusters'"),
-        )
+        self.options = options
+        self._blocks = _Blocks(context, "initial_states 'amorphous.clusters'")
         self._goal = torch.tensor(options.goal, device=context.device)
         self._number = torch.arange(self._blocks.count, device=context.device)
 
@@ -111,8 +112,10 @@ class AroundGoal(InitialStates):
         active = (rank < fields["clusters"].unsqueeze(1)).float()
         placed = blocks.put(centres, between(-math.pi, math.pi, k))
         particles = torch.where(active[..., None, None] > 0, placed, blocks.parked)
-        tool = pad(goal + between(-options.tool, options.tool, 2), (0, 1))
-        yaw = between(-math.pi, math.pi, 1).squeeze(1)
+        around = between(-math.pi, math.pi, 1)
+        outward = torch.cat([around.cos(), around.sin()], dim=1)
+        tool = pad(goal + between(*options.tool, 1) * outward, (0, 1))
+        yaw = (around + math.pi + between(-options.facing, options.facing, 1)).squeeze(1)
         each = active.repeat_interleave(len(blocks.block), dim=1)
         return {"goal": goal, "active_particles": each, **_at_rest(particles, tool, yaw)}
 
