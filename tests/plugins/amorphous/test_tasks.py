@@ -49,7 +49,7 @@ def test_gathering_begins_with_as_many_clusters_as_the_curriculum_says(
     centres, there = blocks_of(env)
     assert there.sum(dim=1).tolist() == [clusters] * 6
     away = centres.norm(dim=2)[there]
-    assert 1.8 - 1e-4 <= float(away.min())
+    assert float(away.min()) >= 1.8 - 1e-4
     assert float(away.max()) <= 2.8 + 1e-4
     far = env.table["farthest_distance"]
     assert bool(((far > 1.8) & (far < 2.8 + 0.5 * math.sqrt(2))).all())
@@ -203,7 +203,7 @@ def test_the_papers_learner_has_its_figures() -> None:
 
 
 def test_piles_of_several_blocks_are_refused() -> None:
-    with pytest.raises(ConfigError, match="places one block, and scene.blocks=4"):
+    with pytest.raises(ConfigError, match=r"places one block, and scene\.blocks=4"):
         environment("experiment=amorphous/spread", "scene.blocks=4")
 
 
