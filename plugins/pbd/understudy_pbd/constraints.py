@@ -32,7 +32,7 @@ def contact(
     Nearer than `touching` they are pushed apart, with friction against the relative displacement
     `slip`; else the share `cohesion` of the gap is closed.
     """
-    n = apart / distance
+    n = apart * (1.0 / distance)
     depth = touching - distance
     if depth <= 0.0:
         return cohesion * depth * n

@@ -93,13 +93,8 @@ def pan(
     """A round pan from boxes: a bottom whose upper side is at z = 0, a wall of so many `sides` and
     `height`, and a handle of that length along x (m)."""
     half = 0.5 * thickness
-    shapes: list[Shape] = [
-        Box((radius, radius, half), (0.0, 0.0, -half))
-        if sides < 3
-        else Box((radius, radius * float(np.tan(np.pi / sides)), half), (0.0, 0.0, -half))
-    ]
     width = radius * float(np.tan(np.pi / sides)) + half
-    shapes = []
+    shapes: list[Shape] = []
     for side in range(sides):
         angle = 2 * np.pi * side / sides
         turn = (float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle)))

@@ -27,13 +27,21 @@ from understudy_pbd.constraints import (
 )
 from understudy_pbd.shapes import Tools, local_distance, move_tool, place_shape, shape_distance
 
-#: Rows of working memory for each particle: two of positions (x, y, z, number of constraints), which
-#: iterations read and write in turn, and one of where the sub-step began (x, y, z, λ of the fluid).
+#: Rows of working memory for each particle: two of positions and the weight of its constraints, 1 over
+#: their number (−1: it is not there), which iterations read and write in turn, and one of where the
+#: sub-step began, with λ of the fluid.
 ROWS = 3
 #: Particles whose working memory fits into the shared memory of a block (48 KiB).
 SHARED_PARTICLES = 1024
 #: Nearer than this particles have no direction from each other, m.
 _NEAR = wp.constant(1e-9)
+#: Particles of fluids touch at this share of the sum of their radii: nearer than the density
+#: constraint ever has them in a body of fluid, but where a sheet is thin it does not hold.
+_FLUID_CONTACT = wp.constant(0.7)
+
+
+#: Division and roots to 2 bits less, on CUDA.
+_FAST = {"fast_math": True}
 
 
 @wp.struct
@@ -313,14 +321,14 @@ def build_kernels(features: Features) -> Kernels:
         """Macklin et al. 2014, algorithm 1, lines 1 to 4."""
         start = s.position[world, i]
         x = start
-        constraints = float(1.0)
+        weight = float(1.0)
         if s.active[world, i] == 0.0:
-            constraints = -1.0
+            weight = -1.0
         elif s.inverse_mass[i] > 0.0:
             v = s.velocity[world, i] + s.dt * s.gravity[world]
             v = v / (1.0 + s.dt * s.damping[s.material[i]])
             x = swept(s, world, start, start + s.dt * v, s.radius[i])
-        store(memory, i, wp.vec4(x[0], x[1], x[2], constraints))
+        store(memory, i, wp.vec4(x[0], x[1], x[2], weight))
         store(memory, 2 * P + i, wp.vec4(start[0], start[1], start[2], 0.0))
 
     @wp.func
@@ -347,13 +355,17 @@ def build_kernels(features: Features) -> Kernels:
                         both += radius
                     else:
                         both += s.radius[j]
+                    if wp.static(FLUIDS):
+                        if s.rest_density[s.material[i]] > 0.0 and s.rest_density[s.material[j]] > 0.0:
+                            both = _FLUID_CONTACT * both
                     if r2 < both * both:
                         touching += 1
         s.neighbour_count[world, i] = wp.min(found, room)
         if found > room:
             s.overflow[world, i] += 1
         # of the second row, so that who still looks for neighbours reads nothing half-written
-        store(memory, P + i, wp.vec4(x[0], x[1], x[2], wp.where(own[3] > 0.0, wp.max(float(touching), 1.0), -1.0)))
+        weight = wp.where(own[3] > 0.0, 1.0 / wp.max(float(touching), 1.0), -1.0)
+        store(memory, P + i, wp.vec4(x[0], x[1], x[2], weight))
 
     @wp.func
     def density(s: System, memory: wp.uint64, world: int, i: int, source: int):
@@ -445,17 +457,22 @@ def build_kernels(features: Features) -> Kernels:
                             lambdas = begin[3] / (s.inverse_mass[j] * rest)
                             lambdas += load(memory, 2 * P + j)[3] / (w * density_j)
                             flow += (lambdas * w * density_slope(r, s.smoothing) / r) * apart
+                        if flowing:
+                            both = _FLUID_CONTACT * both
+                            static = 0.0
+                            dynamic = 0.0
+                            holds = 0.0
                 limit = both
                 if holds > 0.0:
                     limit = both * (1.0 + far)
-                if r2 < limit * limit and not flowing:
+                if r2 < limit * limit:
                     r = wp.sqrt(r2)
                     if r < _NEAR:  # on each other: apart along z, each its own way
                         r = _NEAR
                         apart = wp.vec3(0.0, 0.0, wp.where(i < j, -_NEAR, _NEAR))
                     slip = moved - (xyz(other) - xyz(load(memory, 2 * P + j)))
                     change = contact(apart, r, both, slip, static, dynamic, holds)
-                    delta += (share / wp.max(own[3], other[3])) * change
+                    delta += (share * wp.min(own[3], other[3])) * change
                     active += 1.0
             if wp.static(FLUIDS):
                 if rest > 0.0 and s.has_table != 0:
@@ -470,10 +487,10 @@ def build_kernels(features: Features) -> Kernels:
                             r = wp.max(wp.length(apart), _NEAR)
                             change = spring(apart, r, s.spring_length[world, i, k], s.stiffness)
                             share = w / (w + s.inverse_mass[j])
-                            delta += (share / wp.max(own[3], other[3])) * change
+                            delta += (share * wp.min(own[3], other[3])) * change
                             active += 1.0
             x = outside(s, world, i, start, x + s.relaxation * delta + flow)
-            own = wp.vec4(x[0], x[1], x[2], wp.max(own[3], active))
+            own = wp.vec4(x[0], x[1], x[2], wp.min(own[3], 1.0 / wp.max(active, 1.0)))
         store(memory, target + i, own)
 
     @wp.func
@@ -515,7 +532,12 @@ def build_kernels(features: Features) -> Kernels:
                 s.inverse_mass[i] * rest
             ) * change
 
-    @wp.kernel(module="unique", enable_backward=False, launch_bounds=(max(LANES, 32), max(1, 1024 // max(LANES, 32))))
+    # so few registers that a multiprocessor holds as many blocks as make 1024 threads
+    bounds = (LANES, max(1, 1024 // LANES))
+
+    @wp.kernel(
+        module="unique", enable_backward=False, launch_bounds=bounds, module_options=_FAST
+    )
     def block_kernel(s: System, count: int):
         world, lane = wp.tid()
         lanes = wp.block_dim()
@@ -551,39 +573,39 @@ def build_kernels(features: Features) -> Kernels:
                     viscosity(s, memory, world, i, source, P - source)
                 wait_for_block()
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def tools_kernel(s: System):
         world = wp.tid()
         advance_tools(s, world, 0, 1)
         place_shapes(s, world, 0, 1)
         count_substep(s, world)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def predict_kernel(s: System):
         world, i = wp.tid()
         predict(s, global_memory(s.memory, world * ROWS * P), world, i)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def find_kernel(s: System):
         world, i = wp.tid()
         find(s, global_memory(s.memory, world * ROWS * P), world, i)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def density_kernel_(s: System, source: int):
         world, i = wp.tid()
         density(s, global_memory(s.memory, world * ROWS * P), world, i, source)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def solve_kernel(s: System, source: int):
         world, i = wp.tid()
         solve(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def finish_kernel(s: System, source: int):
         world, i = wp.tid()
         finish(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def viscosity_kernel(s: System, source: int):
         world, i = wp.tid()
         viscosity(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
