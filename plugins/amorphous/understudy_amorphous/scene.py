@@ -25,6 +25,7 @@ from understudy_pbd.scene import (
 
 #: kg/m³, of every material: water's.
 DENSITY = 1000.0
+BUTTER, PATTY = (0.96, 0.80, 0.38), (0.52, 0.31, 0.20)
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Substance:
     #: Share of a tie's error that an iteration corrects; with 1, many ties of one particle overshoot.
     stiffness: float = 0.7
     plasticity: Plasticity | None = None
+    colour: tuple[float, float, float] = (0.93, 0.89, 0.80)  #: of pictures: rice
 
 
 def _granular(distance: float) -> Substance:
@@ -48,15 +50,15 @@ def _granular(distance: float) -> Substance:
 
 def _viscous(distance: float) -> Substance:
     fluid = Fluid(rest_density=DENSITY, smoothing=2.0 * distance, viscosity=0.3)
-    return Substance(Material(friction=0.2, fluid=fluid))
+    return Substance(Material(friction=0.2, fluid=fluid), colour=(0.85, 0.56, 0.20))
 
 
 def _viscoplastic(distance: float) -> Substance:
-    return Substance(Material(friction=0.4), contact=0.8, plasticity=Plasticity())
+    return Substance(Material(friction=0.4), contact=0.8, plasticity=Plasticity(), colour=BUTTER)
 
 
 def _elastic(distance: float) -> Substance:
-    return Substance(Material(friction=0.4), contact=0.8, ties=2.1)
+    return Substance(Material(friction=0.4), contact=0.8, ties=2.1, colour=PATTY)
 
 
 SUBSTANCES: dict[str, Callable[[float], Substance]] = {
@@ -148,6 +150,7 @@ class AmorphousScene(ParticleScene):
             tools=(TOOLS[options.tool](),),
             table=Table(friction=0.4),
             rules=rules,
+            colours=np.tile(np.array(substance.colour), (len(positions), 1)),
         )
 
     def describe(self) -> dict[str, Any]:

@@ -19,7 +19,16 @@ def curriculum(*, evaluating: bool = False, **options: Any) -> Clusters:
         seed=0, device=CPU, num_worlds=4, control_dt=0.1, substeps=1, evaluating=evaluating
     )
     return Clusters(
-        Clusters.Options(**{"seconds": Between(10.0, 20.0), "episodes": 4, **options}), context
+        Clusters.Options(
+            **{
+                "seconds": Between(10.0, 20.0),
+                "episodes": 4,
+                "threshold": 0.6,
+                "within": 1.3,
+                **options,
+            }
+        ),
+        context,
     )
 
 
