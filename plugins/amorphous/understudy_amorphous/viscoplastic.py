@@ -2,6 +2,7 @@
 simulation runs (Zhang et al. 2020, section 3.5.1, algorithms 1 and 2)."""
 
 # ruff: noqa: UP018, RUF046 - Warp changes only those local numbers that were made by int(…)
+# pyright: reportGeneralTypeIssues=false, reportAssignmentType=false, reportInvalidTypeForm=false
 
 from __future__ import annotations
 
@@ -43,10 +44,10 @@ def rest_length(d: float, length: float, r_c: float, r_s: float) -> float:
 
 @wp.kernel
 def update_springs(
-    position: wp.array2d(dtype=wp.vec3),  # pyright: ignore[reportInvalidTypeForm]
+    position: wp.array2d(dtype=wp.vec3),
     tools: Tools,
-    partner: wp.array3d(dtype=int),  # pyright: ignore[reportInvalidTypeForm]
-    length: wp.array3d(dtype=float),  # pyright: ignore[reportInvalidTypeForm]
+    partner: wp.array3d(dtype=int),
+    length: wp.array3d(dtype=float),
     d_b: float,
     r_c: float,
     r_s: float,
@@ -76,12 +77,12 @@ def update_springs(
 
 @wp.kernel
 def create_springs(
-    position: wp.array2d(dtype=wp.vec3),  # pyright: ignore[reportInvalidTypeForm]
+    position: wp.array2d(dtype=wp.vec3),
     tools: Tools,
-    neighbour: wp.array3d(dtype=int),  # pyright: ignore[reportInvalidTypeForm]
-    neighbour_count: wp.array2d(dtype=int),  # pyright: ignore[reportInvalidTypeForm]
-    partner: wp.array3d(dtype=int),  # pyright: ignore[reportInvalidTypeForm]
-    length: wp.array3d(dtype=float),  # pyright: ignore[reportInvalidTypeForm]
+    neighbour: wp.array3d(dtype=int),
+    neighbour_count: wp.array2d(dtype=int),
+    partner: wp.array3d(dtype=int),
+    length: wp.array3d(dtype=float),
     d_m: float,
 ):
     """Algorithm 1, lines 9 to 16."""

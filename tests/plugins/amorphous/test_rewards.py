@@ -7,7 +7,10 @@ import math
 import pytest
 import torch
 
+from understudy.task import Context
 from understudy_amorphous import flipping, gathering, spreading
+from understudy_amorphous.scene import AmorphousScene
+from understudy_basics import rotations
 
 STILL = torch.tensor([[[1.0, 0.0, 0.1], [2.0, 0.0, 0.3]]])
 ALL = torch.ones(1, 2)
@@ -104,3 +107,31 @@ def test_a_ring_that_turns_has_its_angular_velocity() -> None:
 def test_a_flip_counts_once_it_is_caught() -> None:
     assert flipping.flipped(torch.tensor([3.1, 2.0, -3.1])).tolist() == [1.0, 0.0, 0.0]
     assert flipping.flipped(torch.tensor([3.1, -3.1]), direction=-1.0).tolist() == [0.0, 1.0]
+
+
+def test_turns_are_counted_over_whole_turns_and_caught_in_the_pan() -> None:
+    """A disk that turns about y by 0.9 of a turn a second, 2 m above the pan, and then lies in it."""
+    context = Context(seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.1, substeps=1)
+    options = AmorphousScene.Options("elastic", blocks=1, round=True, tool="pan")
+    context.scene = scene = AmorphousScene(options, context)
+    memory = flipping.Turned(flipping.Turned.Options(), context)
+    block = torch.as_tensor(scene.block, dtype=torch.float32)
+    block = block - block.mean(dim=0)
+    pan = torch.zeros(1, 3)
+
+    def seen(angle: float, height: float) -> dict[str, torch.Tensor]:
+        turn = rotations.from_axis_angle(torch.tensor([0.0, 1.0, 0.0]), torch.tensor(angle))
+        place = (rotations.rotate(turn, block) + torch.tensor([0.1, 0.0, height])).unsqueeze(0)
+        still = torch.zeros_like(place)
+        fields = {"particle_position": place, "particle_velocity": still, "tool_position": pan}
+        return fields | {"tool_velocity": pan, "clearance": place[..., 2].amin(dim=1)}
+
+    kept = memory.begin(**seen(0.0, 0.3))
+    for i in range(1, 15):
+        kept = memory.advance(kept, **seen(0.1 * i * 0.9 * 2 * math.pi, 2.0))
+    assert float(kept["turned"]) == pytest.approx(1.4 * 0.9 * 2 * math.pi, abs=1e-3)
+    assert float(kept["caught_turn"]) == 0.0
+    assert float(kept["toss_height"]) > 1.4
+    kept = memory.advance(kept, **seen(3 * math.pi, 0.3))
+    assert float(kept["caught_turn"]) == pytest.approx(3 * math.pi, abs=1e-3)
+    assert float(flipping.flipped(kept["caught_turn"])) == 1.0

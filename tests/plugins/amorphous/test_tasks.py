@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.records.runs import open_run
 from understudy.running.environment import Environment
+from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, load_experiment
+from understudy.testing import check_plugin
 from understudy_amorphous.report import MapsSection, png
 
 TASKS = ("gather", "spread", "flip")
@@ -214,3 +217,40 @@ def test_pictures_are_png_files() -> None:
 
     image = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
     assert np.array_equal(imageio.imread(io.BytesIO(png(image))), image)
+
+
+def test_the_plugin_keeps_what_plugins_promise() -> None:
+    check_plugin("amorphous", num_worlds=2)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("task", TASKS)
+def test_steps_are_recorded_on_a_gpu_and_wait_for_nothing(task: str) -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        many = ("device=cuda", "num_worlds=256", "learner.minibatches=4", "learner.rollout_steps=8")
+        training = Training(load_experiment([f"experiment=amorphous/{task}", *many])).prepare()
+        job: Any = training.job
+        for _ in range(3):
+            row = training.iterate()
+        assert job.environment.recorded_step.recording
+        assert all(value == value for value in row.values()), row
+        torch.cuda.synchronize()
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            job.collector.collect(4)
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.gpu
+def test_a_gpu_moves_the_material_as_a_cpu_does() -> None:
+    """Ten decisions of a scraper in visco-plastic clusters: the same, but for float32's order of sums."""
+    found = {}
+    for device in ("cpu", "cuda"):
+        env = environment("experiment=amorphous/gather_small", f"device={device}", "num_worlds=4")
+        for _ in range(10):
+            env.advance(torch.tensor([[1.0, 0.0, 0.3]], device=device).expand(4, -1))
+        found[device] = env.table["particle_position"].cpu(), env.observations["image"].cpu()
+    for first, second in zip(found["cpu"], found["cuda"], strict=True):
+        torch.testing.assert_close(first, second, atol=0.02, rtol=0.02)
