@@ -118,7 +118,7 @@ def _add_shape(
     point, turn = at + tool @ np.asarray(shape.position), tool @ _matrix(shape.orientation)
     if isinstance(shape, Box):
         half = np.array(shape.half_extents)
-        half[half.argmin()] *= 1 - 0.01 * (layer % 8)
+        half[half.argmin()] *= 1 - 0.02 * (layer % 8)
         _add(drawn, mujoco.mjtGeom.mjGEOM_BOX, half, point, turn, _TOOL)
     elif isinstance(shape, Capsule):
         size = (shape.radius, shape.half_length, shape.half_length)

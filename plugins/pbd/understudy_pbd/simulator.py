@@ -80,14 +80,15 @@ class ParticleSimulator(Simulator):
             self._device = torch.device("cuda", torch.cuda.current_device())
         self._n, self._substeps = context.num_worlds, context.substeps
         self._dt = context.control_dt / context.substeps
-        wp.config.quiet = True
+        wp.config.log_level = wp.LOG_WARNING
         wp.init()
         with wp.ScopedDevice(wp.device_from_torch(self._device)):
             self._system, features = self._build(model)
             self._kernels = build_kernels(features)
         self._features = features
         self.control_size = 6 * len(model.tools)
-        system, tools, p = self._system, self._system.tools, features.particles
+        system, tools = self._system, self._system.tools
+        p = system.particles
         views = {
             "particle_position": (wp.to_torch(system.position), (p, 3)),
             "particle_velocity": (wp.to_torch(system.velocity), (p, 3)),
@@ -212,6 +213,7 @@ class ParticleSimulator(Simulator):
         s.table_friction = table.friction if table else 0.0
         s.lower = wp.vec2(*((table and table.lower) or (-_OPEN, -_OPEN)))
         s.upper = wp.vec2(*((table and table.upper) or (_OPEN, _OPEN)))
+        s.particles = p
         s.dt, s.substeps, s.iterations = self._dt, self._substeps, options.iterations
         s.relaxation, s.sleep = options.relaxation, options.sleep
         s.reach, s.smoothing = reach, smoothing
@@ -227,14 +229,16 @@ class ParticleSimulator(Simulator):
         s.overflow = wp.zeros((n, p), dtype=int)
         rounds = math.ceil(p / options.threads)
         threads = 32 * math.ceil(math.ceil(p / rounds) / 32)
+        shared = 1 << (p - 1).bit_length()  # so that scenes of similar size share kernels
+        if shared > SHARED_PARTICLES:
+            shared = 0
         features = Features(
-            particles=p,
             fluids=bool(fluids),
             springs=partners.shape[1] > 0,
             alike=not fluids
             and len(materials) == 1
             and bool((radius == radius[0]).all() and (mass == mass[0]).all()),
-            shared=p <= SHARED_PARTICLES and self._device.type == "cuda",
+            shared=shared if self._device.type == "cuda" else 0,
             threads=threads if self._device.type == "cuda" else 1,
         )
         return s, features
@@ -243,7 +247,7 @@ class ParticleSimulator(Simulator):
         s = self._system
         return Particles(
             worlds=self._n,
-            count=self._features.particles,
+            count=s.particles,
             slots=s.spring_partner.shape[2],
             dt=self._dt,
             device=wp.device_from_torch(self._device),
@@ -327,7 +331,7 @@ class ParticleSimulator(Simulator):
                 kernels.block, dim=[self._n], inputs=[s, count], block_dim=features.threads
             )
             return
-        p = features.particles
+        p = s.particles
         everyone = (self._n, p)
         for _ in range(count):
             wp.launch(kernels.tools, dim=self._n, inputs=[s])

@@ -57,6 +57,7 @@ class System:
     substep: wp.array(dtype=int)  # done in the present control period, (N,)
     tools: Tools
     control: wp.array2d(dtype=float)
+    particles: int
     # particles and materials; what worlds may differ in is (N, …)
     radius: wp.array(dtype=float)
     inverse_mass: wp.array(dtype=float)
@@ -99,11 +100,10 @@ class System:
 class Features:
     """What the kernels of a scene can do, known when they are compiled."""
 
-    particles: int
     fluids: bool
     springs: bool
     alike: bool  #: all particles have one radius, mass and material, which is no fluid
-    shared: bool  #: whether the working memory of a world is on its multiprocessor
+    shared: int  #: particles that the working memory on a multiprocessor has room for; 0: none there
     threads: int  #: of a block
 
 
@@ -309,12 +309,11 @@ def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp
 @functools.cache
 def build_kernels(features: Features) -> Kernels:
     """The kernels of all scenes with these `features`."""
-    P = wp.constant(features.particles)
     FLUIDS = wp.constant(features.fluids)
     SPRINGS = wp.constant(features.springs)
     ALIKE = wp.constant(features.alike)
     LANES = features.threads
-    block_memory = _shared_memory(ROWS * features.particles) if features.shared else global_memory
+    block_memory = _shared_memory(ROWS * features.shared) if features.shared else global_memory
 
     @wp.func
     def predict(s: System, memory: wp.uint64, world: int, i: int):
@@ -329,11 +328,11 @@ def build_kernels(features: Features) -> Kernels:
             v = v / (1.0 + s.dt * s.damping[s.material[i]])
             x = swept(s, world, start, start + s.dt * v, s.radius[i])
         store(memory, i, wp.vec4(x[0], x[1], x[2], weight))
-        store(memory, 2 * P + i, wp.vec4(start[0], start[1], start[2], 0.0))
+        store(memory, 2 * s.particles + i, wp.vec4(start[0], start[1], start[2], 0.0))
 
     @wp.func
     def find(s: System, memory: wp.uint64, world: int, i: int):
-        """Particles within reach, and how many of them touch."""
+        """Particles within reach, and how many of them touch or are tied by springs."""
         own = load(memory, i)
         x = xyz(own)
         found = int(0)
@@ -342,7 +341,7 @@ def build_kernels(features: Features) -> Kernels:
         room = s.room
         radius = s.radius[i]
         if own[3] > 0.0:
-            for j in range(P):
+            for j in range(s.particles):
                 other = load(memory, j)
                 apart = x - xyz(other)
                 r2 = wp.dot(apart, apart)
@@ -360,12 +359,16 @@ def build_kernels(features: Features) -> Kernels:
                             both = _FLUID_CONTACT * both
                     if r2 < both * both:
                         touching += 1
+            if wp.static(SPRINGS):
+                for k in range(s.slots):
+                    if s.spring_partner[world, i, k] >= 0:
+                        touching += 1
         s.neighbour_count[world, i] = wp.min(found, room)
         if found > room:
             s.overflow[world, i] += 1
         # of the second row, so that who still looks for neighbours reads nothing half-written
         weight = wp.where(own[3] > 0.0, 1.0 / wp.max(float(touching), 1.0), -1.0)
-        store(memory, P + i, wp.vec4(x[0], x[1], x[2], weight))
+        store(memory, s.particles + i, wp.vec4(x[0], x[1], x[2], weight))
 
     @wp.func
     def density(s: System, memory: wp.uint64, world: int, i: int, source: int):
@@ -399,15 +402,15 @@ def build_kernels(features: Features) -> Kernels:
             if c < 0.0:
                 c = c * s.tension[s.material[i]]
             squares += s.inverse_mass[i] * (wp.dot(gradient, gradient) + s.softening[s.material[i]])
-            begin = load(memory, 2 * P + i)
-            store(memory, 2 * P + i, wp.vec4(begin[0], begin[1], begin[2], -c / squares))
+            begin = load(memory, 2 * s.particles + i)
+            store(memory, 2 * s.particles + i, wp.vec4(begin[0], begin[1], begin[2], -c / squares))
 
     @wp.func
     def solve(s: System, memory: wp.uint64, world: int, i: int, source: int, target: int):
         """One Jacobi iteration: where all constraints on a particle, averaged, would have it, and
         then out of what is kinematic."""
         own = load(memory, source + i)
-        begin = load(memory, 2 * P + i)
+        begin = load(memory, 2 * s.particles + i)
         x = xyz(own)
         start = xyz(begin)
         w = s.inverse_mass[i]
@@ -455,7 +458,7 @@ def build_kernels(features: Features) -> Kernels:
                         if flowing and r2 < s.smoothing * s.smoothing:
                             r = wp.max(wp.sqrt(r2), _NEAR)
                             lambdas = begin[3] / (s.inverse_mass[j] * rest)
-                            lambdas += load(memory, 2 * P + j)[3] / (w * density_j)
+                            lambdas += load(memory, 2 * s.particles + j)[3] / (w * density_j)
                             flow += (lambdas * w * density_slope(r, s.smoothing) / r) * apart
                         if flowing:
                             both = _FLUID_CONTACT * both
@@ -470,7 +473,7 @@ def build_kernels(features: Features) -> Kernels:
                     if r < _NEAR:  # on each other: apart along z, each its own way
                         r = _NEAR
                         apart = wp.vec3(0.0, 0.0, wp.where(i < j, -_NEAR, _NEAR))
-                    slip = moved - (xyz(other) - xyz(load(memory, 2 * P + j)))
+                    slip = moved - (xyz(other) - xyz(load(memory, 2 * s.particles + j)))
                     change = contact(apart, r, both, slip, static, dynamic, holds)
                     delta += (share * wp.min(own[3], other[3])) * change
                     active += 1.0
@@ -498,13 +501,14 @@ def build_kernels(features: Features) -> Kernels:
         """New velocities, and positions of what does not sleep (Macklin et al. 2014, algorithm 1,
         lines 27 to 30)."""
         own = load(memory, source + i)
-        start = xyz(load(memory, 2 * P + i))
+        start = xyz(load(memory, 2 * s.particles + i))
         x = xyz(own)
         v = wp.vec3(0.0)
         if own[3] > 0.0 and s.inverse_mass[i] > 0.0:
             v = (x - start) / s.dt
             if wp.length(v) < s.sleep:
                 x = start
+                v = wp.vec3(0.0)
             s.position[world, i] = x
         s.velocity[world, i] = v
         if wp.static(FLUIDS):
@@ -541,7 +545,7 @@ def build_kernels(features: Features) -> Kernels:
     def block_kernel(s: System, count: int):
         world, lane = wp.tid()
         lanes = wp.block_dim()
-        memory = block_memory(s.memory, world * ROWS * P)
+        memory = block_memory(s.memory, world * ROWS * s.particles)
         for _substep in range(count):
             advance_tools(s, world, lane, lanes)
             wait_for_block()
@@ -549,28 +553,28 @@ def build_kernels(features: Features) -> Kernels:
             if lane == 0:
                 count_substep(s, world)
             wait_for_block()
-            for i in range(lane, P, lanes):
+            for i in range(lane, s.particles, lanes):
                 predict(s, memory, world, i)
             wait_for_block()
-            for i in range(lane, P, lanes):
+            for i in range(lane, s.particles, lanes):
                 find(s, memory, world, i)
             wait_for_block()
-            source = P
+            source = s.particles
             for _iteration in range(s.iterations):
                 if wp.static(FLUIDS):
-                    for i in range(lane, P, lanes):
+                    for i in range(lane, s.particles, lanes):
                         density(s, memory, world, i, source)
                     wait_for_block()
-                for i in range(lane, P, lanes):
-                    solve(s, memory, world, i, source, P - source)
+                for i in range(lane, s.particles, lanes):
+                    solve(s, memory, world, i, source, s.particles - source)
                 wait_for_block()
-                source = P - source
-            for i in range(lane, P, lanes):
-                finish(s, memory, world, i, source, P - source)
+                source = s.particles - source
+            for i in range(lane, s.particles, lanes):
+                finish(s, memory, world, i, source, s.particles - source)
             wait_for_block()
             if wp.static(FLUIDS):
-                for i in range(lane, P, lanes):
-                    viscosity(s, memory, world, i, source, P - source)
+                for i in range(lane, s.particles, lanes):
+                    viscosity(s, memory, world, i, source, s.particles - source)
                 wait_for_block()
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
@@ -583,32 +587,32 @@ def build_kernels(features: Features) -> Kernels:
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def predict_kernel(s: System):
         world, i = wp.tid()
-        predict(s, global_memory(s.memory, world * ROWS * P), world, i)
+        predict(s, global_memory(s.memory, world * ROWS * s.particles), world, i)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def find_kernel(s: System):
         world, i = wp.tid()
-        find(s, global_memory(s.memory, world * ROWS * P), world, i)
+        find(s, global_memory(s.memory, world * ROWS * s.particles), world, i)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def density_kernel_(s: System, source: int):
         world, i = wp.tid()
-        density(s, global_memory(s.memory, world * ROWS * P), world, i, source)
+        density(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def solve_kernel(s: System, source: int):
         world, i = wp.tid()
-        solve(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
+        solve(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source, s.particles - source)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def finish_kernel(s: System, source: int):
         world, i = wp.tid()
-        finish(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
+        finish(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source, s.particles - source)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def viscosity_kernel(s: System, source: int):
         world, i = wp.tid()
-        viscosity(s, global_memory(s.memory, world * ROWS * P), world, i, source, P - source)
+        viscosity(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source, s.particles - source)
 
     return Kernels(
         block=block_kernel,
