@@ -1,0 +1,133 @@
+"""The clusters curriculum, and episodes of different lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from understudy import distributed
+from understudy.options import check_range
+from understudy.random import WorldStreams
+from understudy.task import Context, Curriculum, Rollout, Shape, State
+
+
+@dataclass(frozen=True)
+class Between:
+    """Seconds after which training episodes are cut, drawn for each evenly between these. Worlds then
+    do not all begin at once, and a short rollout of many worlds has all phases of an episode."""
+
+    least: float
+    most: float
+
+    def __post_init__(self) -> None:
+        check_range(self, "least", above=0)
+        check_range(self, "most", least=self.least)
+
+    def draw(self, streams: WorldStreams) -> Tensor:
+        """(N,) s"""
+        return self.least + (self.most - self.least) * streams.uniform(1).squeeze(1)
+
+
+class Lengths(Curriculum):
+    """Episodes of different lengths, and nothing that changes. Evaluations have their own length."""
+
+    provides: Mapping[str, Shape] = {"episode_limit": ()}
+
+    @dataclass(frozen=True)
+    class Options:
+        seconds: Between
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self.options = options
+
+    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
+        return {"episode_limit": self.options.seconds.draw(streams)}
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        return {}
+
+    def stage(self) -> str:
+        return ""
+
+    def state_dict(self) -> State:
+        return {}
+
+    def load_state_dict(self, state: State) -> None:
+        pass
+
+
+class Clusters(Curriculum):
+    """How many clusters episodes begin with, from ``start`` to ``most`` (section 4.1).
+
+    Episodes that end are judged together, ``episodes`` or more at a time, by their mean return, or by
+    the share of them that end with the farthest particle ``within`` (m) of the goal. Where that
+    reaches ``threshold``, there is one cluster more, and only episodes that end later count. The paper
+    judges single rollouts by a total reward that it does not give; of thousands of worlds a lucky one
+    would always be above it. In an evaluation there are ``most``.
+    """
+
+    provides: Mapping[str, Shape] = {"clusters": (), "episode_limit": ()}
+    records = ("farthest_distance",)
+
+    @dataclass(frozen=True)
+    class Options:
+        seconds: Between  #: how long training episodes are
+        start: int = 1
+        most: int = 4
+        by: Literal["distance", "return"] = "distance"
+        threshold: float = 0.5  #: of the share of episodes, or of the mean return
+        within: float = 1.5  #: m; Table 3 reports 1.06 m on average
+        episodes: int = 256  #: how many ended episodes are judged together at least
+
+        def __post_init__(self) -> None:
+            check_range(self, "start", "episodes", least=1)
+            check_range(self, "within", above=0)
+            if self.most < self.start:
+                raise ValueError(f"most={self.most} is not possible: start is {self.start}.")
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self.options = options
+        self._on_device = torch.zeros(context.num_worlds, device=context.device)
+        self._ended, self._total = 0, 0.0
+        self._move(options.most if context.evaluating else options.start)
+
+    def _move(self, clusters: int) -> None:
+        self.clusters = clusters
+        self._on_device.fill_(clusters)
+
+    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
+        return {
+            "clusters": self._on_device, "episode_limit": self.options.seconds.draw(streams)
+        }  # fmt: skip
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        options = self.options
+        ended = rollout.terminated | rollout.truncated
+        near = (rollout.records["farthest_distance"] <= options.within).float()
+        score = near if options.by == "distance" else rollout.episode_returns
+        sums = torch.stack([ended.double().sum(), torch.where(ended, score, 0.0).double().sum()])
+        count, total = distributed.total(sums).tolist()
+        self._ended, self._total = self._ended + int(count), self._total + total
+        found: dict[str, float] = {"clusters": self.clusters}
+        if self._ended < options.episodes:
+            return found
+        mean = found[options.by] = self._total / self._ended
+        self._ended, self._total = 0, 0.0
+        if mean >= options.threshold and self.clusters < options.most:
+            self._move(self.clusters + 1)
+            found |= {"clusters": self.clusters, f"mark/{self.stage()}": 1.0}
+        return found
+
+    def stage(self) -> str:
+        return f"{self.clusters} cluster{'s' if self.clusters > 1 else ''}"
+
+    def state_dict(self) -> State:
+        return {"clusters": self.clusters, "ended": self._ended, "total": self._total}
+
+    def load_state_dict(self, state: State) -> None:
+        self._ended, self._total = state["ended"], state["total"]
+        self._move(state["clusters"])

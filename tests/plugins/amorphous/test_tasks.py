@@ -1,0 +1,256 @@
+"""The tasks as they are composed: where episodes begin, what is measured, and that all of it trains."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError
+from understudy.records.runs import open_run
+from understudy.running.environment import Environment
+from understudy.running.training import Training
+from understudy.setup.building import build_environment
+from understudy.setup.composition import compose_raw, load_experiment
+from understudy.testing import check_plugin
+from understudy_amorphous.report import MapsSection, png
+
+TASKS = ("gather", "spread", "flip")
+TINY = (
+    "num_worlds=2", "learner.rollout_steps=16", "learner.minibatches=2", "budget.samples=32",
+    "evaluation.episodes=2", "evaluation.final_episodes=2", "evaluation.seconds=0.5",
+    "run.video_seconds=0.5",
+)  # fmt: skip
+
+
+def environment(*overrides: str, evaluating: bool = False) -> Environment:
+    experiment = load_experiment(["num_worlds=6", *overrides])
+    built = build_environment(experiment, evaluating=evaluating).environment
+    built.reset(seed=1)
+    return built
+
+
+def blocks_of(env: Environment) -> tuple[torch.Tensor, torch.Tensor]:
+    """Centres (N, K, 2) of the gathering task's blocks, and whether they are there (N, K)."""
+    place = env.table["particle_position"].unflatten(1, (4, -1))
+    return place[..., :2].mean(dim=2), env.table["active_particles"].unflatten(1, (4, -1))[
+        ..., 0
+    ] > 0
+
+
+@pytest.mark.parametrize(("evaluating", "clusters"), [(False, 1), (True, 4)])
+def test_gathering_begins_with_as_many_clusters_as_the_curriculum_says(
+    evaluating: bool, clusters: int
+) -> None:
+    env = environment("experiment=amorphous/gather", evaluating=evaluating)
+    centres, there = blocks_of(env)
+    assert there.sum(dim=1).tolist() == [clusters] * 6
+    away = centres.norm(dim=2)[there]
+    assert float(away.min()) >= 1.8 - 1e-4
+    assert float(away.max()) <= 2.8 + 1e-4
+    far = env.table["farthest_distance"]
+    assert bool(((far > 1.8) & (far < 2.8 + 0.5 * math.sqrt(2))).all())
+    assert len({round(float(x), 4) for x in away}) == 6 * clusters, "drawn anew for each"
+
+
+def test_no_block_begins_within_another() -> None:
+    env = environment("experiment=amorphous/gather", "num_worlds=200", evaluating=True)
+    place = env.table["particle_position"]
+    apart = torch.cdist(place, place) + 9.0 * torch.eye(200)
+    assert float(apart.min()) > 0.19
+
+
+def test_the_same_seed_begins_the_same_and_another_draw_does_not() -> None:
+    env = environment("experiment=amorphous/spread")
+    first = env.table["particle_position"].clone()
+    env.reset(seed=1)
+    assert torch.equal(env.table["particle_position"], first)
+    env.reset(seed=1, draw="final")
+    assert not torch.equal(env.table["particle_position"], first)
+
+
+def test_a_scraper_pushes_its_cluster_towards_the_goal() -> None:
+    """The tool behind a cluster, driven at the goal: the farthest particle comes nearer, and the
+    reward says so."""
+    env = environment(
+        "experiment=amorphous/gather_small", "num_worlds=1", "initial_states.distance=[1.2,1.2]"
+    )
+    centre = env.table["particle_position"].mean(dim=1)[0]
+    angle = math.atan2(float(centre[1]), float(centre[0]))
+    state = {name: env.table[name].clone() for name in env.parts.simulator.state_fields}
+    state["tool_position"] = torch.tensor([[2.0 * math.cos(angle), 2.0 * math.sin(angle), 0.0]])
+    yaw = angle + math.pi
+    state["tool_orientation"] = torch.tensor([[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]])
+    everywhere = torch.ones(1, dtype=torch.bool)
+    env.parts.simulator.set_state(everywhere, state)
+    env.refresh()
+    env._keep(env.parts.actuation, env.parts.actuation.part.begin(
+        **env.table.pick(env.parts.actuation.reads)
+    ))  # fmt: skip
+    before = float(env.table["farthest_distance"])
+    rewards = [float(env.advance(torch.tensor([[9.0, 0.0, 0.0]])).rewards) for _ in range(12)]
+    assert float(env.table["farthest_distance"]) < before - 0.3
+    assert max(rewards) > 0.5
+
+
+def test_a_scraper_through_a_pile_occupies_more_cells_and_is_rewarded() -> None:
+    env = environment("experiment=amorphous/spread", "scene.material=granular", "num_worlds=2")
+    before = env.table["occupied_cells"].clone()
+    assert 100 <= float(before.min()) <= float(before.max()) <= 140
+    ahead = torch.tensor([[9.0, 0.0, 0.0, 0.0]]).expand(2, -1)  # it begins facing the pile
+    total = sum((env.advance(ahead).rewards for _ in range(25)), torch.zeros(2))
+    assert bool((env.table["occupied_cells"] > before + 20).all())
+    assert bool((total > 3.0).all())
+
+
+def test_a_toss_turns_the_disk_over() -> None:
+    """The pan is thrown up and tilted: the disk leaves it, turns, and the reward counts its turning."""
+    env = environment("experiment=amorphous/flip", "num_worlds=1")
+    height, spin, turned = 0.0, 0.0, 0.0
+    for i in range(36):
+        up, tilt = (9.0, -9.0) if i < 7 else (-9.0, 9.0)
+        env.advance(torch.tensor([[0.0, 0.0, up, tilt]]))
+        height = max(height, float(env.table["clearance"]))
+        spin = min(spin, float(env.table["material_angular_velocity"][0, 1]))
+        turned = float(env.table["turned"])
+    assert height > 1.0
+    assert spin < -1.5
+    assert turned < -math.pi, "counted over half a turn"
+    assert float(env.table["caught_turn"]) > -1.0, "and not caught yet"
+
+
+@pytest.mark.parametrize("material", ["granular", "viscous", "viscoplastic"])
+def test_all_materials_rest_and_can_be_swapped_into_a_task(material: str) -> None:
+    env = environment("experiment=amorphous/gather", f"scene.material={material}", "num_worlds=1")
+    for _ in range(15):
+        step = env.advance(torch.zeros(1, 3))
+    active = env.table["active_particles"][0] > 0
+    place = env.table["particle_position"][0][active]
+    assert float(place[:, 2].min()) > 0.0
+    assert float(env.table["particle_velocity"][0][active].norm(dim=1).mean()) < 0.5
+    assert not bool(step.unsound.any())
+
+
+@pytest.mark.parametrize(("resolution", "particles"), [(2, 1600), (3, 5400)])
+def test_the_same_material_of_smaller_particles_makes_the_same_map(
+    resolution: int, particles: int
+) -> None:
+    """Table 5's resolutions; the mass stays."""
+    maps = []
+    for scale in (1, resolution):
+        env = environment(
+            "experiment=amorphous/gather",
+            f"scene.resolution={scale}",
+            "num_worlds=1",
+            evaluating=True,
+        )
+        maps.append(env.observations["image"][0, 0])
+    assert env.table["particle_position"].shape[1] == particles
+    assert float(maps[1].sum()) == pytest.approx(float(maps[0].sum()), rel=0.05)
+    assert float((maps[1] - maps[0]).abs().max()) < 0.35 * float(maps[0].max())
+
+
+@pytest.mark.parametrize("task", [*TASKS, *(f"{name}_small" for name in TASKS)])
+def test_experiments_train_and_leave_pictures(task: str, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert main(["train", f"experiment=amorphous/{task}", *TINY, f"run.dir={run}"]) == 0
+    section = MapsSection().html(open_run(run))
+    assert section is not None
+    assert section.count("data:image/png") >= 2
+    assert "What the policy sees" in (run / "report.html").read_text()
+
+
+def test_runs_without_maps_have_no_such_section(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    blind = ("experiment=amorphous/gather_small", "policy=mlp", "encoder.image=null")
+    assert main(["train", *blind, *TINY, f"run.dir={run}"]) == 0
+    assert MapsSection().html(open_run(run)) is None
+
+
+@pytest.mark.parametrize(
+    ("ablation", "variants"),
+    [
+        ("gathering", 5), ("spreading", 5), ("flipping", 3), ("frames_gather", 2), ("frames_spread", 2)
+    ],
+)  # fmt: skip
+def test_every_variant_of_the_ablations_composes(ablation: str, variants: int) -> None:
+    raw = compose_raw([f"ablation=amorphous/{ablation}"])
+    chosen: dict[str, list[str]] = raw["outer_loop"]["variants"]
+    assert len(chosen) == variants
+    full = load_experiment([f"experiment={_base(ablation)}"]).effective()
+    for name, overrides in chosen.items():
+        changed = load_experiment([f"experiment={_base(ablation)}", *overrides]).effective()
+        assert (changed == full) == (overrides == []), name
+
+
+def _base(ablation: str) -> str:
+    tasks = {"gathering": "gather", "spreading": "spread", "flipping": "flip"}
+    return "amorphous/" + tasks.get(ablation, ablation.removeprefix("frames_"))
+
+
+def test_the_papers_learner_has_its_figures() -> None:
+    options: Any = (
+        load_experiment(["experiment=amorphous/gather", "learner=amorphous/ppo", "num_worlds=49"])
+        .need("learner")
+        .options
+    )
+    assert options.rollout_steps * 49 == 49_000
+    assert (options.batch_size, options.epochs, options.gamma) == (64, 10, 0.99)
+    assert options.kl_penalty is not None
+
+
+def test_piles_of_several_blocks_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"places one block, and scene\.blocks=4"):
+        environment("experiment=amorphous/spread", "scene.blocks=4")
+
+
+def test_pictures_are_png_files() -> None:
+    import io
+
+    imageio = pytest.importorskip("imageio.v3")
+
+    image = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    assert np.array_equal(imageio.imread(io.BytesIO(png(image))), image)
+
+
+def test_the_plugin_keeps_what_plugins_promise() -> None:
+    check_plugin("amorphous", num_worlds=2)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("task", TASKS)
+def test_steps_are_recorded_on_a_gpu_and_wait_for_nothing(task: str) -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        many = ("device=cuda", "num_worlds=256", "learner.minibatches=4", "learner.rollout_steps=8")
+        training = Training(load_experiment([f"experiment=amorphous/{task}", *many])).prepare()
+        job: Any = training.job
+        for _ in range(3):
+            row = training.iterate()
+        assert job.environment.recorded_step.recording
+        assert all(value == value for value in row.values()), row
+        torch.cuda.synchronize()
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            job.collector.collect(4)
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.gpu
+def test_a_gpu_moves_the_material_as_a_cpu_does() -> None:
+    """Ten decisions of a scraper in visco-plastic clusters: the same, but for float32's order of sums."""
+    found = {}
+    for device in ("cpu", "cuda"):
+        env = environment("experiment=amorphous/gather_small", f"device={device}", "num_worlds=4")
+        for _ in range(10):
+            env.advance(torch.tensor([[1.0, 0.0, 0.3]], device=device).expand(4, -1))
+        found[device] = env.table["particle_position"].cpu(), env.observations["image"].cpu()
+    for first, second in zip(found["cpu"], found["cuda"], strict=True):
+        torch.testing.assert_close(first, second, atol=0.02, rtol=0.02)
