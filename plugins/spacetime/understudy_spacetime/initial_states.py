@@ -14,6 +14,7 @@ from understudy.task import Context, InitialStates, Rollout, State
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
 from understudy_characters.scene import reference_motion
 
+
 def segment_probabilities(returns: Tensor, *, uniform: float) -> Tensor:
     """p(k) of eq. 3.9 for the segments' average returns w, (n,): low returns are drawn more often.
 

@@ -111,9 +111,12 @@ def test_what_an_evaluation_finds() -> None:
 # ---------------------------------------------------------------------- what is observed
 
 
-def observed(angle: float = 0.0, shift: tuple[float, float] = (0.0, 0.0), **options: bool) -> Tensor:
+def observed(
+    angle: float = 0.0, shift: tuple[float, float] = (0.0, 0.0), **options: bool
+) -> Tensor:
     """Observations of walking worlds, after the character was turned and moved in its place."""
-    environment = build_environment(load_experiment([*WALK])).environment
+    built = build_environment(load_experiment([*WALK]))
+    environment = built.environment
     environment.reset(seed=4)
     table, simulator = environment.table, environment.parts.simulator
     states = {name: simulator.read(name).clone() for name in simulator.state_fields}
@@ -124,18 +127,7 @@ def observed(angle: float = 0.0, shift: tuple[float, float] = (0.0, 0.0), **opti
     states["qvel"][:, :3] = rotations.rotate(turn, states["qvel"][:, :3])
     simulator.set_state(torch.ones(4, dtype=torch.bool), states)
     environment.refresh()
-    scene = environment.parts.rewards and load_experiment([*WALK])
-    made = StateEncoder(
-        StateEncoder.Options(**options),
-        Context(
-            0,
-            torch.device("cpu"),
-            4,
-            control_dt=1 / 30,
-            substeps=20,
-            scene=scene.need("scene").build(None),
-        ),
-    )
+    made = StateEncoder(StateEncoder.Options(**options), built.context)
     found = made.encode(**table.pick({name: name for name in made.reads}))
     assert found.shape[1:] == made.shape
     return found
@@ -183,7 +175,9 @@ def test_the_settings_of_the_tables() -> None:
     assert experiment.root.num_worlds * learner("released").rollout_steps == 4096
 
 
-@pytest.mark.parametrize("corner", [(32, 10, 2.5e-4, 1e-2, 5e-2, 0.02, 1), (1024, 1, 2.5e-6, 1e-4, 5e-4, 0.2, 100)])
+@pytest.mark.parametrize(
+    "corner", [(32, 10, 2.5e-4, 1e-2, 5e-2, 0.02, 1), (1024, 1, 2.5e-6, 1e-4, 5e-4, 0.2, 100)]
+)
 def test_corners_of_table_6_2_learn_without_numbers_that_go_wrong(
     corner: tuple[float, ...], plugins: Plugins
 ) -> None:

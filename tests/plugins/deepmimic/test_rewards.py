@@ -104,7 +104,8 @@ def test_velocity() -> None:
         own["qvel"] = own["qvel"].clone()
         own["qvel"][:, dof] += by
         assert terms(own, reference)["velocity"] == pytest.approx(math.exp(-expected), rel=1e-4)
-    own["qvel"] = reference["qvel"].clone()
+    own, reference = state(0), state(0)
+    own["qvel"] = own["qvel"].clone()
     own["qvel"][:, layout.root_dof : layout.root_dof + 3] += 5.0
     assert terms(own, reference)["velocity"] == 1.0
 
