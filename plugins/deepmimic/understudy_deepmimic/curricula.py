@@ -22,7 +22,7 @@ from understudy_deepmimic.horizon import horizon
 class Episodes(NamedTuple):
     """Of the episodes that ended in an iteration, over all processes."""
 
-    count: float
+    ended: float
     failed: float  #: how many
     returns: float  #: their sum
 
@@ -47,8 +47,8 @@ class Stagnation:
 
     def digest(self, episodes: Episodes, longest: float) -> float:
         """One iteration's `episodes`, of `longest` decisions; returns the average."""
-        if episodes.count:
-            found = episodes.returns / episodes.count / longest
+        if episodes.ended:
+            found = episodes.returns / episodes.ended / longest
             self._average = self._keep * self._average + (1 - self._keep) * found
             self._weight = self._keep * self._weight + (1 - self._keep)
         average = self._average / max(self._weight, 1e-9)
@@ -125,8 +125,8 @@ class Adaptive(Curriculum):
         episodes, limit = ended_in(rollout), self._limit
         average = self._stagnation.digest(episodes, limit.decisions)
         found = {"normalised_return": average, "episode_limit": limit.seconds}
-        if episodes.count:
-            found["fail_rate"] = fail_rate = episodes.failed / episodes.count
+        if episodes.ended:
+            found["fail_rate"] = fail_rate = episodes.failed / episodes.ended
             if fail_rate < self._options.fail_rate and limit.seconds < limit.longest:
                 limit.move(limit.seconds + self._options.step)
                 if limit.seconds == limit.longest:
