@@ -35,21 +35,23 @@ def ended_in(rollout: Rollout) -> Episodes:
 
 
 class Stagnation:
-    """Whether the normalised return has not increased for `patience` iterations.
+    """Whether the return has not increased for `patience` iterations.
 
     It is that of the episodes that ended, averaged over about `smoothing` iterations since few do in
     one.
     """
 
+    _KEPT = ("average", "weight", "best", "since")
+
     def __init__(self, patience: int | None, smoothing: float = 20.0) -> None:
         self._patience, self._keep = patience, 1.0 - 1.0 / smoothing
         self._average, self._weight, self._best, self._since = 0.0, 0.0, 0.0, 0
 
-    def digest(self, episodes: Episodes, longest: float) -> float:
-        """One iteration's `episodes`, of `longest` decisions; returns the average."""
+    def digest(self, episodes: Episodes) -> float:
+        """One iteration's `episodes`; returns the average return."""
         if episodes.ended:
-            found = episodes.returns / episodes.ended / longest
-            self._average = self._keep * self._average + (1 - self._keep) * found
+            mean = episodes.returns / episodes.ended
+            self._average = self._keep * self._average + (1 - self._keep) * mean
             self._weight = self._keep * self._weight + (1 - self._keep)
         average = self._average / max(self._weight, 1e-9)
         self._since = 0 if average > self._best else self._since + 1
@@ -67,8 +69,6 @@ class Stagnation:
         for name in self._KEPT:
             setattr(self, f"_{name}", state[name])
 
-    _KEPT = ("average", "weight", "best", "since")
-
 
 class _Limit:
     """How long episodes last that begin now, s, on the device too, changed in place."""
@@ -77,7 +77,7 @@ class _Limit:
 
     def __init__(self, seconds: float, context: Context) -> None:
         self.longest = horizon(context.difficulty)
-        self.decisions = self.longest / (context.control_dt * context.decision)
+        self._decisions = self.longest / (context.control_dt * context.decision)
         self._on_device = torch.zeros(context.num_worlds, device=context.device)
         self.move(seconds)
 
@@ -88,6 +88,13 @@ class _Limit:
     def begin(self) -> dict[str, Tensor]:
         return {"episode_limit": self._on_device}
 
+    def metrics(self, average: float) -> dict[str, float]:
+        """Of an iteration with the `average` return."""
+        return {
+            "normalised_return": average / self._decisions,
+            "episode_limit": self.seconds,
+        }
+
     def __str__(self) -> str:
         return f"episodes of {self.seconds:.1f} s"
 
@@ -96,7 +103,7 @@ class Adaptive(Curriculum):
     """Episodes last a second at first and half a second more after every iteration in which less than a
     fifth of those that ended failed.
 
-    The training ends when the normalised return has not increased for ``patience`` iterations.
+    The training ends when the return has not increased for ``patience`` iterations.
     """
 
     provides = _Limit.provides
@@ -123,8 +130,7 @@ class Adaptive(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         episodes, limit = ended_in(rollout), self._limit
-        average = self._stagnation.digest(episodes, limit.decisions)
-        found = {"normalised_return": average, "episode_limit": limit.seconds}
+        found = limit.metrics(self._stagnation.digest(episodes))
         if episodes.ended:
             found["fail_rate"] = fail_rate = episodes.failed / episodes.ended
             if fail_rate < self._options.fail_rate and limit.seconds < limit.longest:
@@ -151,7 +157,7 @@ class Annealed(Curriculum):
     """The fixed schedule of the released DeepMimic: from half a second, by the fourth power of the share
     of ``samples`` that are consumed.
 
-    The training ends when the normalised return has not increased for ``patience`` iterations.
+    The training ends when the return has not increased for ``patience`` iterations.
     """
 
     provides = _Limit.provides
@@ -182,8 +188,7 @@ class Annealed(Curriculum):
         limit.move(options.start + (limit.longest - options.start) * share)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        average = self._stagnation.digest(ended_in(rollout), self._limit.decisions)
-        found = {"normalised_return": average, "episode_limit": self._limit.seconds}
+        found = self._limit.metrics(self._stagnation.digest(ended_in(rollout)))
         self._samples += rollout.rewards.numel() * distributed.size()
         self._move()
         return found

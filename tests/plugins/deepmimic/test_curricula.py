@@ -129,7 +129,7 @@ def test_few_episodes_are_no_stagnation() -> None:
     stagnation = Stagnation(40)
     for i in range(200):
         lucky = 60.0 if i == 3 else 1.0 + i
-        stagnation.digest(ended_in(rollout(1, returns=lucky)), 600.0)
+        stagnation.digest(ended_in(rollout(1, returns=lucky)))
         assert not stagnation.reached
 
 
