@@ -36,7 +36,7 @@ ABOVE = {
 #: So that an iteration and an evaluation take next to no time.
 TINY = (
     "num_worlds=2",
-    "learner.rollout_steps=64",
+    "learner.rollout_steps=128",
     "evaluation.episodes=2",
     "evaluation.final_episodes=2",
     "evaluation.seconds=0.2",

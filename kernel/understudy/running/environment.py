@@ -36,19 +36,12 @@ from understudy.task.terms import Bound, Term
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
 #: term or one that only reports) are set once this step's terminations are known, so only rewards
-#: and measures may read them.
+#: and measures may read them; ``reward`` is the step's, for measures only.
 OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
-    (
-        "episode_time",
-        "episode_step",
-        "episode_limit",
-        "difficulty",
-        "failed",
-        "succeeded",
-        "violated",
-    ),
+    ("episode_time", "episode_step", "episode_limit", "difficulty",
+     "failed", "succeeded", "violated", "reward"),
     (),
-)
+)  # fmt: skip
 _PREVIOUS = "previous_"
 
 #: Numbers of this size and beyond count as non-finite, as they do for MuJoCo.
@@ -212,7 +205,7 @@ class Environment:
             self._kept |= {name: zeros(shape) for name, shape in kept.items()}
         self._resolve_fields(known_fields)
         self.episode_step = zeros((), torch.int64)
-        self._nowhere = zeros((), torch.bool)
+        self._nowhere, self._nothing = zeros((), torch.bool), zeros(())
         self._unsound = zeros((), torch.bool)
         self._streams = WorldStreams(seed, "initial_states", num_worlds, device)
         self._memory_streams = {
@@ -375,6 +368,7 @@ class Environment:
         terminated = failed | succeeded
         truncated = outcomes["truncation"] & ~terminated
         rewards = torch.where(unsound, 0.0, rewards)
+        table.put("reward", rewards)
         self.statistics.digest(
             rewards, seconds, endings, succeeded=succeeded, truncated=truncated,
             unsound=unsound, ended=terminated | truncated,
@@ -546,6 +540,7 @@ class Environment:
                 "failed": self._nowhere,
                 "succeeded": self._nowhere,
                 "violated": self._nowhere,
+                "reward": self._nothing,
                 "action": self.action,
                 **self._constants,
                 **self._kept,

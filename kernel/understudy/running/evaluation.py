@@ -332,6 +332,8 @@ class Evaluator:
                 on_step(self._running)
             action = policy.distribution(observations).mode()
             observations = self._step(action).observations
+            if step % 30 == 29 and on_step is None and not bool(self._running.any()):
+                break  # all are over, and nobody watches the next ones
             if step % 30 == 29 and allowed < count and not self._within(allowed, count):
                 complete = False
                 break

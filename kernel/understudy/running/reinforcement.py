@@ -117,6 +117,10 @@ class Reinforcement(Job):
             **metrics,
         }
 
+    def finished(self) -> bool:
+        curriculum = self.environment.parts.curriculum
+        return curriculum is not None and curriculum.finished()
+
     def stage(self) -> str:
         curriculum = self.environment.parts.curriculum
         return curriculum.stage() if curriculum else ""

@@ -20,15 +20,8 @@ class EpisodeStatistics:
         self.terms = [t.name for t in terminations if t.outcome != "report"]
         #: (N,) the running episodes' returns so far.
         self.returns = torch.zeros(num_worlds, device=device)
-        self._names = [
-            "episodes",
-            "seconds",
-            "return",
-            "succeeded",
-            "truncated",
-            "unsound",
-            *(f"ended_by/{t}" for t in self.terms),
-        ]
+        self._names = ["episodes", "seconds", "return", "succeeded", "truncated", "unsound"]
+        self._names += [f"ended_by/{t}" for t in self.terms]
         self._sums = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
     def forget(self, worlds: Tensor) -> None:
@@ -67,12 +60,7 @@ class EpisodeStatistics:
         row: dict[str, float] = {"episodes": episodes, "unsound": sums["unsound"]}
         if episodes:
             row["episode_seconds"] = sums["seconds"] / episodes
-            for name in (
-                "return",
-                "succeeded",
-                "truncated",
-                *(f"ended_by/{t}" for t in self.terms),
-            ):
+            for name in ("return", "succeeded", "truncated", *self._names[6:]):
                 row[name] = sums[name] / episodes
         return row
 

@@ -157,6 +157,10 @@ class Curriculum(ABC):
         """Learn from a digested rollout; returns metrics. A metric ``mark/TEXT`` marks the learning
         curves with TEXT."""
 
+    def finished(self) -> bool:
+        """Whether learning on is of no use, whatever the budget."""
+        return False
+
     @abstractmethod
     def stage(self) -> str:
         """Where it stands, in a few words for the progress line."""

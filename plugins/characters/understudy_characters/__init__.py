@@ -37,6 +37,12 @@ def understudy_register(register: Registrar) -> None:
         "PD targets of all joints",
     )
     add(
+        "initial_states",
+        "characters.reference_states",
+        f"{_HERE}.initial_states:ReferenceStates",
+        "the clip's state at a uniformly drawn time",
+    )
+    add(
         "termination",
         "characters.fall",
         f"{_HERE}.parts:Fall",

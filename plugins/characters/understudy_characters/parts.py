@@ -61,6 +61,7 @@ class Reference(Fields):
         "motion_time": (),
         "motion_ended": (),
         "reference_qpos": (0,),
+        "reference_qvel": (0,),
         "reference_com_position": (3,),
         "reference_root_position": (3,),
         "reference_root_rotation": (4,),
@@ -77,6 +78,7 @@ class Reference(Fields):
         self.provides = {
             **_sized(self.provides, scene.layout),
             "reference_qpos": (scene.model.nq,),
+            "reference_qvel": (scene.model.nv,),
             "reference_link_clearances": (len(scene.layout.link_names),),
             "reference_joint_targets": (scene.layout.num_actuators,),
         }

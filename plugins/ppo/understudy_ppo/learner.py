@@ -64,6 +64,10 @@ class PPO(Learner):
         actor_learning_rate: float = 1e-4
         critic_learning_rate: float = 1e-3
         entropy_weight: float = 0.0
+        #: Of the critic's mean squared error. It counts for sgd alone; Adam's steps have no scale.
+        value_weight: float = 1.0
+        #: Largest size of a normalised advantage; null is any.
+        advantage_clip: float | None = None
         max_gradient_norm: float = 1.0  #: of actor and critic each
         #: Adapt the actor's learning rate so that an update's mean KL divergence from the policy that
         #: collected stays within a factor of two of this; null keeps the rate. The rule is the one
@@ -80,7 +84,8 @@ class PPO(Learner):
             check_range(self, "batch_size", least=2)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)
-            check_range(self, "max_gradient_norm", "target_kl", above=0)
+            check_range(self, "max_gradient_norm", "target_kl", "value_weight", above=0)
+            check_range(self, "advantage_clip", above=0)
             check_range(self, "entropy_weight", "weight_decay", "momentum", least=0)
             if (self.minibatches is None) == (self.batch_size is None):
                 raise ValueError(
@@ -142,6 +147,8 @@ class PPO(Learner):
             gae_lambda=options.gae_lambda,
             td_lambda=options.td_lambda,
         )
+        if options.advantage_clip is not None:
+            batch["advantages"].clamp_(-options.advantage_clip, options.advantage_clip)
         if self._collecting is not None:
             self._collecting.load_state_dict(self.policy.state_dict())
         self._sums.zero_()
@@ -201,7 +208,7 @@ class PPO(Learner):
 
     def _value_loss(self, minibatch: Mapping[str, Tensor]) -> Tensor:
         values = self.policy.value(observations_of(minibatch))
-        return (values - minibatch["returns"]).square().mean()
+        return self.options.value_weight * (values - minibatch["returns"]).square().mean()
 
     def _differentiate(self, minibatch: Mapping[str, Tensor]) -> None:
         """Set the gradients and the statistics of `minibatch`."""

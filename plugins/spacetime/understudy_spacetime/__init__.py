@@ -57,9 +57,6 @@ def understudy_register(register: Registrar) -> None:
         "reference pose plus learned offset",
     )
     add(
-        "initial_states", "spacetime.uniform", f"{_HERE}.initial_states:Uniform", "reference states"
-    )
-    add(
         "initial_states",
         "spacetime.importance",
         f"{_HERE}.initial_states:Importance",

@@ -1,4 +1,4 @@
-"""Initial-state distributions of section 3.4.2: uniform, importance-sampled, evolved."""
+"""Initial-state distributions of section 3.4.2: importance-sampled and evolved."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from torch import Tensor
 from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.task import Context, InitialStates, Rollout, Shape, State
-from understudy_characters.reference import ReferenceMotion
+from understudy.task import Context, InitialStates, Rollout, State
+from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
 from understudy_characters.scene import reference_motion
-
-EPISODE_FIELDS: dict[str, Shape] = {"motion_start": ()}
 
 
 def segment_probabilities(returns: Tensor, *, uniform: float) -> Tensor:
@@ -77,28 +75,6 @@ class _Segments:
             getattr(self, name).copy_(state[name])
 
 
-class Uniform(InitialStates):
-    """Reference-state initialisation: the clip's state at a uniformly drawn time."""
-
-    episode_fields = EPISODE_FIELDS
-
-    def __init__(self, options: None, context: Context) -> None:
-        self._reference = reference_motion(context)
-
-    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        time = streams.uniform(1).squeeze(1) * self._reference.duration
-        return _reference_states(self._reference, time)
-
-
-def _reference_states(reference: ReferenceMotion, time: Tensor) -> dict[str, Tensor]:
-    state = reference.sample(time)
-    return {
-        "qpos": state["reference_qpos"],
-        "qvel": state["reference_qvel"],
-        "motion_start": time,
-    }
-
-
 class Importance(InitialStates):
     """Reference states, drawn more often from segments whose states have low returns (eq. 3.9)."""
 
@@ -125,7 +101,7 @@ class Importance(InitialStates):
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         segment, within = self._segments.draw(streams)
         phase = (segment + within) / self._options.segments
-        return _reference_states(self._reference, phase * self._reference.duration)
+        return reference_states(self._reference, phase * self._reference.duration)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
@@ -207,7 +183,7 @@ class Evolution(InitialStates):
         self._draws = WorldStreams(context.seed, "evolution", options.segments, context.device)
         n, m = options.segments, options.size
         phase = (torch.arange(n * m, device=context.device) + 0.5) / (n * m)
-        states = _reference_states(self._reference, phase * self._reference.duration)
+        states = reference_states(self._reference, phase * self._reference.duration)
         self._buffer = {k: v.view(n, m, *v.shape[1:]).clone() for k, v in states.items()}
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
@@ -215,7 +191,7 @@ class Evolution(InitialStates):
         draws = streams.uniform(3)
         slot = (draws[:, 0] * self._options.size).long()
         evolved = {name: value[segment, slot] for name, value in self._buffer.items()}
-        reference = _reference_states(self._reference, draws[:, 2] * self._reference.duration)
+        reference = reference_states(self._reference, draws[:, 2] * self._reference.duration)
         plain = draws[:, 1] < self._options.reference_share
         return {
             name: torch.where(plain.view(-1, *([1] * (value.dim() - 1))), reference[name], value)

@@ -61,6 +61,13 @@ class Stairs(Curriculum):
         self.stair = state["stair"]
 
 
+class Short(Stairs):
+    """Of three stairs."""
+
+    def finished(self) -> bool:
+        return self.stair >= 3
+
+
 class High(Starts):
     """Begins as high as the curriculum says."""
 
@@ -70,7 +77,10 @@ class High(Starts):
         return {"x": (fields["stair"] + 100 * fields["difficulty"]).unsqueeze(1)}
 
 
-PARTS = {"curriculum": {"my.stairs": Stairs}, "initial_states": {"my.high": High}}
+PARTS = {
+    "curriculum": {"my.stairs": Stairs, "my.short": Short},
+    "initial_states": {"my.high": High},
+}
 TASK = (
     *LINE_TASK[:5],
     "+initial_states={name: my.high}",
@@ -171,6 +181,17 @@ def test_training_updates_marks_and_tells(tmp_path: Path) -> None:
     stairs = training.job.environment.parts.curriculum
     assert [tuple(x.shape) for x in stairs.recorded] == [(2, 4, 1)] * 3
     assert stairs.recorded[0][0].tolist() == [[0]] * 4
+
+
+def test_a_curriculum_can_end_the_training(tmp_path: Path) -> None:
+    plugins = line_plugins(**PARTS)
+    training = make_training(plugins, [*TASK, "curriculum.name=my.short"], tmp_path / "run")
+    assert training.train().reason == "finished"
+    assert training.progress.iteration == 3
+    training.run.unlock()
+    again = resumed(plugins, tmp_path / "run")
+    assert again.train().reason == "finished"
+    assert again.progress.iteration == 3
 
 
 def test_the_stage_is_resumed(tmp_path: Path) -> None:

@@ -82,9 +82,14 @@ class Rungs(Starts):
         return {"x": x}
 
 
+def rewarded(reward: Tensor) -> Tensor:
+    """What the step gave."""
+    return reward
+
+
 #: All worlds move by one a second for four seconds: world i is at i + 1, i + 2, i + 3, i + 4.
 RUNGS = (*LINE_TASK, "initial_states={name: my.rungs}")
-PARTS = {"initial_states": {"my.rungs": Rungs}}
+PARTS = {"initial_states": {"my.rungs": Rungs}, "measure": {"my.rewarded": rewarded}}
 
 
 def evaluator(*overrides: str, task: Iterable[str] = RUNGS) -> Evaluator:
@@ -123,6 +128,23 @@ def test_survival() -> None:
     returns = [1 + 2 + 3 + 4, 2 + 3 + 4 + 5, 3 + 4 + 5 + 6, 4 + 5 + 6]
     assert (back.reduce, back.mean) == ("sum", statistics.fmean(returns))
     assert (found.objective, found.objective_value) == ("success_rate", 0.5)
+
+
+def test_rewards_can_be_measured() -> None:
+    found = evaluated(far(6), "+measure.all={name: my.rewarded, reduce: sum}").measures
+    best = evaluated(far(6), "+measure.best={name: my.rewarded, reduce: max}").measures["best"]
+    assert found["all"] == found["return"]
+    assert best.mean == (4 + 5 + 6 + 6) / 4
+
+
+@pytest.mark.parametrize(("watched", "steps"), [(False, 30), (True, 100)])
+def test_an_evaluation_is_over_when_all_episodes_are(watched: bool, steps: int) -> None:
+    """The last world falls in its sixth second; who watches sees what comes then."""
+    made, seen = evaluator(far(6), "evaluation.seconds=100"), []
+    found = made.run(policy(), "a", 4, on_step=seen.append if watched else None)
+    assert len(made.built.environment.parts.simulator.calls) == steps
+    assert len(seen) == (steps if watched else 0)
+    assert found.mean_episode_seconds == (6 + 5 + 4 + 3) / 4
 
 
 def test_what_is_written_of_it() -> None:

@@ -252,7 +252,7 @@ def test_a_word_chooses_a_part_as_its_file_has_it() -> None:
 @pytest.mark.parametrize(
     ("choice", "found"),
     [
-        ("initial_states=spacetime/uniform", "spacetime.uniform"),
+        ("initial_states=spacetime/uniform", "characters.reference_states"),
         ("initial_states={name: miniature.somewhere}", "miniature.somewhere"),
     ],
 )

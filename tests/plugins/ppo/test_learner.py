@@ -222,6 +222,29 @@ def test_a_step_that_is_not_finite_changes_nothing(options: dict[str, Any]) -> N
         assert_same_state(line.policy.state_dict(), before)
 
 
+def test_the_weight_of_the_critics_error() -> None:
+    line, learner = make(SGD)
+    _, halved = make(SGD | {"value_weight": 0.5})
+    found: list[dict[str, torch.Tensor]] = []
+    learner._step = lambda minibatch: found.append(dict(minibatch))  # type: ignore[method-assign,assignment]
+    learner.update(line.collect(STEPS))
+    whole, half = learner.losses(found[0]), halved.losses(found[0])
+    torch.testing.assert_close(half.value, 0.5 * whole.value)
+    assert torch.equal(half.actor, whole.actor)
+
+
+def test_advantages_are_clipped() -> None:
+    largest = []
+    for clip in (None, 0.5):
+        line, learner = make(ADAM | {"advantage_clip": clip})
+        found: list[float] = []
+        learner._step = lambda m, found=found: found.append(float(m["advantages"].abs().max()))  # type: ignore[method-assign,assignment]
+        learner.update(line.collect(STEPS))
+        largest.append(max(found))
+    assert largest[0] > 1
+    assert largest[1] == 0.5
+
+
 def test_patience() -> None:
     _, learner = make({"patience": 40})
     line, _ = make({})

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from understudy.random import WorldStreams
 from understudy.task import Context, Rollout
+from understudy_characters.initial_states import ReferenceStates
 from understudy_characters.scene import reference_motion
 from understudy_spacetime.initial_states import (
     Evolution,
     Importance,
-    Uniform,
     boltzmann_draws,
     segment_probabilities,
 )
@@ -94,7 +94,7 @@ def test_equal_returns_are_drawn_equally() -> None:
 
 def test_uniform_begins_anywhere_in_the_reference(context: Context) -> None:
     reference = reference_motion(context)
-    found = Uniform(None, context).sample(streams())
+    found = ReferenceStates(None, context).sample(streams())
     share = frequencies(found["motion_start"], reference.duration)
     torch.testing.assert_close(share, torch.full((4,), 0.25), atol=0.01, rtol=0.0)
     expected = reference.sample(found["motion_start"])

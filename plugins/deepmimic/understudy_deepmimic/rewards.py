@@ -1,0 +1,84 @@
+"""The imitation reward (Peng et al. 2018, section 5.3): r = 0.65 r_p + 0.1 r_v + 0.15 r_e + 0.1 r_c.
+
+Each term is in (0, 1], and 1 where the character is as its reference. The weights stand in
+``conf/reward/deepmimic.yaml``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from understudy.options import check_range
+from understudy.task import Context
+from understudy_basics.rotations import angle_between, turn_matrix
+from understudy_characters.scene import CharacterScene
+
+
+def pose(
+    root_rotation: Tensor,
+    joint_rotations: Tensor,
+    reference_root_rotation: Tensor,
+    reference_joint_rotations: Tensor,
+    *,
+    scale: float = 2.0,
+) -> Tensor:
+    """r_p = exp(-2 Σ_j ‖q̂_j ⊖ q_j‖²), the angles in rad between orientations of the joints, (N, J, 4)
+    relative to their parents, and of the root, (N, 4) in the world."""
+    own = torch.cat([root_rotation.unsqueeze(1), joint_rotations], dim=1)
+    reference = torch.cat([reference_root_rotation.unsqueeze(1), reference_joint_rotations], dim=1)
+    return torch.exp(-scale * angle_between(own, reference).square().sum(dim=1))
+
+
+class Velocity:
+    """r_v = exp(-0.1 Σ_j ‖ω̂_j - ω_j‖²), the angular velocities in rad/s of the joints relative to their
+    parents and of the root, each in its own frame."""
+
+    @dataclass(frozen=True)
+    class Options:
+        scale: float = 0.1
+
+        def __post_init__(self) -> None:
+            check_range(self, "scale", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        layout = context.need_scene(CharacterScene, "reward 'deepmimic.velocity'").layout
+        root = layout.root_dof + torch.arange(3, 6)
+        hinges = layout.hinge_dofs[layout.hinge_used.bool()]
+        self._turning = torch.cat([root, layout.ball_dofs.flatten(), hinges]).to(context.device)
+        self._scale = options.scale
+
+    def __call__(self, qvel: Tensor, reference_qvel: Tensor) -> Tensor:
+        difference = (reference_qvel - qvel)[:, self._turning]
+        return torch.exp(-self._scale * difference.square().sum(dim=1))
+
+
+def end_effectors(
+    root_position: Tensor,
+    root_heading: Tensor,
+    end_effector_positions: Tensor,
+    reference_root_position: Tensor,
+    reference_root_heading: Tensor,
+    reference_end_effector_positions: Tensor,
+    *,
+    scale: float = 40.0,
+) -> Tensor:
+    """r_e = exp(-40 Σ_e ‖p̂_e - p_e‖²), the positions in m of hands and feet along world axes.
+
+    They are relative to the root horizontally and to the floor vertically, as in the released system,
+    so that where the character has got to counts in r_c alone. `end_effector_positions` (N, E, 3) are
+    given in the heading frame, whose direction jumps in a flip; world axes do not.
+    """
+    own = torch.bmm(end_effector_positions, turn_matrix(root_heading).mT)
+    turn = turn_matrix(reference_root_heading).mT
+    reference = torch.bmm(reference_end_effector_positions, turn)
+    lower = pad((reference_root_position - root_position)[:, 2:], (2, 0)).unsqueeze(1)
+    return torch.exp(-scale * (reference - own + lower).square().sum(dim=(1, 2)))
+
+
+def com(com_position: Tensor, reference_com_position: Tensor, *, scale: float = 10.0) -> Tensor:
+    """r_c = exp(-10 ‖ĉ - c‖²), the centres of mass (N, 3) in m in the world."""
+    return torch.exp(-scale * (reference_com_position - com_position).square().sum(dim=1))
