@@ -13,6 +13,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Fields, box
+from understudy_morphology.figure import DAMPED
 from understudy_morphology.scene import WalkerScene
 
 
@@ -62,58 +63,33 @@ class Guidance(Fields):
         }
 
 
-def stable_pd(
-    error: Tensor, rate: Tensor, kp: Tensor, kd: Tensor, mass: float, dt: float
-) -> Tensor:
-    """The force, N, of a PD controller that acts on the state at the end of the step of `dt` s.
-
-    With p = error + dt · rate and the acceleration a = -(kp p + kd rate) / (mass + kd dt) it is
-
-        f = -kp p - kd (rate + dt a)
-
-    which stays stable however large the gains are (Tan, Liu and Turk 2011).
-    """
-    explicit = kp * (error + dt * rate) + kd * rate
-    return -explicit / (1.0 + kd * dt / mass)
-
-
 class HelpedTorques(Actuation):
-    """The action is each hinge's share of its largest torque; the hand of God acts in every sub-step.
+    """The action is each hinge's share of its largest torque; beside it, the gains of the hand of God.
 
-    Sideways it is a PD controller on the root's distance from the line y = 0; forward only the damping
-    acts, towards the target velocity. Both are stable PD.
+    It holds the root's place sideways (the line y = 0) and its rotation (upright, facing x) by PD, and
+    damps its velocity towards the target forward. The controllers are part of the model
+    (:data:`~understudy_morphology.figure.HELP`) and act in every physics step.
     """
 
-    reads = ("qpos", "qvel", "assistance", "target_velocity")
-    every = "substep"
+    reads = ("assistance", "target_velocity")
 
     @dataclass(frozen=True)
     class Options:
-        damping: float = 1.0  #: s, kd / kp
+        #: m²/rad, the stiffness of rotation (N m/rad) over that of places (N/m). Yu et al. push alone: 0.
+        rotation: float = 1.0
 
         def __post_init__(self) -> None:
-            check_range(self, "damping", least=0)
+            check_range(self, "rotation", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(WalkerScene, "actuation 'morphology.helped_torques'")
         self.action_space = box(scene.joints)
-        self._damping, self._mass = options.damping, scene.root_mass
-        self._dt = context.control_dt / context.substeps
+        self._rotation = options.rotation
 
-    def control(
-        self,
-        action: Tensor,
-        qpos: Tensor,
-        qvel: Tensor,
-        assistance: Tensor,
-        target_velocity: Tensor,
-    ) -> Tensor:
-        kp, kd = assistance, self._damping * assistance
-        none = torch.zeros_like(kp)
-        too_fast = qvel[:, 0] - target_velocity
-        forward = stable_pd(none, too_fast, none, kd, self._mass, self._dt)
-        sideways = stable_pd(qpos[:, 1], qvel[:, 1], kp, kd, self._mass, self._dt)
-        return torch.cat([torques(action), torch.stack([forward, sideways], dim=1)], dim=1)
+    def control(self, action: Tensor, assistance: Tensor, target_velocity: Tensor) -> Tensor:
+        push, rotation = DAMPED * assistance * target_velocity, self._rotation * assistance
+        gains = [push, assistance, assistance, rotation, rotation, rotation]
+        return torch.cat([torques(action), torch.stack(gains, dim=1)], dim=1)
 
 
 def torques(action: Tensor) -> Tensor:

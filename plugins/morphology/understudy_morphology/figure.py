@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import mujoco
 
 from understudy.options import check_range
-from understudy_characters.staging import add_floor, add_sky, add_sun, solve_fast
+from understudy_characters.staging import add_floor, solve_fast
 
 Vector = tuple[float, float, float]
 
@@ -34,6 +34,19 @@ FLATNESS, HEEL = 0.55, 0.3
 
 ROOT, TORSO, FEET = "pelvis", "torso", ("left_foot", "right_foot")
 DAMPING, ARMATURE = 5.0, 0.01  #: N m s/rad, kg m²; of every joint
+TIMESTEP = 0.0165 / 4  #: s; 500 control periods of four of these are the 8.25 s of section 6.4.1
+
+#: What helps the root, in the order of the controls: for each the components of the gear (x, y, z,
+#: rotations about x, y, z; world frame) and the gains of 1, place and rate. ``DAMPED`` stands for kd / kp.
+DAMPED = 1.0  #: s, "kd is set to be equal to kp" (section 6.4.1)
+HELP = {
+    "push_x": (0, (1.0, 0.0, 0.0)),
+    "damp_x": (0, (0.0, 0.0, -DAMPED)),
+    "hold_y": (1, (0.0, -1.0, -DAMPED)),
+    "hold_roll": (3, (0.0, -1.0, -DAMPED)),
+    "hold_pitch": (4, (0.0, -1.0, -DAMPED)),
+    "hold_yaw": (5, (0.0, -1.0, -DAMPED)),
+}
 
 COLOUR, FOOT_COLOUR = (0.36, 0.56, 0.78, 1.0), (0.93, 0.6, 0.32, 1.0)
 
@@ -144,18 +157,17 @@ def standing_height(scales: Scales) -> float:
     return legs + 2 * FLATNESS * scales.radius("foot")
 
 
-def build_spec(scales: Scales) -> mujoco.MjSpec:
-    """The walker on a floor.
+def build_spec(scales: Scales, timestep: float = TIMESTEP) -> mujoco.MjSpec:
+    """The walker on a floor, to be stepped by `timestep` s.
 
     Controls are first the shares of the hinges' torques, in [-1, 1], in the order of :func:`links`, then
-    the forces along x and y (N, world frame) on the root, by which it can be helped. Links touch the
-    floor and not one another.
+    those of :data:`HELP`. Links touch the floor and not one another.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "walker"
     spec.compiler.degree = False
+    spec.option.timestep = timestep
     solve_fast(spec.option)
-    add_sky(spec)
     add_floor(spec)
     made: dict[str, mujoco.MjsBody] = {}
     for link in links(scales):
@@ -182,15 +194,30 @@ def build_spec(scales: Scales) -> mujoco.MjSpec:
                 damping=DAMPING,
                 armature=ARMATURE,
             )
-            motor = _motor(spec, hinge.name, hinge.name, [hinge.torque, 0, 0, 0, 0, 0])
-            motor.ctrllimited, motor.ctrlrange = True, [-1, 1]
-    _motor(spec, "help_forward", ROOT, [1, 0, 0, 0, 0, 0])
-    _motor(spec, "help_sideways", ROOT, [0, 1, 0, 0, 0, 0])
-    add_sun(spec, ROOT)
+            _motor(spec, hinge)
+    _add_help(spec, made[ROOT])
     return spec
 
 
-def _motor(spec: mujoco.MjSpec, name: str, joint: str, gear: list[float]) -> mujoco.MjsActuator:
-    motor = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.gear = gear
-    return motor
+def _motor(spec: mujoco.MjSpec, hinge: Hinge) -> None:
+    motor = spec.add_actuator(name=hinge.name, target=hinge.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.gear = [hinge.torque, 0, 0, 0, 0, 0]
+    motor.ctrllimited, motor.ctrlrange = True, [-1, 1]
+
+
+def _add_help(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> None:
+    """Controllers of the root's pose in the world, whose control c is their gain.
+
+    Those that hold give c (-x - kd/kp v) for the place x (m), or the rotation (rad), and its rate v at
+    the end of the physics step: x is taken one step h ahead, as x + h v, and the engine integrates the
+    velocity's part implicitly. That is stable PD (Tan, Liu and Turk 2011) with the whole walker's inertia.
+    """
+    root.add_site(name="held")
+    spec.worldbody.add_site(name="hand")
+    for name, (axis, (constant, place, rate)) in HELP.items():
+        helper = spec.add_actuator(
+            name=name, target="held", refsite="hand", trntype=mujoco.mjtTrn.mjTRN_SITE
+        )
+        helper.gear = [float(i == axis) for i in range(6)]
+        helper.gaintype, helper.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
+        helper.gainprm = [constant, place, rate + place * spec.option.timestep, *[0.0] * 7]

@@ -10,7 +10,8 @@ import numpy as np
 
 from understudy.errors import UnderstudyError
 from understudy.task import Context
-from understudy_morphology.figure import ROOT, Scales, build_spec, standing_height
+from understudy_characters.staging import add_sky, add_sun
+from understudy_morphology.figure import ROOT, TIMESTEP, Scales, build_spec, standing_height
 from understudy_mujoco.scene import MujocoScene
 
 #: Of the qpos and qvel of the free root, which come first.
@@ -26,9 +27,15 @@ class WalkerScene(MujocoScene):
     def __init__(self, options: Scales, context: Context | None = None) -> None:
         self.scales = options
         self.standing_height = standing_height(options)  #: m
+        self._timestep = context.control_dt / context.substeps if context else TIMESTEP
 
     def spec(self) -> mujoco.MjSpec:
-        spec = build_spec(self.scales)
+        return build_spec(self.scales, self._timestep)
+
+    def shown(self) -> mujoco.MjSpec:
+        spec = self.spec()
+        add_sky(spec)
+        add_sun(spec, ROOT)
         spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
         return spec
 
@@ -41,21 +48,14 @@ class WalkerScene(MujocoScene):
         """J, the number of hinges."""
         return self.model.nv - ROOT_VELOCITIES
 
-    @property
-    def root_mass(self) -> float:
-        """kg: how the root resists a push while it stands, the mean over directions.
-
-        Less than the walker's mass, since the joints give way.
-        """
-        return 1.0 / float(self.model.body_invweight0[self.model.body(ROOT).id, 0])
-
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
     ) -> Iterator[np.ndarray]:
         """The recorded motion from the side, with a camera that goes along."""
-        data = mujoco.MjData(self.model)
+        model = self.shown().compile()
+        data = mujoco.MjData(model)
         try:
-            renderer = mujoco.Renderer(self.model, height, width)
+            renderer = mujoco.Renderer(model, height, width)
         except Exception as error:  # whatever the platform's OpenGL raises
             reason = str(error).strip().splitlines()
             raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
@@ -64,8 +64,8 @@ class WalkerScene(MujocoScene):
         try:
             for qpos in tracks["qpos"]:
                 data.qpos[:] = qpos
-                mujoco.mj_kinematics(self.model, data)
-                mujoco.mj_camlight(self.model, data)
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_camlight(model, data)
                 camera.lookat = [qpos[0], qpos[1], 0.9 * self.standing_height]
                 renderer.update_scene(data, camera)
                 yield renderer.render()

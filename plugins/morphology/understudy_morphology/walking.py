@@ -147,7 +147,7 @@ def normalised(value: Tensor, *, steps: int = 500) -> Tensor:
 
 
 def fallen(
-    height: Tensor, lean: Tensor, turn: Tensor, *, low: float = 0.7, limit: float = 1.0
+    height: Tensor, lean: Tensor, turn: Tensor, *, low: float = 0.8, limit: float = 0.8
 ) -> Tensor:
     """The root is below the share `low` of its standing height, or the torso leans or turns away by
     more than `limit` rad."""
