@@ -60,13 +60,13 @@ class WalkerScene(MujocoScene):
             reason = str(error).strip().splitlines()
             raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
         camera = mujoco.MjvCamera()
-        camera.distance, camera.elevation, camera.azimuth = 4.0 * self.standing_height, -8.0, 115.0
+        camera.distance, camera.elevation, camera.azimuth = 2.9 * self.standing_height, -8.0, 115.0
         try:
             for qpos in tracks["qpos"]:
                 data.qpos[:] = qpos
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_camlight(model, data)
-                camera.lookat = [qpos[0], qpos[1], 0.9 * self.standing_height]
+                camera.lookat = [qpos[0], qpos[1], 0.85 * self.standing_height]
                 renderer.update_scene(data, camera)
                 yield renderer.render()
         finally:
