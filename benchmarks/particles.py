@@ -54,7 +54,9 @@ class Grains(ParticleScene):
             MASS,
             materials=(Material(friction=FRICTION),),
             table=Table(friction=FRICTION),
-            tools=(Tool((Box(HALF_EXTENTS),), (BOX_FROM, 0.0, HALF_EXTENTS[2]), friction=FRICTION),),
+            tools=(
+                Tool((Box(HALF_EXTENTS),), (BOX_FROM, 0.0, HALF_EXTENTS[2]), friction=FRICTION),
+            ),
         )
 
 

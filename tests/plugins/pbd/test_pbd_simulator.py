@@ -14,7 +14,18 @@ from torch import Tensor
 pytest.importorskip("warp", reason="Warp is not installed (pip install 'understudy[gpu]')")
 
 import warp as wp
-from granular import MASS, RADIUS, Scene, Yielding, control, disturbed, lattice, run, simulator, tied
+from granular import (
+    MASS,
+    RADIUS,
+    Scene,
+    Yielding,
+    control,
+    disturbed,
+    lattice,
+    run,
+    simulator,
+    tied,
+)
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.task import Simulator
