@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 import torch
 from arena import arena, states
+from repeatable import repeatable  # noqa: F401 - a fixture
 from torch import Tensor
 
 pytest.importorskip("warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
@@ -135,13 +136,12 @@ def test_overflow_is_counted(device: str) -> None:
     assert roomy.parts.simulator.report() == {}
 
 
+@pytest.mark.usefixtures("repeatable")
 @pytest.mark.parametrize("device", DEVICES)
 def test_resume_continues(device: str) -> None:
-    """Fault 10: with deterministic=true, save and load in between changes no bit."""
-    overrides = [
-        *TASK, "simulator=mujoco_warp", f"device={device}", "num_worlds=8",
-        "simulator.deterministic=true", "learner.rollout_steps=4",
-    ]  # fmt: skip
+    """Fault 10: where the engine repeats itself, save and load in between changes no bit."""
+    fixed = ["simulator=mujoco_warp", f"device={device}", "num_worlds=8"]
+    overrides = [*TASK, *fixed, "learner.rollout_steps=4"]
 
     def train(iterations: int, training: Training) -> Training:
         for _ in range(iterations):
@@ -200,12 +200,13 @@ def test_nothing_goes_to_the_host_inside_a_rollout(recorded: bool) -> None:
 
 
 @pytest.mark.gpu
+@pytest.mark.usefixtures("repeatable")
 @pytest.mark.parametrize("initial_states", ["importance", "evolution"])
 def test_recorded_steps_are_the_same_steps(initial_states: str) -> None:
-    """With deterministic=true to the last bit, over episodes that end and begin; also after other
+    """Where the engine repeats itself, to the last bit, over episodes that end and begin; also after other
     worlds were begun by hand and after the state was restored."""
-    overrides = ["simulator.deterministic=true", f"initial_states=spacetime/{initial_states}"]
-    recorded, plain = (learning(on_gpu(*overrides)) for _ in range(2))
+    chosen = f"initial_states=spacetime/{initial_states}"
+    recorded, plain = (learning(on_gpu(chosen)) for _ in range(2))
     plain.environment.recorded_step._on = False
     state = plain.environment.state_dict()
 
@@ -251,8 +252,9 @@ def _digested(rollout: Rollout) -> Rollout:
 
 
 @pytest.mark.gpu
+@pytest.mark.usefixtures("repeatable")
 def test_recorded_evaluations_are_the_same_evaluations() -> None:
-    job = learning(on_gpu("simulator.deterministic=true", "evaluation.seconds=1"))
+    job = learning(on_gpu("evaluation.seconds=1"))
     evaluator = job.evaluator
     first = evaluator.run(job.policy, "test", 40)
     assert evaluator._step.recording
@@ -291,13 +293,14 @@ def test_trains_and_evaluates_on_a_gpu(learner: str) -> None:
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("deterministic", [True, False])
-def test_recorded_in_the_callers_graph(deterministic: bool) -> None:
+@pytest.mark.parametrize("exactly", [True, False])
+def test_recorded_in_the_callers_graph(exactly: bool, request: pytest.FixtureRequest) -> None:
     """50 steps through one torch graph, in which some worlds begin anew and some are restored, are
-    those of plain calls: to the last bit where the engine is deterministic."""
+    those of plain calls: to the last bit where the engine repeats itself."""
+    if exactly:
+        request.getfixturevalue("repeatable")
     n, steps = 16, 50
-    options = MujocoWarpSimulator.Options(deterministic=deterministic)
-    simulator = MujocoWarpSimulator(options, arena(n, "cuda"))
+    simulator = MujocoWarpSimulator(MujocoWarpSimulator.Options(), arena(n, "cuda"))
     simulator.vary(["gravity", "geom_size/box", "active/shelf"])
     everywhere = torch.ones(n, dtype=torch.bool, device="cuda")
     simulator.set_state(everywhere, states(n, "cuda"))
@@ -344,7 +347,7 @@ def test_recorded_in_the_callers_graph(deterministic: bool) -> None:
     found = run(graph.replay)
     for i, (one, other) in enumerate(zip(expected, found, strict=True)):
         for name in names:
-            if deterministic:
+            if exactly:
                 assert torch.equal(one[name], other[name]), f"{name} in step {i}"
             elif i < 5 and name in ("qpos", "qvel"):  # later, contacts part what rounding parted
                 torch.testing.assert_close(one[name], other[name], atol=1e-3, rtol=1e-3)

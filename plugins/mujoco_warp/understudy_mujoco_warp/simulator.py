@@ -136,7 +136,6 @@ class MujocoWarpSimulator(Simulator):
         #: Contacts and constraint rows to hold per world; null takes the most the scene can make.
         contacts: int | None = None
         constraints: int | None = None
-        deterministic: bool = False  #: repeat bit for bit from run to run, at some cost
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")
@@ -146,7 +145,6 @@ class MujocoWarpSimulator(Simulator):
             self._device = torch.device("cuda", torch.cuda.current_device())
         self._n = context.num_worlds
         self._substeps = context.substeps
-        self._deterministic = options.deterministic
         contacts = options.contacts or contact_capacity(self.model)
         limits = int(self.model.jnt_limited.sum())
         constraints = options.constraints or 4 * contacts + limits  # pyramids have 4 edges
@@ -200,8 +198,6 @@ class MujocoWarpSimulator(Simulator):
         """The model on the device, with room for `batch` values of the named fields."""
         m = mjw.put_model(self.model, dict(batch))
         m.opt.warn_overflow = 0  # counted here, not printed by every world
-        if self._deterministic:
-            m.opt.deterministic = int(mjw.DeterminismType.ALL)
         return m
 
     def _torch(self, array: str, shape: Shape) -> Tensor:

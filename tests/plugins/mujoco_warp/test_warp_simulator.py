@@ -10,6 +10,8 @@ from arena import arena, check_derived, check_fields, check_parameters, states
 
 pytest.importorskip("warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
 
+from repeatable import repeatable  # noqa: F401 - a fixture
+
 from understudy.task import Context, Simulator
 from understudy.testing import check_simulator
 from understudy_mujoco.scene import MujocoScene
@@ -18,14 +20,17 @@ from understudy_mujoco_warp.simulator import MujocoWarpSimulator
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
 
 
-def build(context: Context, deterministic: bool = False) -> MujocoWarpSimulator:
-    return MujocoWarpSimulator(MujocoWarpSimulator.Options(deterministic=deterministic), context)
+def build(context: Context) -> MujocoWarpSimulator:
+    return MujocoWarpSimulator(MujocoWarpSimulator.Options(), context)
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_conforms(device: str) -> None:
-    simulator = build(arena(4, device), deterministic=True)
-    check_simulator(simulator, 4, ["mocap_pos/hand", "geom_size/box", "gravity", "active/shelf"])
+def test_conforms(device: str, request: pytest.FixtureRequest) -> None:
+    if device == "cuda":
+        request.getfixturevalue("repeatable")
+    check_simulator(
+        build(arena(4, device)), 4, ["mocap_pos/hand", "geom_size/box", "gravity", "active/shelf"]
+    )
 
 
 class PlainScene(MujocoScene):
