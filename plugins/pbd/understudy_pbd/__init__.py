@@ -3,7 +3,7 @@
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
-#: Plugins that this one builds on.
+#: Plugins that this one builds on: pictures are drawn with the renderer that `mujoco` has chosen.
 REQUIRES = ("mujoco",)
 
 
