@@ -8,7 +8,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-import understudy_mujoco  # noqa: F401 - chooses the renderer before MuJoCo is imported
 from understudy.errors import UnderstudyError
 from understudy_pbd.scene import Box, Capsule, Grid, ParticleModel, Shape
 
