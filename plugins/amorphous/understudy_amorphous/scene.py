@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -122,6 +123,9 @@ class AmorphousScene(ParticleScene):
         """m, half the distance at which two particles touch."""
         return 0.5 * self.distance * self.substance.contact
 
+    def _colours(self, particles: int) -> np.ndarray:
+        return np.tile(np.array(self.substance.colour), (particles, 1))
+
     def place(self, blocks: int) -> np.ndarray:
         """(blocks · B, 3) m: blocks in a row, where nothing touches anything."""
         gap = 4.0 * max(self.options.block) * self.options.spacing
@@ -150,8 +154,33 @@ class AmorphousScene(ParticleScene):
             tools=(TOOLS[options.tool](),),
             table=Table(friction=0.4),
             rules=rules,
-            colours=np.tile(np.array(substance.colour), (len(positions), 1)),
+            colours=self._colours(len(positions)),
         )
+
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
+    ) -> Iterator[np.ndarray]:
+        """With a red ball where the goal is, if there is one."""
+        if "goal" not in tracks:
+            yield from super().draw(tracks, width, height)
+            return
+        model, goal = self.model(), tracks["goal"]
+        ball = np.concatenate([goal, np.zeros_like(goal[:, :1])], axis=1)[:, None]
+        there = np.ones_like(goal[:, :1])
+        marked = dataclasses.replace(
+            model,
+            positions=np.concatenate([model.positions, ball[0]]),
+            radius=np.append(np.full(len(model.positions), self.radius), 0.1),
+            colours=np.concatenate([self._colours(len(model.positions)), [[0.85, 0.15, 0.12]]]),
+        )
+        shown = {
+            **tracks,
+            "particle_position": np.concatenate([tracks["particle_position"], ball], axis=1),
+            "active_particles": np.concatenate([tracks["active_particles"], there], axis=1),
+        }
+        from understudy_pbd.drawing import draw
+
+        yield from draw(marked, shown, width, height)
 
     def describe(self) -> dict[str, Any]:
         return {**super().describe(), "material": self.options.material}

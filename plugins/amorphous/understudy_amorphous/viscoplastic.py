@@ -69,6 +69,7 @@ def update_springs(
             for other in range(slots):
                 if partner[world, j, other] == i:
                     mutual = 1
+                    break
             if keep and mutual == 1:
                 length[world, i, k] = rest_length(d, length[world, i, k], r_c, r_s)
             else:
@@ -97,6 +98,7 @@ def create_springs(
             for k in range(slots):
                 if partner[world, i, k] == j:
                     exists = 1
+                    break
                 if partner[world, i, k] < 0 and free < 0:
                     free = k
             if (
