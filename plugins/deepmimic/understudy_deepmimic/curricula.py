@@ -99,9 +99,36 @@ class _Limit:
         return f"episodes of {self.seconds:.1f} s"
 
 
+class FailRate:
+    """The share of the last episodes that failed, at least as many as there are worlds.
+
+    One iteration may be shorter than an episode. Worlds that began together then fail in some
+    iterations and reach their limit in another, and neither alone tells how many fail.
+    """
+
+    def __init__(self, num_worlds: int) -> None:
+        self._least = num_worlds * distributed.size()
+        self._recent: list[tuple[float, float]] = []  #: ended and failed, by iteration
+
+    def digest(self, episodes: Episodes) -> float:
+        """One iteration's `episodes`; returns the share."""
+        recent = self._recent
+        recent.append((episodes.ended, episodes.failed))
+        while sum(ended for ended, _ in recent[1:]) >= self._least:
+            recent.pop(0)
+        ended, failed = (sum(counts) for counts in zip(*recent, strict=True))
+        return failed / ended if ended else 1.0
+
+    def state_dict(self) -> dict[str, list[list[float]]]:
+        return {"recent": [list(counts) for counts in self._recent]}
+
+    def load_state_dict(self, state: State) -> None:
+        self._recent = [(ended, failed) for ended, failed in state["recent"]]
+
+
 class Adaptive(Curriculum):
-    """Episodes last a second at first and half a second more after every iteration in which less than a
-    fifth of those that ended failed.
+    """Episodes last a second at first, and half a second more after every iteration as long as less than
+    a fifth of them fail.
 
     The training ends when the return has not increased for ``patience`` iterations.
     """
@@ -123,6 +150,7 @@ class Adaptive(Curriculum):
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
         self._limit = _Limit(options.start, context)
+        self._fail_rate = FailRate(context.num_worlds)
         self._stagnation = Stagnation(options.patience)
 
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
@@ -130,13 +158,12 @@ class Adaptive(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         episodes, limit = ended_in(rollout), self._limit
-        found = limit.metrics(self._stagnation.digest(episodes))
-        if episodes.ended:
-            found["fail_rate"] = fail_rate = episodes.failed / episodes.ended
-            if fail_rate < self._options.fail_rate and limit.seconds < limit.longest:
-                limit.move(limit.seconds + self._options.step)
-                if limit.seconds == limit.longest:
-                    found[f"mark/{limit}"] = 1.0
+        fail_rate = self._fail_rate.digest(episodes)
+        found = limit.metrics(self._stagnation.digest(episodes)) | {"fail_rate": fail_rate}
+        if fail_rate < self._options.fail_rate and limit.seconds < limit.longest:
+            limit.move(limit.seconds + self._options.step)
+            if limit.seconds == limit.longest:
+                found[f"mark/{limit}"] = 1.0
         return found
 
     def finished(self) -> bool:
@@ -146,10 +173,15 @@ class Adaptive(Curriculum):
         return str(self._limit)
 
     def state_dict(self) -> State:
-        return {"seconds": self._limit.seconds, **self._stagnation.state_dict()}
+        return {
+            "seconds": self._limit.seconds,
+            **self._fail_rate.state_dict(),
+            **self._stagnation.state_dict(),
+        }
 
     def load_state_dict(self, state: State) -> None:
         self._limit.move(state["seconds"])
+        self._fail_rate.load_state_dict(state)
         self._stagnation.load_state_dict(state)
 
 

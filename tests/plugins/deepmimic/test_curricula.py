@@ -15,7 +15,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Context, Curriculum, Rollout
-from understudy_deepmimic.curricula import Adaptive, Annealed, Stagnation, ended_in
+from understudy_deepmimic.curricula import Adaptive, Annealed, FailRate, Stagnation, ended_in
 
 STREAMS = WorldStreams(0, "test", 4, "cpu")
 
@@ -61,12 +61,22 @@ def limit(curriculum: Curriculum) -> float:
 def test_half_a_second_more_while_less_than_a_fifth_fails() -> None:
     curriculum = Adaptive(Adaptive.Options(), context())
     limits = [limit(curriculum)]
-    for ended, failed in ((10, 0), (10, 1), (10, 2), (10, 9), (0, 0), (20, 3)):
-        found = curriculum.update(rollout(ended, failed))
-        assert ("fail_rate" in found) == (ended > 0)
+    for ended, failed in ((0, 0), (10, 0), (10, 1), (10, 3), (10, 9), (0, 0), (20, 3)):
+        curriculum.update(rollout(ended, failed))
         limits.append(limit(curriculum))
-    assert limits == [1.0, 1.5, 2.0, 2.0, 2.0, 2.0, 2.5]
+    assert limits == [1.0, 1.0, 1.5, 2.0, 2.0, 2.0, 2.0, 2.5]
     assert curriculum.stage() == "episodes of 2.5 s"
+
+
+def test_the_fail_rate_of_worlds_that_began_together() -> None:
+    """Of 20, ten fail two at a time, and the others reach the limit at once: half, not none."""
+    rate = FailRate(20)
+    for _ in range(5):
+        assert rate.digest(ended_in(rollout(2, 2))) == 1.0
+    assert rate.digest(ended_in(rollout(10, 0))) == 0.5
+    assert rate.digest(ended_in(rollout(0, 0))) == 0.5
+    found = [rate.digest(ended_in(rollout(10, 1))) for _ in range(3)]
+    assert found == [1 / 20, 2 / 20, 2 / 20]
 
 
 @pytest.mark.parametrize(("difficulty", "longest"), [(0.0, 1.0), (0.1, 2.9), (1.0, 20.0)])
