@@ -15,7 +15,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Context, Curriculum, Rollout
-from understudy_deepmimic.curricula import Adaptive, Annealed, FailRate, Stagnation, ended_in
+from understudy_deepmimic.curricula import Adaptive, Annealed, Episodes, Recent
 
 STREAMS = WorldStreams(0, "test", 4, "cpu")
 
@@ -68,15 +68,17 @@ def test_half_a_second_more_while_less_than_a_fifth_fails() -> None:
     assert curriculum.stage() == "episodes of 2.5 s"
 
 
-def test_the_fail_rate_of_worlds_that_began_together() -> None:
+def test_worlds_that_began_together() -> None:
     """Of 20, ten fail two at a time, and the others reach the limit at once: half, not none."""
-    rate = FailRate(20)
-    for _ in range(5):
-        assert rate.digest(ended_in(rollout(2, 2))) == 1.0
-    assert rate.digest(ended_in(rollout(10, 0))) == 0.5
-    assert rate.digest(ended_in(rollout(0, 0))) == 0.5
-    found = [rate.digest(ended_in(rollout(10, 1))) for _ in range(3)]
-    assert found == [1 / 20, 2 / 20, 2 / 20]
+    recent = Recent(20)
+
+    def rate(ended: int, failed: int) -> float:
+        return recent.digest(Episodes.ended_in(rollout(ended, failed))).fail_rate
+
+    assert [rate(2, 2) for _ in range(5)] == [1.0] * 5
+    assert rate(10, 0) == 0.5
+    assert rate(0, 0) == 0.5
+    assert [rate(10, 1) for _ in range(3)] == [1 / 20, 2 / 20, 2 / 20]
 
 
 @pytest.mark.parametrize(("difficulty", "longest"), [(0.0, 1.0), (0.1, 2.9), (1.0, 20.0)])
@@ -116,8 +118,7 @@ def test_the_normalised_return() -> None:
         curriculum = Adaptive(Adaptive.Options(), context(decision=decision))
         for _ in range(3):
             assert curriculum.update(rollout())["normalised_return"] == pytest.approx(expected)
-    ended = ended_in(rollout(10, 3, returns=5.0))
-    assert ended == (10, 3, 50)
+    assert Episodes.ended_in(rollout(10, 3, returns=5.0)) == (10, 3, 50)
 
 
 def test_a_return_that_does_not_increase_ends_the_training() -> None:
@@ -134,13 +135,20 @@ def test_a_return_that_does_not_increase_ends_the_training() -> None:
         assert not curriculum.finished()
 
 
-def test_few_episodes_are_no_stagnation() -> None:
-    """The return is averaged: one lucky episode sets no record that lasts."""
-    stagnation = Stagnation(40)
-    for i in range(200):
-        lucky = 60.0 if i == 3 else 1.0 + i
-        stagnation.digest(ended_in(rollout(1, returns=lucky)))
-        assert not stagnation.reached
+def test_the_return_is_that_of_several_episodes() -> None:
+    """One lucky episode sets no record that lasts: of the last four, three others have little."""
+    curriculum = Adaptive(Adaptive.Options(patience=10), context())
+    for i in range(60):
+        curriculum.update(rollout(1, returns=30.0 if i == 3 else 1.0 + i))
+        assert not curriculum.finished()
+
+
+def test_iterations_in_which_nothing_ends_are_no_stagnation() -> None:
+    """Worlds that began together end together, once in many short iterations."""
+    curriculum = Adaptive(Adaptive.Options(patience=3), context())
+    for i in range(30):
+        curriculum.update(rollout(20 if i % 10 == 0 else 0, returns=1.0 + i))
+        assert not curriculum.finished()
 
 
 @pytest.mark.parametrize(
