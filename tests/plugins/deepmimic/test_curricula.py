@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from worlds import make_training
+from worlds import assert_same_state, make_training, resumed
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
@@ -193,6 +194,28 @@ def test_a_training_ends_by_itself(tmp_path: Any, plugins: Plugins) -> None:
     assert training.train().reason == "finished"
     assert training.progress.iteration < 60
     training.close()
+
+
+def test_a_resumed_training_is_the_one_that_never_stopped(tmp_path: Path, plugins: Plugins) -> None:
+    overrides = [
+        "experiment=deepmimic/walk", "num_worlds=4", "policy.hidden=[8]", "learner.batch_size=32",
+        "curriculum.start=0.2", "curriculum.fail_rate=1", "simulator.threads=1",
+    ]  # fmt: skip
+    straight = make_training(plugins, overrides)
+    for _ in range(4):
+        straight.iterate()
+    cut = make_training(plugins, overrides, tmp_path / "run")
+    for _ in range(2):
+        cut.iterate()
+    cut.save()
+    assert cut.run is not None
+    cut.run.unlock()
+    again = resumed(plugins, tmp_path / "run")
+    for _ in range(2):
+        again.iterate()
+    assert again.job.stage() == straight.job.stage() != "episodes of 0.2 s"
+    for name in ("environment", "policy", "learner"):
+        assert_same_state(straight.state_dict()[name], again.state_dict()[name])
 
 
 def test_refuses(plugins: Plugins) -> None:
