@@ -5,9 +5,9 @@ Evaluations last T(z) always.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,54 +20,101 @@ from understudy_deepmimic.horizon import horizon
 
 
 class Episodes(NamedTuple):
-    """Of the episodes that ended in an iteration, over all processes."""
+    """Of several episodes, over all processes."""
 
-    ended: float
-    failed: float  #: how many
+    ended: float  #: how many
+    failed: float  #: how many of them
     returns: float  #: their sum
 
+    @classmethod
+    def ended_in(cls, rollout: Rollout) -> Episodes:
+        ended = rollout.terminated | rollout.truncated
+        returns = torch.where(ended, rollout.episode_returns, 0.0)
+        sums = [value.double().sum() for value in (ended, rollout.failed & ended, returns)]
+        return cls(*distributed.total(torch.stack(sums)).tolist())
 
-def ended_in(rollout: Rollout) -> Episodes:
-    ended = rollout.terminated | rollout.truncated
-    returns = torch.where(ended, rollout.episode_returns, 0.0)
-    sums = [value.double().sum() for value in (ended, rollout.failed & ended, returns)]
-    return Episodes(*distributed.total(torch.stack(sums)).tolist())
+    @property
+    def fail_rate(self) -> float:
+        return self.failed / self.ended if self.ended else 1.0
+
+    @property
+    def mean_return(self) -> float:
+        return self.returns / self.ended if self.ended else 0.0
+
+
+class Recent:
+    """The last episodes, at least as many as there are worlds.
+
+    One iteration may be shorter than an episode. Worlds that began together then fail in some
+    iterations and reach their limit in another, and neither alone tells how they fare.
+    """
+
+    def __init__(self, num_worlds: int) -> None:
+        self._least = num_worlds * distributed.size()
+        self._iterations: list[Episodes] = []
+
+    def digest(self, episodes: Episodes) -> Episodes:
+        """With one iteration's `episodes`, the last ones together."""
+        iterations = self._iterations
+        iterations.append(episodes)
+        while sum(found.ended for found in iterations[1:]) >= self._least:
+            iterations.pop(0)
+        return Episodes(*(sum(values) for values in zip(*iterations, strict=True)))
+
+    def state_dict(self) -> list[list[float]]:
+        return [list(episodes) for episodes in self._iterations]
+
+    def load_state_dict(self, state: Sequence[Sequence[float]]) -> None:
+        self._iterations = [Episodes(*values) for values in state]
 
 
 class Stagnation:
-    """Whether the return has not increased for `patience` iterations.
+    """Whether the return has not increased in the last `patience` iterations in which episodes ended."""
 
-    It is that of the episodes that ended, averaged over about `smoothing` iterations since few do in
-    one.
-    """
+    def __init__(self, patience: int | None) -> None:
+        self._patience, self._best, self._since = patience, 0.0, 0
 
-    _KEPT = ("average", "weight", "best", "since")
-
-    def __init__(self, patience: int | None, smoothing: float = 20.0) -> None:
-        self._patience, self._keep = patience, 1.0 - 1.0 / smoothing
-        self._average, self._weight, self._best, self._since = 0.0, 0.0, 0.0, 0
-
-    def digest(self, episodes: Episodes) -> float:
-        """One iteration's `episodes`; returns the average return."""
-        if episodes.ended:
-            mean = episodes.returns / episodes.ended
-            self._average = self._keep * self._average + (1 - self._keep) * mean
-            self._weight = self._keep * self._weight + (1 - self._keep)
-        average = self._average / max(self._weight, 1e-9)
-        self._since = 0 if average > self._best else self._since + 1
-        self._best = max(self._best, average)
-        return average
+    def digest(self, mean_return: float) -> None:
+        self._since = 0 if mean_return > self._best else self._since + 1
+        self._best = max(self._best, mean_return)
 
     @property
     def reached(self) -> bool:
         return self._patience is not None and self._since >= self._patience
 
     def state_dict(self) -> dict[str, float]:
-        return {name: getattr(self, f"_{name}") for name in self._KEPT}
+        return {"best": self._best, "since": self._since}
 
     def load_state_dict(self, state: State) -> None:
-        for name in self._KEPT:
-            setattr(self, f"_{name}", state[name])
+        self._best, self._since = state["best"], state["since"]
+
+
+class _Progress:
+    """What both curricula note of a rollout."""
+
+    def __init__(self, patience: int | None, context: Context) -> None:
+        self._recent, self._stagnation = Recent(context.num_worlds), Stagnation(patience)
+
+    def digest(self, rollout: Rollout) -> Episodes:
+        """The last episodes."""
+        episodes = Episodes.ended_in(rollout)
+        recent = self._recent.digest(episodes)
+        if episodes.ended:
+            self._stagnation.digest(recent.mean_return)
+        return recent
+
+    def finished(self) -> bool:
+        return self._stagnation.reached
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "recent": self._recent.state_dict(),
+            "stagnation": self._stagnation.state_dict(),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self._recent.load_state_dict(state["recent"])
+        self._stagnation.load_state_dict(state["stagnation"])
 
 
 class _Limit:
@@ -88,10 +135,10 @@ class _Limit:
     def begin(self) -> dict[str, Tensor]:
         return {"episode_limit": self._on_device}
 
-    def metrics(self, average: float) -> dict[str, float]:
-        """Of an iteration with the `average` return."""
+    def metrics(self, recent: Episodes) -> dict[str, float]:
         return {
-            "normalised_return": average / self._decisions,
+            "normalised_return": recent.mean_return / self._decisions,
+            "fail_rate": recent.fail_rate,
             "episode_limit": self.seconds,
         }
 
@@ -100,8 +147,8 @@ class _Limit:
 
 
 class Adaptive(Curriculum):
-    """Episodes last a second at first and half a second more after every iteration in which less than a
-    fifth of those that ended failed.
+    """Episodes last a second at first, and half a second more after every iteration as long as less than
+    a fifth of them fail.
 
     The training ends when the return has not increased for ``patience`` iterations.
     """
@@ -123,34 +170,32 @@ class Adaptive(Curriculum):
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
         self._limit = _Limit(options.start, context)
-        self._stagnation = Stagnation(options.patience)
+        self._progress = _Progress(options.patience, context)
 
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
         return self._limit.begin()
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        episodes, limit = ended_in(rollout), self._limit
-        found = limit.metrics(self._stagnation.digest(episodes))
-        if episodes.ended:
-            found["fail_rate"] = fail_rate = episodes.failed / episodes.ended
-            if fail_rate < self._options.fail_rate and limit.seconds < limit.longest:
-                limit.move(limit.seconds + self._options.step)
-                if limit.seconds == limit.longest:
-                    found[f"mark/{limit}"] = 1.0
+        recent, limit = self._progress.digest(rollout), self._limit
+        found = limit.metrics(recent)
+        if recent.fail_rate < self._options.fail_rate and limit.seconds < limit.longest:
+            limit.move(limit.seconds + self._options.step)
+            if limit.seconds == limit.longest:
+                found[f"mark/{limit}"] = 1.0
         return found
 
     def finished(self) -> bool:
-        return self._stagnation.reached
+        return self._progress.finished()
 
     def stage(self) -> str:
         return str(self._limit)
 
     def state_dict(self) -> State:
-        return {"seconds": self._limit.seconds, **self._stagnation.state_dict()}
+        return {"seconds": self._limit.seconds, **self._progress.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
         self._limit.move(state["seconds"])
-        self._stagnation.load_state_dict(state)
+        self._progress.load_state_dict(state)
 
 
 class Annealed(Curriculum):
@@ -176,7 +221,7 @@ class Annealed(Curriculum):
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
         self._limit = _Limit(options.start, context)
-        self._stagnation = Stagnation(options.patience)
+        self._progress = _Progress(options.patience, context)
         self._samples = 0
 
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
@@ -188,21 +233,21 @@ class Annealed(Curriculum):
         limit.move(options.start + (limit.longest - options.start) * share)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        found = self._limit.metrics(self._stagnation.digest(ended_in(rollout)))
+        found = self._limit.metrics(self._progress.digest(rollout))
         self._samples += rollout.rewards.numel() * distributed.size()
         self._move()
         return found
 
     def finished(self) -> bool:
-        return self._stagnation.reached
+        return self._progress.finished()
 
     def stage(self) -> str:
         return str(self._limit)
 
     def state_dict(self) -> State:
-        return {"samples": self._samples, **self._stagnation.state_dict()}
+        return {"samples": self._samples, **self._progress.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
         self._samples = state["samples"]
         self._move()
-        self._stagnation.load_state_dict(state)
+        self._progress.load_state_dict(state)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from worlds import make_training
+from worlds import assert_same_state, make_training, resumed
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
@@ -15,7 +16,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Context, Curriculum, Rollout
-from understudy_deepmimic.curricula import Adaptive, Annealed, Stagnation, ended_in
+from understudy_deepmimic.curricula import Adaptive, Annealed, Episodes, Recent
 
 STREAMS = WorldStreams(0, "test", 4, "cpu")
 
@@ -61,12 +62,24 @@ def limit(curriculum: Curriculum) -> float:
 def test_half_a_second_more_while_less_than_a_fifth_fails() -> None:
     curriculum = Adaptive(Adaptive.Options(), context())
     limits = [limit(curriculum)]
-    for ended, failed in ((10, 0), (10, 1), (10, 2), (10, 9), (0, 0), (20, 3)):
-        found = curriculum.update(rollout(ended, failed))
-        assert ("fail_rate" in found) == (ended > 0)
+    for ended, failed in ((0, 0), (10, 0), (10, 1), (10, 3), (10, 9), (0, 0), (20, 3)):
+        curriculum.update(rollout(ended, failed))
         limits.append(limit(curriculum))
-    assert limits == [1.0, 1.5, 2.0, 2.0, 2.0, 2.0, 2.5]
+    assert limits == [1.0, 1.0, 1.5, 2.0, 2.0, 2.0, 2.0, 2.5]
     assert curriculum.stage() == "episodes of 2.5 s"
+
+
+def test_worlds_that_began_together() -> None:
+    """Of 20, ten fail two at a time, and the others reach the limit at once: half, not none."""
+    recent = Recent(20)
+
+    def rate(ended: int, failed: int) -> float:
+        return recent.digest(Episodes.ended_in(rollout(ended, failed))).fail_rate
+
+    assert [rate(2, 2) for _ in range(5)] == [1.0] * 5
+    assert rate(10, 0) == 0.5
+    assert rate(0, 0) == 0.5
+    assert [rate(10, 1) for _ in range(3)] == [1 / 20, 2 / 20, 2 / 20]
 
 
 @pytest.mark.parametrize(("difficulty", "longest"), [(0.0, 1.0), (0.1, 2.9), (1.0, 20.0)])
@@ -106,8 +119,7 @@ def test_the_normalised_return() -> None:
         curriculum = Adaptive(Adaptive.Options(), context(decision=decision))
         for _ in range(3):
             assert curriculum.update(rollout())["normalised_return"] == pytest.approx(expected)
-    ended = ended_in(rollout(10, 3, returns=5.0))
-    assert ended == (10, 3, 50)
+    assert Episodes.ended_in(rollout(10, 3, returns=5.0)) == (10, 3, 50)
 
 
 def test_a_return_that_does_not_increase_ends_the_training() -> None:
@@ -124,13 +136,20 @@ def test_a_return_that_does_not_increase_ends_the_training() -> None:
         assert not curriculum.finished()
 
 
-def test_few_episodes_are_no_stagnation() -> None:
-    """The return is averaged: one lucky episode sets no record that lasts."""
-    stagnation = Stagnation(40)
-    for i in range(200):
-        lucky = 60.0 if i == 3 else 1.0 + i
-        stagnation.digest(ended_in(rollout(1, returns=lucky)))
-        assert not stagnation.reached
+def test_the_return_is_that_of_several_episodes() -> None:
+    """One lucky episode sets no record that lasts: of the last four, three others have little."""
+    curriculum = Adaptive(Adaptive.Options(patience=10), context())
+    for i in range(60):
+        curriculum.update(rollout(1, returns=30.0 if i == 3 else 1.0 + i))
+        assert not curriculum.finished()
+
+
+def test_iterations_in_which_nothing_ends_are_no_stagnation() -> None:
+    """Worlds that began together end together, once in many short iterations."""
+    curriculum = Adaptive(Adaptive.Options(patience=3), context())
+    for i in range(30):
+        curriculum.update(rollout(20 if i % 10 == 0 else 0, returns=1.0 + i))
+        assert not curriculum.finished()
 
 
 @pytest.mark.parametrize(
@@ -175,6 +194,28 @@ def test_a_training_ends_by_itself(tmp_path: Any, plugins: Plugins) -> None:
     assert training.train().reason == "finished"
     assert training.progress.iteration < 60
     training.close()
+
+
+def test_a_resumed_training_is_the_one_that_never_stopped(tmp_path: Path, plugins: Plugins) -> None:
+    overrides = [
+        "experiment=deepmimic/walk", "num_worlds=4", "policy.hidden=[8]", "learner.batch_size=32",
+        "curriculum.start=0.2", "curriculum.fail_rate=1", "simulator.threads=1",
+    ]  # fmt: skip
+    straight = make_training(plugins, overrides)
+    for _ in range(4):
+        straight.iterate()
+    cut = make_training(plugins, overrides, tmp_path / "run")
+    for _ in range(2):
+        cut.iterate()
+    cut.save()
+    assert cut.run is not None
+    cut.run.unlock()
+    again = resumed(plugins, tmp_path / "run")
+    for _ in range(2):
+        again.iterate()
+    assert again.job.stage() == straight.job.stage() != "episodes of 0.2 s"
+    for name in ("environment", "policy", "learner"):
+        assert_same_state(straight.state_dict()[name], again.state_dict()[name])
 
 
 def test_refuses(plugins: Plugins) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import pytest
 import torch
@@ -173,6 +174,22 @@ def test_the_settings_of_the_tables() -> None:
         assert (options.gae_lambda, options.td_lambda, options.advantage_clip) == (0.95, 0.95, 4)
     experiment = load_experiment(["experiment=deepmimic/walk"])
     assert experiment.root.num_worlds * learner("released").rollout_steps == 4096
+
+
+@pytest.mark.parametrize("name", ["released", "optimised_walk", "optimised_backflip"])
+def test_on_a_gpu_all_is_four_times_the_samples(name: str) -> None:
+    small, large = learner(name), learner(f"{name}_gpu")
+    assert small.batch_size is not None
+    assert large == replace(small, rollout_steps=4, batch_size=4 * small.batch_size)
+    for skill in ("walk", "backflip"):
+        root = load_experiment([f"experiment=deepmimic/{skill}_gpu"]).root
+        assert root.num_worlds * large.rollout_steps == 4 * 4096
+
+
+def test_the_sweep_of_settings_composes() -> None:
+    experiment = load_experiment(["ablation=deepmimic/settings"])
+    for overrides in experiment.need("outer_loop").options.variants.values():
+        load_experiment(["experiment=deepmimic/walk_gpu", *overrides])
 
 
 @pytest.mark.parametrize(
