@@ -36,9 +36,9 @@ ROOT, TORSO, FEET = "pelvis", "torso", ("left_foot", "right_foot")
 DAMPING, ARMATURE = 5.0, 0.01  #: N m s/rad, kg m²; of every joint
 TIMESTEP = 0.0165 / 4  #: s; 500 control periods of four of these are the 8.25 s of section 6.4.1
 
-#: What helps the root, in the order of the controls: for each the components of the gear (x, y, z,
-#: rotations about x, y, z; world frame) and the gains of 1, place and rate. ``DAMPED`` stands for kd / kp.
-DAMPED = 1.0  #: s, "kd is set to be equal to kp" (section 6.4.1)
+DAMPED = 1.0  #: s, kd / kp: "kd is set to be equal to kp" (section 6.4.1)
+#: What helps the root, in the order of the controls: the direction (0 to 2 along x, y, z of the world, 3 to 5
+#: about them), and what the gain is multiplied by: a constant, the place, its rate.
 HELP = {
     "push_x": (0, (1.0, 0.0, 0.0)),
     "damp_x": (0, (0.0, 0.0, -DAMPED)),

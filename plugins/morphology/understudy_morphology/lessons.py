@@ -64,8 +64,8 @@ class Lessons(Curriculum):
 
     def next(self, difficulty: float) -> float:
         """The difficulty of the lesson after that of `difficulty`."""
-        help = (1.0 - difficulty) * self._options.ratio
-        return min(self._target, 1.0 if help < self._options.least else 1.0 - help)
+        left = (1.0 - difficulty) * self._options.ratio
+        return min(self._target, 1.0 if left < self._options.least else 1.0 - left)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options, ended = self._options, rollout.terminated | rollout.truncated

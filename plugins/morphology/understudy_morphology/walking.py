@@ -5,6 +5,7 @@ The reward is that of Yu, Turk and Liu 2018 (section 3), which the thesis' task 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -90,7 +91,7 @@ class Speed(Memory):
             check_range(self, "seconds", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._share = 1.0 - 2.718281828459045 ** (-context.control_dt / options.seconds)
+        self._share = 1.0 - math.exp(-context.control_dt / options.seconds)
 
     def begin(self, forward_velocity: Tensor, target_velocity: Tensor) -> dict[str, Tensor]:
         return {"slowness": target_velocity - forward_velocity}

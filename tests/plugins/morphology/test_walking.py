@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from worlds import SMALL, make_training
+from worlds import SMALL, assert_same_state, make_training
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.random import WorldStreams
@@ -150,8 +151,15 @@ def test_evaluations_have_the_help_of_the_difficulty(plugins: Plugins, difficult
     for _ in range(3):
         assert env.table["assistance"].tolist() == pytest.approx([200 * (1 - difficulty)] * 4)
         env.advance(torch.zeros(4, 15))
-    training = environment(plugins, f"difficulty={difficulty}")
-    assert training.table["assistance"].tolist() == [200.0] * 4
+
+
+def test_trainings_have_the_help_of_the_lesson(plugins: Plugins) -> None:
+    """The episodes that begin later: the running ones keep theirs."""
+    env = environment(plugins)
+    assert env.table["assistance"].tolist() == [200.0] * 4
+    env.parts.curriculum._move(0.75)  # type: ignore[union-attr]
+    env.begin(torch.tensor([True, False, True, False]))
+    assert env.table["assistance"].tolist() == [50.0, 200.0, 50.0, 200.0]
 
 
 def test_full_help_keeps_it_from_falling_for_longer(plugins: Plugins) -> None:
@@ -189,7 +197,9 @@ def test_episodes_begin_standing_a_little_disturbed() -> None:
 @pytest.mark.parametrize("scales", [(), ("scene.thigh_length=1.7", "scene.torso_radius=0.6")])
 def test_both_simulators_agree(plugins: Plugins, scales: tuple[str, ...]) -> None:
     """Ten decisions with full help, in float64 and in float32."""
-    pytest.importorskip("mujoco_warp")
+    if "mujoco_warp" not in plugins.registry.names("simulator"):
+        pytest.skip("the plugin mujoco_warp is not among those in use")
+    pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     seen = []
     for simulator in ("mujoco", "mujoco_warp"):
         env = environment(
@@ -204,19 +214,29 @@ def test_both_simulators_agree(plugins: Plugins, scales: tuple[str, ...]) -> Non
     torch.testing.assert_close(*(observed for _, observed in seen), atol=2e-2, rtol=0)
 
 
-def test_a_training_learns_resumes_and_is_drawn(plugins: Plugins, tmp_path: Path) -> None:
-    training = make_training(
-        plugins,
-        ["task=morphology/walk", *SMALL, "checkpoint.minutes=0", "scene.knee_length=1.2"],
-        tmp_path / "run",
-    )
-    before = [p.clone() for p in training.job.policy.parameters()]  # type: ignore[attr-defined]
-    row = training.iterate()
-    assert row["skipped_steps"] == 0
-    after = list(training.job.policy.parameters())  # type: ignore[attr-defined]
+def test_a_training_learns_and_resumes_exactly(plugins: Plugins) -> None:
+    """Also in the middle of a lesson, of an episode and of a mean."""
+    overrides = [
+        "task=morphology/walk",
+        *SMALL,
+        "learner.rollout_steps=40",
+        "scene.knee_length=1.2",
+    ]
+    whole = make_training(plugins, overrides)
+    before = [p.clone() for p in whole.job.policy.parameters()]  # type: ignore[attr-defined]
+    assert whole.iterate()["skipped_steps"] == 0
+    after = list(whole.job.policy.parameters())  # type: ignore[attr-defined]
     assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
-    assert training.job.environment.parts.curriculum.stage() == "help 100%"  # type: ignore[attr-defined]
-    training.close()
+    curriculum = whole.job.environment.parts.curriculum  # type: ignore[attr-defined]
+    assert curriculum.stage() == "help 100%"
+    assert curriculum.state_dict()["sums"].any()
+    continued = make_training(plugins, overrides)
+    continued.load_state_dict(copy.deepcopy(whole.state_dict()))
+    for training in (whole, continued):
+        training.iterate()
+    assert_same_state(whole.state_dict(), continued.state_dict())
+    whole.close()
+    continued.close()
 
 
 def test_it_is_seen_from_the_side() -> None:
@@ -241,9 +261,12 @@ def test_it_is_seen_from_the_side() -> None:
         assert blue[60:100].mean() > 0.02 > 4 * blue[:40].mean()
 
 
-def test_it_is_no_task_for_another_figure(plugins: Plugins) -> None:
+def test_it_is_no_task_for_another_figure(plugins: Plugins, tmp_path: Path) -> None:
+    file = tmp_path / "ball.xml"
+    ball = "<body><freejoint/><geom size='.1'/></body>"
+    file.write_text(f"<mujoco><worldbody>{ball}</worldbody></mujoco>")
     with pytest.raises(ConfigError, match="needs a scene of type WalkerScene"):
-        environment(plugins, "scene=humanoid")
+        environment(plugins, "scene=mjcf", f"scene.file={file}")
 
 
 @pytest.mark.gpu
