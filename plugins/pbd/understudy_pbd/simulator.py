@@ -59,7 +59,9 @@ class ParticleSimulator(Simulator):
         iterations: int = 8  #: of a sub-step
         #: ω of Macklin et al. 2014, section 4.2; under 2 a sum of averaged corrections converges
         relaxation: float = 1.5
-        sleep: float = 0.0  #: m/s; slower particles stay where they are (section 4.5)
+        #: Of the speed that gravity gives in a sub-step: slower particles, unless of a fluid, stay where
+        #: they are (section 4.5), so that heaps do not creep. At 1 nothing would begin to fall.
+        sleep: float = 0.1
         neighbours: int | None = None  #: M, the most that a particle has; null: what can fit
         #: `block` keeps a world on one multiprocessor; `launches` has a kernel for each phase
         traversal: Literal["block", "launches"] = "block"
@@ -69,7 +71,7 @@ class ParticleSimulator(Simulator):
             check_range(self, "iterations", "threads", least=1)
             check_range(self, "threads", most=1024)
             check_range(self, "relaxation", above=0, most=1.99)
-            check_range(self, "sleep", least=0)
+            check_range(self, "sleep", least=0, most=0.9)
             if self.neighbours is not None:
                 check_range(self, "neighbours", least=1)
 

@@ -518,7 +518,10 @@ def build_kernels(features: Features) -> Kernels:
         v = wp.vec3(0.0)
         if own[3] > 0.0 and s.inverse_mass[i] > 0.0:
             v = (x - start) / s.dt
-            if wp.length(v) < s.sleep:
+            still = wp.length(v) < s.sleep * s.dt * wp.length(s.gravity[world])
+            if wp.static(FLUIDS):
+                still = still and s.rest_density[s.material[i]] == 0.0
+            if still:
                 x = start
                 v = wp.vec3(0.0)
             s.position[world, i] = x
