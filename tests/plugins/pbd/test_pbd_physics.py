@@ -7,9 +7,6 @@ import itertools
 import numpy as np
 import pytest
 import torch
-
-pytest.importorskip("warp", reason="Warp is not installed (pip install 'understudy[gpu]')")
-
 from granular import MASS, RADIUS, Yielding, disturbed, lattice, run, simulator, tied
 
 from understudy_pbd.scene import (
