@@ -184,7 +184,7 @@ class ParticleScene(Scene):
 
     @abstractmethod
     def model(self) -> ParticleModel:
-        """The scene, the same at each call."""
+        """The scene, the same at each call; but its rules, which belong to one simulator, anew."""
 
     def describe(self) -> dict[str, Any]:
         model = self.model()

@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
-
-pytest.importorskip("warp", reason="Warp is not installed (pip install 'understudy[gpu]')")
-
 import warp as wp
 from granular import MASS, RADIUS, Scene, control, run, simulator
 from particle_models import BLOCK, MODELS, SCRAPER, everything, grains
+from torch import Tensor
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.task import Simulator
