@@ -18,6 +18,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,9 @@ class Grains(ParticleScene):
             MASS,
             materials=(Material(friction=FRICTION),),
             table=Table(friction=FRICTION),
-            tools=(Tool((Box(HALF_EXTENTS),), (BOX_FROM, 0.0, HALF_EXTENTS[2]), friction=FRICTION),),
+            tools=(
+                Tool((Box(HALF_EXTENTS),), (BOX_FROM, 0.0, HALF_EXTENTS[2]), friction=FRICTION),
+            ),
         )
 
 
@@ -143,6 +146,13 @@ def newtons(device: str, worlds: int) -> Side:
     return Side(period, found)
 
 
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
 def rate(side: Side, worlds: int, device: str, periods: int, repeats: int) -> float:
     """Particle-sub-steps per second, the median of `repeats`; kernels are compiled before."""
 
@@ -189,7 +199,7 @@ def main() -> None:
         "iterations": ITERATIONS,
         "substeps": SUBSTEPS,
         "traversal": options.traversal,
-        "versions": versions(),
+        "versions": {**versions(), "newton": _version("newton")},
     }
     sides = {"pbd": ours(device, worlds, options.traversal)}
     try:

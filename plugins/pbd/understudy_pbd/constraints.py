@@ -1,6 +1,13 @@
 """The formulas of the solver, for one pair or one particle; who calls them in which order is in
 :mod:`understudy_pbd.solver`."""
 
+# What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
+# conditions known when compiling stand alone.
+# ruff: noqa: UP018
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
+# pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+
 import warp as wp
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import understudy_mujoco  # noqa: F401 - chooses the renderer, before MuJoCo is imported
-import mujoco  # isort: skip
+import mujoco
 import numpy as np
 
 from understudy.errors import UnderstudyError
@@ -55,9 +54,7 @@ def draw(
     # the camera sees where most of the particles ever are
     low, high = (np.quantile(positions.reshape(-1, 3), q, axis=0) for q in (0.02, 0.98))
     centre, size = 0.5 * (low + high), float(np.linalg.norm(high - low)) + 8 * float(radius.max())
-    table = (
-        f'<geom type="plane" size="0 0 {0.5 * size}" material="table"/>' if model.table else ""
-    )
+    table = f'<geom type="plane" size="0 0 {0.5 * size}" material="table"/>' if model.table else ""
     world = _WORLD.format(width=width, height=height, high=10 * size, table=table)
     compiled = mujoco.MjModel.from_xml_string(world)
     compiled.stat.extent, compiled.stat.center[:] = size, centre
@@ -103,9 +100,7 @@ def _colours(model: ParticleModel, count: int) -> np.ndarray:
     return np.concatenate([np.clip(rgb * shade[:, None], 0, 1), np.ones((count, 1))], axis=1)
 
 
-def _add_shape(
-    drawn: Any, layer: int, shape: Shape, at: np.ndarray, turned: np.ndarray
-) -> None:
+def _add_shape(drawn: Any, layer: int, shape: Shape, at: np.ndarray, turned: np.ndarray) -> None:
     """Boxes of a tool may share a side; `layer` makes them so little thinner that one is in front."""
     tool = _matrix(turned)
     if isinstance(shape, Grid):  # the points just inside its surface, as small boxes

@@ -42,7 +42,7 @@ class Particles:
     substep: Any  #: (N,) int: sub-steps done in the control period; 0 once it is over
 
 
-class Rule(ABC):
+class Rule(ABC):  # noqa: B024 - each of its places may be left empty
     """Kernels that a scene adds to every sub-step: plasticity, bonds that break, sources, winds.
 
     They are launched in order on the simulator's stream, and recorded in CUDA graphs: a rule

@@ -1,5 +1,12 @@
 """Tools on the device: signed distances of boxes, capsules and grids, and where tools go."""
 
+# What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
+# conditions known when compiling stand alone.
+# ruff: noqa: UP018
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
+# pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -22,29 +29,29 @@ class Tools:
     tools: int  # T
     shapes: int  # S
     # what does not change, (S,)
-    kind: wp.array(dtype=int)  # pyright: ignore[reportInvalidTypeForm]
-    tool: wp.array(dtype=int)  # pyright: ignore[reportInvalidTypeForm]
-    size: wp.array(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    offset: wp.array(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    turn: wp.array(dtype=wp.quat)  # pyright: ignore[reportInvalidTypeForm]
-    centre: wp.array(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    bound: wp.array(dtype=float)  # pyright: ignore[reportInvalidTypeForm]
-    friction: wp.array(dtype=float)  # pyright: ignore[reportInvalidTypeForm]
-    grid_start: wp.array(dtype=int)  # pyright: ignore[reportInvalidTypeForm]
-    grid_points: wp.array(dtype=wp.vec3i)  # pyright: ignore[reportInvalidTypeForm]
-    grid_values: wp.array(dtype=float)  # pyright: ignore[reportInvalidTypeForm]
+    kind: wp.array(dtype=int)
+    tool: wp.array(dtype=int)
+    size: wp.array(dtype=wp.vec3)
+    offset: wp.array(dtype=wp.vec3)
+    turn: wp.array(dtype=wp.quat)
+    centre: wp.array(dtype=wp.vec3)
+    bound: wp.array(dtype=float)
+    friction: wp.array(dtype=float)
+    grid_start: wp.array(dtype=int)
+    grid_points: wp.array(dtype=wp.vec3i)
+    grid_values: wp.array(dtype=float)
     # the state, (N, T), and where tools were when the sub-step began
-    position: wp.array2d(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    orientation: wp.array2d(dtype=wp.vec4)  # pyright: ignore[reportInvalidTypeForm]
-    velocity: wp.array2d(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    angular_velocity: wp.array2d(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    position_before: wp.array2d(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    orientation_before: wp.array2d(dtype=wp.vec4)  # pyright: ignore[reportInvalidTypeForm]
+    position: wp.array2d(dtype=wp.vec3)
+    orientation: wp.array2d(dtype=wp.vec4)
+    velocity: wp.array2d(dtype=wp.vec3)
+    angular_velocity: wp.array2d(dtype=wp.vec3)
+    position_before: wp.array2d(dtype=wp.vec3)
+    orientation_before: wp.array2d(dtype=wp.vec4)
     # shapes in the world, (N, S), now and when the sub-step began
-    shape_position: wp.array2d(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    shape_rotation: wp.array2d(dtype=wp.quat)  # pyright: ignore[reportInvalidTypeForm]
-    shape_position_before: wp.array2d(dtype=wp.vec3)  # pyright: ignore[reportInvalidTypeForm]
-    shape_rotation_before: wp.array2d(dtype=wp.quat)  # pyright: ignore[reportInvalidTypeForm]
+    shape_position: wp.array2d(dtype=wp.vec3)
+    shape_rotation: wp.array2d(dtype=wp.quat)
+    shape_position_before: wp.array2d(dtype=wp.vec3)
+    shape_rotation_before: wp.array2d(dtype=wp.quat)
 
 
 @wp.func
@@ -78,7 +85,7 @@ def to_rotation_vector(turn: wp.quat) -> wp.vec3:
 @wp.func
 def move_tool(
     tools: Tools,
-    control: wp.array2d(dtype=float),  # pyright: ignore[reportInvalidTypeForm]
+    control: wp.array2d(dtype=float),
     world: int,
     tool: int,
     remaining: float,
@@ -155,7 +162,7 @@ def capsule_distance(radius: float, half_length: float, p: wp.vec3) -> wp.vec4:
 
 @wp.func
 def grid_distance(
-    values: wp.array(dtype=float),  # pyright: ignore[reportInvalidTypeForm]
+    values: wp.array(dtype=float),
     start: int,
     points: wp.vec3i,
     spacing: float,

@@ -19,7 +19,9 @@ from understudy_pbd.scene import ParticleModel, ParticleScene
 try:
     import warp as wp
 except ImportError as error:
-    raise ImportError(f"simulator 'pbd' needs Warp ({error}): pip install 'understudy[gpu]'") from error
+    raise ImportError(
+        f"simulator 'pbd' needs Warp ({error}): pip install 'understudy[gpu]'"
+    ) from error
 
 from understudy_pbd.rules import Particles
 from understudy_pbd.shapes import build_tools
@@ -157,9 +159,13 @@ class ParticleSimulator(Simulator):
         material = _each(np.asarray(model.material), p, "material").astype(np.int32)
         materials = model.materials
         if p < 1 or (radius <= 0).any() or (mass < 0).any():
-            raise ConfigError("A scene of particles needs some, of positive radius and no negative mass.")
+            raise ConfigError(
+                "A scene of particles needs some, of positive radius and no negative mass."
+            )
         if not ((material >= 0) & (material < len(materials))).all():
-            raise ConfigError(f"A particle is of a material that the scene's {len(materials)} do not have.")
+            raise ConfigError(
+                f"A particle is of a material that the scene's {len(materials)} do not have."
+            )
         fluids = [m.fluid for m in materials if m.fluid is not None]
         if len({fluid.smoothing for fluid in fluids}) > 1:
             raise ConfigError("All fluids of a scene need the same smoothing radius.")
@@ -167,8 +173,10 @@ class ParticleSimulator(Simulator):
         if (mass[is_fluid] == 0).any():
             raise ConfigError("Particles of a fluid need a mass.")
         smoothing = fluids[0].smoothing if fluids else 0.0
-        widest = 2 * float(radius.max()) * max(
-            1 + (m.cohesion_range if m.cohesion > 0 else 0.0) for m in materials
+        widest = (
+            2
+            * float(radius.max())
+            * max(1 + (m.cohesion_range if m.cohesion > 0 else 0.0) for m in materials)
         )
         # in a sub-step others come near; those within the slack are seen
         reach = max(1.2 * widest, smoothing, *(rule.reach for rule in model.rules), 0.0)
@@ -180,7 +188,7 @@ class ParticleSimulator(Simulator):
             value = np.asarray(value, np.int32 if dtype is int else np.float32)
             return wp.array(np.tile(value, (n, *[1] * value.ndim)), dtype=dtype)
 
-        def one_each(values: Sequence[float]) -> Any:
+        def one_each(values: Sequence[float] | np.ndarray) -> Any:
             return wp.array(np.asarray(values, np.float32), dtype=float)
 
         s.position = each_world(model.positions, wp.vec3)
@@ -408,7 +416,9 @@ def _each(value: Any, count: int, name: str) -> np.ndarray:
     """(P,), of one number or of so many."""
     value = np.asarray(value, float)
     if value.shape not in ((), (count,)):
-        raise ConfigError(f"The scene's {name} has shape {value.shape}, not ({count},), nor is it one.")
+        raise ConfigError(
+            f"The scene's {name} has shape {value.shape}, not ({count},), nor is it one."
+        )
     return np.broadcast_to(value, count).copy()
 
 
@@ -431,7 +441,9 @@ def spring_slots(model: ParticleModel, count: int) -> tuple[np.ndarray, np.ndarr
     if lengths.shape != (len(pairs),) or (lengths <= 0).any():
         raise ConfigError(f"{len(pairs)} springs need as many lengths, all above 0.")
     if ((pairs < 0) | (pairs >= count)).any() or (pairs[:, 0] == pairs[:, 1]).any():
-        raise ConfigError("A spring ties a particle that the scene does not have, or one to itself.")
+        raise ConfigError(
+            "A spring ties a particle that the scene does not have, or one to itself."
+        )
     used = np.bincount(pairs.reshape(-1), minlength=count)
     slots = springs.slots or int(used.max(initial=0))
     if used.max(initial=0) > slots:

@@ -10,6 +10,13 @@ Each phase is a function of one particle of one world, which reads others and wr
 The kernels are specialised: what a scene does not have costs nothing.
 """
 
+# What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
+# conditions known when compiling stand alone.
+# ruff: noqa: UP018, RUF046, SIM102
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
+# pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+
 import functools
 from dataclasses import dataclass
 from typing import Any
@@ -103,7 +110,9 @@ class Features:
     fluids: bool
     springs: bool
     alike: bool  #: all particles have one radius, mass and material, which is no fluid
-    shared: int  #: particles that the working memory on a multiprocessor has room for; 0: none there
+    shared: (
+        int  #: particles that the working memory on a multiprocessor has room for; 0: none there
+    )
     threads: int  #: of a block
 
 
@@ -355,7 +364,10 @@ def build_kernels(features: Features) -> Kernels:
                     else:
                         both += s.radius[j]
                     if wp.static(FLUIDS):
-                        if s.rest_density[s.material[i]] > 0.0 and s.rest_density[s.material[j]] > 0.0:
+                        if (
+                            s.rest_density[s.material[i]] > 0.0
+                            and s.rest_density[s.material[j]] > 0.0
+                        ):
                             both = _FLUID_CONTACT * both
                     if r2 < both * both:
                         touching += 1
@@ -532,16 +544,14 @@ def build_kernels(features: Features) -> Kernels:
                     r2 = wp.dot(apart, apart)
                     if r2 < h * h:
                         change += density_kernel(r2, h) * (xyz(load(memory, target + j)) - v)
-            s.velocity[world, i] = v + s.viscosity[world, material] / (
-                s.inverse_mass[i] * rest
-            ) * change
+            s.velocity[world, i] = (
+                v + s.viscosity[world, material] / (s.inverse_mass[i] * rest) * change
+            )
 
     # so few registers that a multiprocessor holds as many blocks as make 1024 threads
     bounds = (LANES, max(1, 1024 // LANES))
 
-    @wp.kernel(
-        module="unique", enable_backward=False, launch_bounds=bounds, module_options=_FAST
-    )
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=bounds, module_options=_FAST)
     def block_kernel(s: System, count: int):
         world, lane = wp.tid()
         lanes = wp.block_dim()
@@ -602,17 +612,38 @@ def build_kernels(features: Features) -> Kernels:
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def solve_kernel(s: System, source: int):
         world, i = wp.tid()
-        solve(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source, s.particles - source)
+        solve(
+            s,
+            global_memory(s.memory, world * ROWS * s.particles),
+            world,
+            i,
+            source,
+            s.particles - source,
+        )
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def finish_kernel(s: System, source: int):
         world, i = wp.tid()
-        finish(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source, s.particles - source)
+        finish(
+            s,
+            global_memory(s.memory, world * ROWS * s.particles),
+            world,
+            i,
+            source,
+            s.particles - source,
+        )
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def viscosity_kernel(s: System, source: int):
         world, i = wp.tid()
-        viscosity(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source, s.particles - source)
+        viscosity(
+            s,
+            global_memory(s.memory, world * ROWS * s.particles),
+            world,
+            i,
+            source,
+            s.particles - source,
+        )
 
     return Kernels(
         block=block_kernel,
