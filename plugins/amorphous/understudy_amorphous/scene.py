@@ -39,8 +39,8 @@ class Substance:
     contact: float = 1.0
     #: Where it is elastic: how far apart particles are tied, as a share of their distance at rest.
     ties: float | None = None
-    #: Share of a tie's error that an iteration corrects; with 1, many ties of one particle overshoot.
-    stiffness: float = 0.7
+    #: Share of a tie's error that a sub-step corrects.
+    stiffness: float = 0.9
     plasticity: Plasticity | None = None
     colour: tuple[float, float, float] = (0.93, 0.89, 0.80)  #: of pictures: rice
 
