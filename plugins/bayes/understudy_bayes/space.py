@@ -30,7 +30,7 @@ class Parameter:
             raise ValueError(
                 f"low={self.low:g} is not possible: it must be greater than 0 on a log scale."
             )
-        if self.integer and not (self.low.is_integer() and self.high.is_integer()):
+        if self.integer and not (float(self.low).is_integer() and float(self.high).is_integer()):
             raise ValueError(
                 f"integer=true is not possible with low={self.low:g} and high={self.high:g}: "
                 "give whole numbers."
