@@ -35,7 +35,8 @@ def told() -> Told:
 
 def test_easy_tasks_come_first(told: Told) -> None:
     fidelities = [t.fidelity for t in trials(told)]
-    assert fidelities[:6] == [0.0] * 6
+    assert fidelities[:5] == [0.0] * 5
+    assert 0.0 in fidelities[5:]
     assert 0.0 < (next(f for f in fidelities if f) or 0.0) <= 1.0
     assert 1.0 in fidelities
 
@@ -112,7 +113,7 @@ def test_epsilon_decides_when_a_task_is_known_well_enough(epsilon: float, expect
 def test_the_step_is_the_fidelitys_length_scale() -> None:
     """α = l_z: with one that is short, whatever is known at z_min is asked next at z_min + l_z."""
     short = SurrogateOptions(fidelity_scale=0.3, fidelity_spread=1e-3)
-    told = carry_on(make(surrogate=short, epsilon=0.2), valley)
+    told = carry_on(make(surrogate=short, epsilon=0.2, trials=12), valley)
     above = [t.fidelity for t in trials(told) if t.fidelity]
     assert above
     assert all(f == pytest.approx(min(0.3 * round(f / 0.3), 1.0), abs=0.01) or f == 1.0 for f in above)
