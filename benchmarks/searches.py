@@ -22,9 +22,6 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")  # a process of each search has one core
-
 import botorch
 import gpytorch
 import torch
@@ -94,9 +91,7 @@ def disagree(u: Tensor, z: float) -> float:
     hill = lambda centre: float(torch.exp(-((u - centre) ** 2).sum() / (2 * 0.25**2)))  # noqa: E731
     q = min(hill(_TOP) + 0.6 * hill(_SECOND), 1.0)
     ripple = math.sin(5 * float(u.sum()) + 7 * z) * math.cos(6 * float(u[0] - u[1]) - 4 * z)
-    return (
-        0.5 * (1 - z) + (0.4 + 0.6 * z) * q ** (0.5 + 0.5 * z) + 0.15 * (1 - q) * ripple
-    )
+    return 0.5 * (1 - z) + (0.4 + 0.6 * z) * q ** (0.5 + 0.5 * z) + 0.15 * (1 - q) * ripple
 
 
 FUNCTIONS = {
@@ -202,11 +197,17 @@ def one(job: tuple[str, str, int]) -> tuple[list[float], int, int, float]:
 def interval(values: Sequence[float]) -> tuple[float, float]:
     """Mean, and half the width of its 95 % interval (Student's t)."""
     n = len(values)
-    half = stats.t.ppf(0.975, n - 1) * statistics.stdev(values) / math.sqrt(n) if n > 1 else math.nan
+    half = (
+        stats.t.ppf(0.975, n - 1) * statistics.stdev(values) / math.sqrt(n) if n > 1 else math.nan
+    )
     return statistics.fmean(values), float(half)
 
 
-def compare(names: Sequence[str], methods: Sequence[str], seeds: int, jobs: int, save: bool) -> None:
+def compare(
+    names: Sequence[str], methods: Sequence[str], seeds: int, jobs: int, save: bool
+) -> None:
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    os.environ.update(one_thread)  # of the processes to come
     work = [(f, m, s) for f in names for m in methods for s in range(seeds)]
     work.sort(key=lambda job: -FUNCTIONS[job[0]].budget)  # the long ones first
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:

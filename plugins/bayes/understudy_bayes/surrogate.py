@@ -25,6 +25,7 @@ from understudy_bayes.libraries import (
     SingleTaskGP,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
+    to_dense,
 )
 
 
@@ -64,7 +65,9 @@ class Surrogate:
             active_dims=(self._d,),
             lengthscale_prior=prior,
             lengthscale_constraint=GreaterThan(
-                0.025, transform=None, initial_value=prior.mode
+                0.025,
+                transform=None,  # type: ignore[arg-type]
+                initial_value=prior.mode,
             ),
         )
         self._kernel: Kernel = ProductKernel(self._space, self._fidelity).double()
@@ -102,14 +105,15 @@ class Surrogate:
         fidelities `z` (m,)."""
         found = self._model.posterior(_joined(x, z))
         mean, variance = found.mean, found.variance
-        assert isinstance(mean, Tensor) and isinstance(variance, Tensor)
+        assert isinstance(mean, Tensor)
+        assert isinstance(variance, Tensor)
         return mean.squeeze(-1), variance.squeeze(-1).clamp(min=1e-12).sqrt()
 
     def correlation(self, x: Tensor, z: Tensor, xs: Tensor, zs: Tensor) -> Tensor:
         """k((x, z), (x_i, z_i)) (n,) of one place `x` (d,), `z` () with `xs` (n, d), `zs` (n,)."""
         with torch.no_grad():
             one = _joined(x.unsqueeze(0), z.reshape(1))
-            return self._kernel(one, _joined(xs, zs)).to_dense()[0]
+            return to_dense(self._kernel(one, _joined(xs, zs)))[0]
 
     @property
     def fidelity_scale(self) -> float:

@@ -12,7 +12,10 @@ REQUIRES = ("bayes", "sweeps")
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.component(
-        "outer_loop", "cmfbo", "understudy_cmfbo.cmfbo:CMFBO", "search by difficulty, easy tasks first"
+        "outer_loop",
+        "cmfbo",
+        "understudy_cmfbo.cmfbo:CMFBO",
+        "search by difficulty, easy tasks first",
     )
     register.citation(
         "cmfbo",

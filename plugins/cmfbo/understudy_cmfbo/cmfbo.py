@@ -49,7 +49,9 @@ class CMFBO(OuterLoop):
             super().__post_init__()
             check_range(self, "epsilon", above=0)
             if self.transfer and not self.parts:
-                raise ValueError("parts must not be empty: name what to transfer, or transfer=false.")
+                raise ValueError(
+                    "parts must not be empty: name what to transfer, or transfer=false."
+                )
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         self._options, self._book, self._seed = options, Book(options, options.fidelity), seed

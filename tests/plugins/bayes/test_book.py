@@ -124,7 +124,7 @@ def test_a_search_none_of_whose_trials_can_begin_is_wrong() -> None:
         b.ask(number, [0.5, 0.5], 0.0)
     why = "failed: learner has no option 'epoch'. Did you mean 'epochs'?"
     tell(b, 0, None, status=why)
-    with pytest.raises(ConfigError, match="None of the first 2 trials could begin.*'epoch'"):
+    with pytest.raises(ConfigError, match=r"None of the first 2 trials could begin.*'epoch'"):
         tell(b, 1, None, status=why)
 
 

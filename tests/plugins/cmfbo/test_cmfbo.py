@@ -116,7 +116,9 @@ def test_the_step_is_the_fidelitys_length_scale() -> None:
     told = carry_on(make(surrogate=short, epsilon=0.2, trials=12), valley)
     above = [t.fidelity for t in trials(told) if t.fidelity]
     assert above
-    assert all(f == pytest.approx(min(0.3 * round(f / 0.3), 1.0), abs=0.01) or f == 1.0 for f in above)
+    assert all(
+        f == pytest.approx(min(0.3 * round(f / 0.3), 1.0), abs=0.01) or f == 1.0 for f in above
+    )
 
 
 def test_difficulty_from_and_to() -> None:
