@@ -10,7 +10,6 @@ try:
     from gpytorch.kernels import Kernel, ProductKernel, RBFKernel
     from gpytorch.mlls import ExactMarginalLogLikelihood
     from gpytorch.priors import LogNormalPrior
-    from linear_operator import to_dense
 except ImportError as error:
     raise ImportError(
         "searches with a model need BoTorch: pip install 'understudy[bayes]'"
@@ -29,5 +28,4 @@ __all__ = [
     "fit_gpytorch_mll",
     "gen_candidates_scipy",
     "get_covar_module_with_dim_scaled_prior",
-    "to_dense",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -25,7 +25,6 @@ from understudy_bayes.libraries import (
     SingleTaskGP,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
-    to_dense,
 )
 
 
@@ -35,8 +34,9 @@ class SurrogateOptions:
     a location that grows with √d; noise is log-normal of location -4, at least 1e-4 of y's variance."""
 
     kernel: Literal["se", "matern"] = "se"  #: squared exponential (eq. 6.2), or Matérn 5/2
-    #: Median and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z.
-    fidelity_scale: float = 0.5
+    #: Mode and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z. At
+    #: 1, fidelities are taken to agree until trials say otherwise.
+    fidelity_scale: float = 1.0
     fidelity_spread: float = 0.75
 
     def __post_init__(self) -> None:
@@ -60,7 +60,8 @@ class Surrogate:
         self._space = get_covar_module_with_dim_scaled_prior(
             self._d, use_rbf_kernel=options.kernel == "se", active_dims=tuple(range(self._d))
         )
-        prior = LogNormalPrior(math.log(options.fidelity_scale), options.fidelity_spread)
+        location = math.log(options.fidelity_scale) + options.fidelity_spread**2
+        prior = LogNormalPrior(location, options.fidelity_spread)
         self._fidelity = RBFKernel(
             active_dims=(self._d,),
             lengthscale_prior=prior,
@@ -113,7 +114,7 @@ class Surrogate:
         """k((x, z), (x_i, z_i)) (n,) of one place `x` (d,), `z` () with `xs` (n, d), `zs` (n,)."""
         with torch.no_grad():
             one = _joined(x.unsqueeze(0), z.reshape(1))
-            return to_dense(self._kernel(one, _joined(xs, zs)))[0]
+            return self._kernel(one, _joined(xs, zs)).to_dense()[0]
 
     @property
     def fidelity_scale(self) -> float:
@@ -128,7 +129,8 @@ class Surrogate:
     @property
     def noise(self) -> float:
         """Standard deviation of the noise."""
-        return float(self._model.likelihood.noise.detach().mean().sqrt())
+        variance: Any = self._model.likelihood.noise
+        return float(variance.detach().sqrt())
 
 
 def _joined(x: Tensor, z: Tensor) -> Tensor:

@@ -37,7 +37,7 @@ class CMFBO(OuterLoop):
     class Options(SearchOptions):
         fidelity: Fidelity = field(default_factory=Fidelity)  #: the difficulty from z_min to z_max
         #: ε: how well y must be known at one fidelity before the next is asked about, a standard
-        #: deviation as a share of the range of all y seen.
+        #: deviation as a share of the range of all y seen; half the noise's is always enough.
         epsilon: float = 0.02
         #: Whether trials above z_min begin with the nearest earlier one's policy (section 6.3.3) …
         transfer: bool = True
@@ -73,6 +73,7 @@ class CMFBO(OuterLoop):
         """Algorithm 3: (x_t, z_t), the easiest task about which too little is known."""
         book, weight = self._book, beta(len(self._book.space), number + 1)
         enough = self._options.epsilon * _range(book.data().y) / model.scale
+        enough = max(enough, model.noise / 2)  # what four trials there could tell
         z = Z_MIN
         x = maximise(upper_bound(model, weight, z, of=Z_MAX), book, self._seed, number)
         while z < Z_MAX and _deviation(model, x, z) < enough:

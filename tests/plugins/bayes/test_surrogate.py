@@ -89,7 +89,7 @@ def test_what_still_runs_is_taken_as_expected() -> None:
     model.believe(x, torch.ones(1).double())
     (after,), (less,) = at(model, x)
     assert float(after) == pytest.approx(float(before), abs=0.02)
-    assert less < 0.5 * doubt
+    assert less < 0.8 * doubt
 
 
 def test_the_same_data_give_the_same_bits() -> None:

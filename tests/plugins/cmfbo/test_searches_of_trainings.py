@@ -63,14 +63,16 @@ torch.set_num_threads(1)
 from understudy.command.cli import main
 from understudy_sweeps import sweep as module
 folder, after, *overrides = sys.argv[1:]
-write = module.Journal._write
 
-def dying(self, event):
-    write(self, event)
-    if len(self.events) == int(after):
-        os._exit(9)
+def dying(write):
+    def written(self, event):
+        write(self, event)
+        if len(self.events) == int(after):
+            os._exit(9)
+    return written
 
-module.Journal._write = dying
+module.Journal.ask = dying(module.Journal.ask)
+module.Journal.tell = dying(module.Journal.tell)
 main(["sweep", *overrides, f"run.dir={folder}"])
 """
 
