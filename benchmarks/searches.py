@@ -34,13 +34,13 @@ from gpytorch.mlls import ExactMarginalLogLikelihood
 from scipy import stats
 from torch import Tensor
 
-from understudy.running.trials import OuterLoop, Report
+from understudy.options import make_options
+from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta
 from understudy_bayes.boca import BOCA
 from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.random_search import RandomSearch
-from understudy_bayes.space import Parameter
 from understudy_cmfbo.cmfbo import CMFBO
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "searches.jsonl"
@@ -122,9 +122,11 @@ def through(loop: OuterLoop, function: Function, names: Sequence[str]) -> Found:
 def search(method: type) -> Callable[[Function, int], Found]:
     def run(function: Function, seed: int) -> Found:
         names = [f"x.x{i}" for i in range(function.d)]
-        parameters = {name: Parameter(0.0, 1.0) for name in names}
-        more = {"cost_ratio": CHEAPEST} if method is BOCA else {}
-        options = method.Options(parameters=parameters, budget=function.budget, **more)
+        given = {"parameters": {name: {"low": 0.0, "high": 1.0} for name in names}}
+        given |= {"budget": function.budget, **({"cost_ratio": CHEAPEST} if method is BOCA else {})}
+        if method is CMFBO:
+            given |= json.loads(os.environ.get("CMFBO_OPTIONS", "{}"))
+        options = make_options(method.Options, given, "search")
         return through(method(options, seed), function, names)
 
     return run
@@ -208,15 +210,15 @@ def compare(
 ) -> None:
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     os.environ.update(one_thread)  # of the processes to come
-    work = [(f, m, s) for f in names for m in methods for s in range(seeds)]
+    work = [(f, m, s) for f in names for m in methods for s in seeds]
     work.sort(key=lambda job: -FUNCTIONS[job[0]].budget)  # the long ones first
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         results = dict(zip(work, pool.map(one, work), strict=True))
     for name in names:
-        found = {m: [results[name, m, s] for s in range(seeds)] for m in methods}
+        found = {m: [results[name, m, s] for s in seeds] for m in methods}
         last = {m: [r[0][-1] for r in found[m]] for m in methods}
         rows = {}
-        print(f"\n{name}: budget {FUNCTIONS[name].budget:g} whole trials, {seeds} seeds")
+        print(f"\n{name}: budget {FUNCTIONS[name].budget:g} whole trials, {len(seeds)} seeds")
         for m in methods:
             mean, half = interval(last[m])
             rows[m] = {
@@ -249,7 +251,7 @@ def compare(
                 "function": name,
                 "budget": FUNCTIONS[name].budget,
                 "cheapest": CHEAPEST,
-                "seeds": seeds,
+                "seeds": list(seeds),
                 "shares": SHARES,
                 "searches": rows,
                 "versions": _versions(),
@@ -259,26 +261,28 @@ def compare(
 
 
 def time_asks(save: bool) -> None:
-    """Seconds of the 61st ask with 12 parameters, half of the 60 trials at low fidelities."""
+    """Seconds of the 61st ask of 12 parameters; of 60 trials every other one was a cheap one."""
     torch.set_num_threads(1)
     names = [f"x.x{i}" for i in range(12)]
-    parameters = {name: Parameter(0.0, 1.0) for name in names}
+    given = {"parameters": {name: {"low": 0.0, "high": 1.0} for name in names}, "trials": 99}
     seconds = {}
     for label, method in {"gp_ucb": GPUCB, "boca": BOCA, "cmfbo": CMFBO}.items():
-        loop = method(method.Options(parameters=parameters, trials=61, initial=8), 0)
-        taken: list[float] = []
-        for number in range(61):
-            began = time.perf_counter()
-            trial = loop.ask(number)
-            taken.append(time.perf_counter() - began)
-            assert trial is not None
-            u = torch.tensor([trial.point[name] for name in names])
-            z = 1.0 if trial.fidelity is None else trial.fidelity
-            y = float(torch.exp(-2 * ((u - 0.6) ** 2).sum())) * (1 - 0.3 * z)
-            y += 0.02 * math.sin(1e4 * float(u.sum()))  # noise
-            loop.tell(Report(trial.key, "ok", y, cost=cost(z)))
-        seconds[label] = {"last": taken[-1], "longest": max(taken), "all": sum(taken)}
-        print(f"{label:8s} " + "  ".join(f"{k} {v:.2f} s" for k, v in seconds[label].items()))
+        loop = method(make_options(method.Options, given, "search"), 0)
+        for number in range(60):
+            u = draws.spread(1, number, 12)
+            z = 1.0 if method is GPUCB or number % 2 else 0.0
+            y = math.exp(-sum((v - 0.6) ** 2 for v in u)) * (1 - 0.3 * z)
+            y += 0.02 * math.sin(1e4 * sum(u))  # noise
+            point = dict(zip(names, u, strict=True))
+            loop.recall(Trial(f"trial{number}", point=point, fidelity=z))
+            loop.tell(Report(f"trial{number}", "ok", y, cost=cost(z)))
+        began, used = time.perf_counter(), time.process_time()
+        loop.ask(60)
+        seconds[label] = {
+            "seconds": time.perf_counter() - began,
+            "of_processor": time.process_time() - used,
+        }
+        print(f"{label:8s} " + "  ".join(f"{k} {v:.2f}" for k, v in seconds[label].items()))
     if save:
         with open(RESULTS, "a", encoding="utf-8") as file:
             row = {"when": datetime.date.today().isoformat(), "ask_60x12": seconds}
@@ -297,6 +301,8 @@ def _versions() -> dict[str, str]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first-seed", type=int, default=0, help="others than 0 choose constants")
+    parser.add_argument("--cmfbo", default="{}", help="JSON of options of cmfbo to try, not saved")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--functions", nargs="*", default=list(FUNCTIONS), choices=FUNCTIONS)
     parser.add_argument("--searches", nargs="*", default=list(SEARCHES), choices=SEARCHES)
@@ -306,4 +312,7 @@ if __name__ == "__main__":
     if given.ask:
         time_asks(not given.no_save)
     else:
-        compare(given.functions, given.searches, given.seeds, given.jobs, not given.no_save)
+        os.environ["CMFBO_OPTIONS"] = given.cmfbo
+        seeds = range(given.first_seed, given.first_seed + given.seeds)
+        save = not given.no_save and given.cmfbo == "{}"
+        compare(given.functions, given.searches, seeds, given.jobs, save)
