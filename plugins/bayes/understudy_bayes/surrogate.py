@@ -34,9 +34,8 @@ class SurrogateOptions:
     a location that grows with √d; noise is log-normal of location -4, at least 1e-4 of y's variance."""
 
     kernel: Literal["se", "matern"] = "se"  #: squared exponential (eq. 6.2), or Matérn 5/2
-    #: Mode and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z. At
-    #: 1, fidelities are taken to agree until trials say otherwise.
-    fidelity_scale: float = 1.0
+    #: Mode and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z.
+    fidelity_scale: float = 0.3
     fidelity_spread: float = 0.75
 
     def __post_init__(self) -> None:

@@ -35,6 +35,7 @@ class CMFBO(OuterLoop):
 
     @dataclass(frozen=True)
     class Options(SearchOptions):
+        initial: int = 16  #: trials at z_min, the cheapest, at points that no model chose
         fidelity: Fidelity = field(default_factory=Fidelity)  #: the difficulty from z_min to z_max
         #: ε: how well y must be known at one fidelity before the next is asked about, a standard
         #: deviation as a share of the range of all y seen; half the noise's is always enough.
