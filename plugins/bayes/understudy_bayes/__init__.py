@@ -1,5 +1,7 @@
 """Bayesian optimisation as outer loops: random search, GP-UCB, BOCA."""
 
+from pathlib import Path
+
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
@@ -9,4 +11,24 @@ REQUIRES: tuple[str, ...] = ()
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    for name, target, summary in (
+        ("random_search", "random_search:RandomSearch", "points drawn uniformly"),
+        ("gp_ucb", "gp_ucb:GPUCB", "Bayesian optimisation of whole trials"),
+        ("boca", "boca:BOCA", "Bayesian optimisation with cheap approximations"),
+    ):
+        register.component("outer_loop", name, f"understudy_bayes.{target}", summary)
+    register.citation(
+        "gp_ucb",
+        "Srinivas, Krause, Kakade, Seeger 2010. Gaussian process optimization in the bandit setting: "
+        "no regret and experimental design. ICML.",
+    )
+    register.citation(
+        "boca",
+        "Kandasamy, Dasarathy, Schneider, Póczos 2017. Multi-fidelity Bayesian optimisation with "
+        "continuous approximations. ICML.",
+    )
+
+
+@hookimpl
+def understudy_config_directory() -> Path:
+    return Path(__file__).parent / "conf"

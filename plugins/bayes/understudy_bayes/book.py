@@ -1,0 +1,213 @@
+"""The trials of a search: what was asked and told, and the same as data for a model."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError
+from understudy.options import check_range
+from understudy.running.trials import Report, Trial
+from understudy_bayes.fidelity import Fidelity
+from understudy_bayes.space import Parameter, Space, check_paths
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """What every search takes. It ends at whichever of ``trials`` and ``budget`` it reaches first."""
+
+    parameters: Mapping[str, Parameter]  #: by option of the configuration, the range to search
+    trials: int | None = None  #: how many, those at low fidelities among them
+    #: Samples, of all trials together (N_total of algorithm 4).
+    budget: float | None = None
+    initial: int = 8  #: trials at points that no model chose
+    #: C of eq. 6.5: y = objective · exp(-samples / C), so that learning faster is better; null is y =
+    #: objective.
+    sample_scale: float | None = None
+    failed: float | None = None  #: y of a trial without an objective; null is the worst y seen
+
+    def __post_init__(self) -> None:
+        check_paths(self.parameters)
+        check_range(self, "trials", least=1)
+        check_range(self, "budget", "sample_scale", above=0)
+        check_range(self, "initial", least=1)
+        if self.trials is None and self.budget is None:
+            raise ValueError("trials and budget are both unset: say when the search ends.")
+
+
+@dataclass(frozen=True)
+class Data:
+    """n trials: where they are in the unit cube and what they gave, float64."""
+
+    x: Tensor  #: (n, d)
+    z: Tensor  #: (n,), the fidelity in [0, 1]; 1 where there is none
+    y: Tensor  #: (n,), what is maximised
+    cost: Tensor  #: (n,), samples
+
+
+@dataclass
+class Book:
+    """The trials of one search, in the order in which they were asked.
+
+    ``fidelity`` is None for a search whose trials are all whole ones.
+    """
+
+    options: SearchOptions
+    fidelity: Fidelity | None = None
+    trials: dict[str, Trial] = field(default_factory=dict)
+    reports: dict[str, Report] = field(default_factory=dict)  #: final ones
+
+    def __post_init__(self) -> None:
+        self.space = Space(self.options.parameters)
+
+    # ------------------------------------------------------------------ asked
+
+    def ask(
+        self,
+        number: int,
+        x: Sequence[float],
+        z: float | None = None,
+        start: Mapping[str, Any] | None = None,
+    ) -> Trial:
+        """Note and return the trial of this `number` at `x` (d,) of the unit cube and fidelity `z`."""
+        point, difficulty = self.space.point(x), None
+        if self.fidelity is not None and z is not None:
+            more, difficulty = self.fidelity.place(z)
+            point |= more
+        trial = Trial(f"trial{number}", point=point, fidelity=difficulty, start=start)
+        self.trials[trial.key] = trial
+        return trial
+
+    def recall(self, trial: Trial) -> bool:
+        """Note a trial that was asked for before; always wanted."""
+        if self.trials.get(trial.key, trial) != trial or self.space.missing(trial.point):
+            raise ConfigError(
+                f"Trial '{trial.key}' was at another point when this search began. Give run.dir another "
+                "folder."
+            )
+        self.trials[trial.key] = trial
+        return True
+
+    def over(self, number: int) -> bool:
+        """Whether nothing more is to be asked for while things are as they are.
+
+        A trial that still runs is counted at the mean cost of those that are finished.
+        """
+        options = self.options
+        if options.trials is not None and number >= options.trials:
+            return True
+        if options.budget is None:
+            return False
+        costs = [report.cost for report in self.reports.values()]
+        ahead = len(self.pending) * statistics.fmean(costs) if costs else 0.0
+        return sum(costs) + ahead >= options.budget
+
+    @property
+    def pending(self) -> list[Trial]:
+        """What was asked for and is not finished."""
+        return [t for key, t in self.trials.items() if key not in self.reports]
+
+    # ------------------------------------------------------------------- told
+
+    def tell(self, report: Report) -> None:
+        """Note a final report.
+
+        Raises
+        ------
+        ConfigError
+            if none of the first trials could even begin: the search is at fault, not its points.
+        """
+        if not report.final or report.key not in self.trials:
+            return
+        self.reports[report.key] = report
+        told = list(self.reports.values())
+        if len(told) == self.options.initial and all(
+            r.status != "ok" and r.cost == 0 for r in told
+        ):
+            raise ConfigError(
+                f"None of the first {len(told)} trials could begin; of '{report.key}', "
+                f"{report.status} Correct the search's parameters or the experiment, and give run.dir "
+                "another folder."
+            )
+
+    def y(self, report: Report) -> float | None:
+        """The objective scaled by eq. 6.5; None where there is no finite one.
+
+        An objective below 0 is not scaled, since that would make it better.
+        """
+        value, scale = report.objective, self.options.sample_scale
+        if report.status != "ok" or value is None or not math.isfinite(value):
+            return None
+        return value * math.exp(-report.cost / scale) if scale is not None and value > 0 else value
+
+    def z(self, trial: Trial) -> float:
+        """The fidelity of `trial` in [0, 1]."""
+        return 1.0 if self.fidelity is None else self.fidelity.z(trial)
+
+    def data(self) -> Data:
+        """The finished trials."""
+        trials = [self.trials[key] for key in self.reports]
+        found = [self.y(report) for report in self.reports.values()]
+        worst = min((y for y in found if y is not None), default=0.0)
+        failed = worst if self.options.failed is None else self.options.failed
+        x, z = self.places(trials)
+        return Data(
+            x,
+            z,
+            _tensor([failed if y is None else y for y in found]),
+            _tensor([report.cost for report in self.reports.values()]),
+        )
+
+    def places(self, trials: Sequence[Trial]) -> tuple[Tensor, Tensor]:
+        """Where `trials` are: (n, d) in the unit cube, and fidelities (n,)."""
+        x = _tensor([self.space.unit(t.point) for t in trials]).reshape(-1, len(self.space))
+        return x, _tensor([self.z(t) for t in trials])
+
+    # ---------------------------------------------------------------- results
+
+    def best(self, whole: bool = True) -> str | None:
+        """The trial of the highest y; with `whole`, of those at full fidelity."""
+        found = {
+            key: y
+            for key, report in self.reports.items()
+            if (y := self.y(report)) is not None
+            and (not whole or self.z(self.trials[key]) >= 1 - 1e-9)
+        }
+        return max(found, key=lambda key: found[key], default=None)
+
+    def summary(self) -> list[dict[str, Any]]:
+        """A row for each trial. ``best`` is the highest y of a whole trial up to it; ``found`` marks
+        the search's answer, and the highest y of all where that is another one (algorithm 4 as
+        printed, which compares values of different fidelities)."""
+        answer, highest = self.best(), self.best(whole=False)
+        rows, best = [], None
+        for key, trial in self.trials.items():
+            report = self.reports.get(key)
+            y = None if report is None else self.y(report)
+            if y is not None and self.z(trial) >= 1 - 1e-9:
+                best = y if best is None else max(best, y)
+            rows.append(
+                {
+                    "trial": key,
+                    **trial.point,
+                    "fidelity": trial.fidelity,
+                    "start": (trial.start or {}).get("trial"),
+                    "status": "running" if report is None else report.status.partition(":")[0],
+                    "objective": None if report is None else report.objective,
+                    "y": y,
+                    "samples": None if report is None else report.cost,
+                    "best": best,
+                    "found": "answer" if key == answer else "highest y" if key == highest else "",
+                }
+            )
+        return rows
+
+
+def _tensor(values: Sequence[Any]) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)

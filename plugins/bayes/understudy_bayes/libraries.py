@@ -1,0 +1,31 @@
+"""What is used of BoTorch and GPyTorch, or one sentence about how to get them."""
+
+try:
+    from botorch.exceptions import BotorchWarning, ModelFittingError
+    from botorch.fit import fit_gpytorch_mll
+    from botorch.generation.gen import gen_candidates_scipy
+    from botorch.models import SingleTaskGP
+    from botorch.models.utils.gpytorch_modules import get_covar_module_with_dim_scaled_prior
+    from gpytorch.constraints import GreaterThan
+    from gpytorch.kernels import Kernel, ProductKernel, RBFKernel
+    from gpytorch.mlls import ExactMarginalLogLikelihood
+    from gpytorch.priors import LogNormalPrior
+except ImportError as error:
+    raise ImportError(
+        "searches with a model need BoTorch: pip install 'understudy[bayes]'"
+    ) from error
+
+__all__ = [
+    "BotorchWarning",
+    "ExactMarginalLogLikelihood",
+    "GreaterThan",
+    "Kernel",
+    "LogNormalPrior",
+    "ModelFittingError",
+    "ProductKernel",
+    "RBFKernel",
+    "SingleTaskGP",
+    "fit_gpytorch_mll",
+    "gen_candidates_scipy",
+    "get_covar_module_with_dim_scaled_prior",
+]

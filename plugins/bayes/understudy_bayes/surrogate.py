@@ -1,0 +1,146 @@
+"""A Gaussian process over the unit cube and the fidelity, through BoTorch, in float64."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from understudy import random
+from understudy.options import check_range
+from understudy_bayes.book import Book, Data
+from understudy_bayes.libraries import (
+    BotorchWarning,
+    ExactMarginalLogLikelihood,
+    GreaterThan,
+    Kernel,
+    LogNormalPrior,
+    ModelFittingError,
+    ProductKernel,
+    RBFKernel,
+    SingleTaskGP,
+    fit_gpytorch_mll,
+    get_covar_module_with_dim_scaled_prior,
+)
+
+
+@dataclass(frozen=True)
+class SurrogateOptions:
+    """Priors on length scales in the unit cube are BoTorch's (Hvarfner et al. 2024), log-normal with
+    a location that grows with √d; noise is log-normal of location -4, at least 1e-4 of y's variance."""
+
+    kernel: Literal["se", "matern"] = "se"  #: squared exponential (eq. 6.2), or Matérn 5/2
+    #: Mode and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z.
+    fidelity_scale: float = 0.3
+    fidelity_spread: float = 0.75
+
+    def __post_init__(self) -> None:
+        check_range(self, "fidelity_scale", "fidelity_spread", above=0)
+
+
+class Surrogate:
+    """k((x, z), (x', z')) = k(x, x') k_SE(z, z') (eq. 6.2), fitted to `data`.
+
+    Length scales of x are one per dimension. y is standardised to mean 0 and variance 1; all that is
+    returned is in these units, in which the prior's variance is 1 (``scale`` is one such unit in
+    units of y). Hyper-parameters are the most probable ones, found by L-BFGS from the priors' modes.
+    Whatever the fit draws depends on `seed` alone.
+    """
+
+    def __init__(self, options: SurrogateOptions, data: Data, seed: int = 0) -> None:
+        spread = data.y.std() if len(data.y) > 1 else torch.zeros(())
+        self.scale = float(spread) if spread > 1e-12 * (1 + data.y.abs().max()) else 1.0
+        self._d = data.x.shape[1]
+        self._x, self._y = _joined(data.x, data.z), (data.y - data.y.mean()) / self.scale
+        self._space = get_covar_module_with_dim_scaled_prior(
+            self._d, use_rbf_kernel=options.kernel == "se", active_dims=tuple(range(self._d))
+        )
+        location = math.log(options.fidelity_scale) + options.fidelity_spread**2
+        prior = LogNormalPrior(location, options.fidelity_spread)
+        self._fidelity = RBFKernel(
+            active_dims=(self._d,),
+            lengthscale_prior=prior,
+            lengthscale_constraint=GreaterThan(
+                0.025,
+                transform=None,  # type: ignore[arg-type]
+                initial_value=prior.mode,
+            ),
+        )
+        self._kernel: Kernel = ProductKernel(self._space, self._fidelity).double()
+        with warnings.catch_warnings(), random.private_rng(seed, "surrogate"):
+            warnings.simplefilter("ignore", BotorchWarning)
+            self._model = SingleTaskGP(
+                self._x, self._y.unsqueeze(1), covar_module=self._kernel, outcome_transform=None
+            )
+            self._fit()
+        self._model.eval()
+
+    def _fit(self) -> None:
+        model = self._model
+        begin = {name: value.clone() for name, value in model.state_dict().items()}
+        likelihood = ExactMarginalLogLikelihood(model.likelihood, model)
+        try:
+            fit_gpytorch_mll(likelihood, optimizer_kwargs={"options": {"maxiter": 200}})
+        except ModelFittingError:  # nothing can be learned from these: the priors' modes stay
+            model.load_state_dict(begin)
+
+    def believe(self, x: Tensor, z: Tensor) -> None:
+        """Take the trials at `x` (m, d), `z` (m,), which still run, to give what the model expects
+        of them ("kriging believer"), so that the next one is asked for elsewhere."""
+        if len(x) == 0:
+            return
+        with torch.no_grad():
+            mean, _ = self.posterior(x, z)
+        self._x = torch.cat([self._x, _joined(x, z)])
+        self._y = torch.cat([self._y, mean])
+        self._model.set_train_data(self._x, self._y, strict=False)
+        self._model.eval()
+
+    def posterior(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean (m,) and standard deviation (m,) of the function, without noise, at `x` (m, d) and
+        fidelities `z` (m,)."""
+        found = self._model.posterior(_joined(x, z))
+        mean, variance = found.mean, found.variance
+        assert isinstance(mean, Tensor)
+        assert isinstance(variance, Tensor)
+        return mean.squeeze(-1), variance.squeeze(-1).clamp(min=1e-12).sqrt()
+
+    def correlation(self, x: Tensor, z: Tensor, xs: Tensor, zs: Tensor) -> Tensor:
+        """k((x, z), (x_i, z_i)) (n,) of one place `x` (d,), `z` () with `xs` (n, d), `zs` (n,)."""
+        with torch.no_grad():
+            one = _joined(x.unsqueeze(0), z.reshape(1))
+            return self._kernel(one, _joined(xs, zs)).to_dense()[0]
+
+    @property
+    def fidelity_scale(self) -> float:
+        """l_z: the length scale of the fidelity's kernel."""
+        return float(self._fidelity.lengthscale.detach())
+
+    @property
+    def length_scales(self) -> list[float]:
+        """Of each dimension of x, in the unit cube; a short one means a sensitive parameter."""
+        return self._space.lengthscale.detach().reshape(-1).tolist()
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the noise."""
+        variance: Any = self._model.likelihood.noise
+        return float(variance.detach().sqrt())
+
+
+def _joined(x: Tensor, z: Tensor) -> Tensor:
+    return torch.cat([x, z.to(x).reshape(-1, 1).expand(len(x), 1)], dim=1)
+
+
+def fitted(book: Book, options: SurrogateOptions, seed: int) -> Surrogate | None:
+    """The model of what the trials in `book` gave, those that run taken as expected; None before the
+    first is finished."""
+    if not book.reports:
+        return None
+    model = Surrogate(options, book.data(), seed)
+    model.believe(*book.places(book.pending))
+    return model

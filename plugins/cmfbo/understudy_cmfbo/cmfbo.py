@@ -1,0 +1,111 @@
+"""Curriculum-based multi-fidelity Bayesian optimisation (thesis, section 6.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy import random
+from understudy.options import check_range
+from understudy.running.trials import OuterLoop, Report, Trial
+from understudy.setup.config import Part
+from understudy_bayes import draws
+from understudy_bayes.acquisition import beta, climb, upper_bound
+from understudy_bayes.book import Book, SearchOptions
+from understudy_bayes.fidelity import Fidelity
+from understudy_bayes.starts import maximise
+from understudy_bayes.surrogate import Surrogate, SurrogateOptions, fitted
+
+Z_MIN, Z_MAX = 0.0, 1.0
+
+
+class CMFBO(OuterLoop):
+    """Easy tasks find where to look, and hard ones are asked about only there (algorithms 3 and 4).
+
+    A trial is trained and judged at a difficulty; one above the least begins with the policy of the
+    nearest earlier trial. The answer is the highest y among the trials at full difficulty: algorithm
+    4 returns the highest of all, but an easy task's value says nothing about the task's.
+    """
+
+    extendable = ("trials", "budget")
+
+    @dataclass(frozen=True)
+    class Options(SearchOptions):
+        initial: int = 16  #: trials at z_min, the cheapest, at points that no model chose
+        fidelity: Fidelity = field(default_factory=Fidelity)  #: the difficulty from z_min to z_max
+        #: ε: how well y must be known at one fidelity before the next is asked about, a standard
+        #: deviation as a share of the range of all y seen; half the noise's is always enough.
+        epsilon: float = 0.02
+        #: Whether trials above z_min begin with the nearest earlier one's policy (section 6.3.3) …
+        transfer: bool = True
+        #: … and with which parts of it.
+        parts: tuple[Part, ...] = ("actor", "critic", "normaliser")
+        surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            check_range(self, "epsilon", above=0)
+            if self.transfer and not self.parts:
+                raise ValueError(
+                    "parts must not be empty: name what to transfer, or transfer=false."
+                )
+
+    def __init__(self, options: Options, seed: int = 0) -> None:
+        self._options, self._book, self._seed = options, Book(options, options.fidelity), seed
+
+    def ask(self, number: int) -> Trial | None:
+        """Algorithm 4, one iteration; the Gaussian process is fitted anew to all that was told."""
+        book, options = self._book, self._options
+        if book.over(number):
+            return None
+        if number < options.initial:
+            return book.ask(number, draws.spread(self._seed, number, len(book.space)), Z_MIN)
+        model = fitted(book, options.surrogate, random.derive_seed(self._seed, f"fit/{number}"))
+        if model is None:
+            return None
+        x, z = self._progress(model, number)
+        return book.ask(number, x.tolist(), z, self._nearest(model, x, z))
+
+    def _progress(self, model: Surrogate, number: int) -> tuple[Tensor, float]:
+        """Algorithm 3: (x_t, z_t), the easiest task about which too little is known."""
+        book, weight = self._book, beta(len(self._book.space), number + 1)
+        enough = self._options.epsilon * _range(book.data().y) / model.scale
+        enough = max(enough, model.noise / 2)  # what four trials there could tell
+        z = Z_MIN
+        x = maximise(upper_bound(model, weight, z, of=Z_MAX), book, self._seed, number)
+        while z < Z_MAX and _deviation(model, x, z) < enough:
+            z = min(z + model.fidelity_scale, Z_MAX)
+            x = climb(upper_bound(model, weight, z, of=Z_MAX), x.unsqueeze(0))
+        return x, z
+
+    def _nearest(self, model: Surrogate, x: Tensor, z: float) -> Mapping[str, Any] | None:
+        """The policy to begin with: that of the earlier trial most correlated with (x, z)."""
+        book, options = self._book, self._options
+        done = [book.trials[key] for key, r in book.reports.items() if r.status == "ok"]
+        if not options.transfer or z <= Z_MIN or not done:
+            return None
+        near = model.correlation(x, torch.tensor(z), *book.places(done)).argmax()
+        return {"trial": done[int(near)].key, "parts": list(options.parts)}
+
+    def recall(self, trial: Trial) -> bool:
+        return self._book.recall(trial)
+
+    def tell(self, report: Report) -> None:
+        self._book.tell(report)
+
+    def summary(self) -> list[dict[str, Any]]:
+        return self._book.summary()
+
+
+def _range(y: Tensor) -> float:
+    """Of the values seen (n,); 1 where they are all the same."""
+    return float(y.max() - y.min()) or 1.0
+
+
+def _deviation(model: Surrogate, x: Tensor, z: float) -> float:
+    with torch.no_grad():
+        return float(model.posterior(x.unsqueeze(0), torch.tensor([z]))[1])

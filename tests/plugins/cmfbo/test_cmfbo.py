@@ -1,0 +1,154 @@
+"""CMFBO: easy tasks first, hard ones near what was good at easy ones, policies handed on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from search_runs import Told, carry_on, valley
+
+from understudy.errors import ConfigError
+from understudy.options import make_options
+from understudy.running.trials import Report, Trial
+from understudy_bayes.book import Data
+from understudy_bayes.space import Parameter
+from understudy_bayes.surrogate import Surrogate, SurrogateOptions
+from understudy_cmfbo.cmfbo import CMFBO
+
+SPACE = {"a.x": Parameter(-1.0, 1.0), "learner.rate": Parameter(1e-4, 1e-1, "log")}
+
+
+def make(seed: int = 0, **options: Any) -> CMFBO:
+    given = {"parameters": SPACE, "trials": 20, "initial": 5, "epsilon": 0.05, **options}
+    return CMFBO(CMFBO.Options(**given), seed)
+
+
+def trials(told: Told) -> list[Trial]:
+    return [event for event in told if isinstance(event, Trial)]
+
+
+@pytest.fixture(scope="module")
+def told() -> Told:
+    return carry_on(make(), valley)
+
+
+def test_easy_tasks_come_first(told: Told) -> None:
+    fidelities = [t.fidelity for t in trials(told)]
+    assert fidelities[:5] == [0.0] * 5
+    assert 0.0 in fidelities[5:]
+    assert 0.0 < (next(f for f in fidelities if f) or 0.0) <= 1.0
+    assert 1.0 in fidelities
+
+
+def test_hard_tasks_are_asked_only_where_easy_ones_were_good(told: Told) -> None:
+    """The space that whole trials are in is a small part of what random search would cover."""
+    whole = [t for t in trials(told) if t.fidelity == 1.0]
+    assert all(abs(t.point["a.x"] - 0.3) < 0.35 for t in whole)
+
+
+def test_it_finds_the_optimum(told: Told) -> None:
+    loop = make()
+    carry_on(loop, valley, told)
+    rows = loop.summary()
+    answer = next(row for row in rows if row["found"] == "answer")
+    highest = next(row for row in rows if row["found"] == "highest y")
+    assert answer["fidelity"] == 1.0
+    assert answer["y"] > -0.02
+    assert highest["fidelity"] < 1.0
+    assert highest["y"] > answer["y"]
+    assert rows[-1]["best"] == answer["y"]
+
+
+@pytest.mark.parametrize("cut", [3, 21, 30, 37])
+def test_a_stopped_search_ends_with_the_same_trials(told: Told, cut: int) -> None:
+    assert carry_on(make(), valley, told[:cut]) == told
+
+
+def test_policies_are_handed_on(told: Told) -> None:
+    """From z_min upwards, each from an earlier finished trial, and one that is near."""
+    seen: list[str] = []
+    for trial in trials(told):
+        assert (trial.start is None) == (trial.fidelity == 0.0)
+        if trial.start is not None:
+            assert trial.start["trial"] in seen
+            assert trial.start["parts"] == ["actor", "critic", "normaliser"]
+        seen.append(trial.key)
+
+
+def test_the_nearest_trial_is_the_most_correlated_one() -> None:
+    """k((x, z), (x_i, z_i)) decides, not how good the trial was; failed ones have no policy."""
+    loop = make()
+    for number, (x, y) in enumerate([(-0.9, 5.0), (0.32, 0.0), (0.3, 0.1), (0.8, 1.0)]):
+        trial = Trial(f"trial{number}", point={"a.x": x, "learner.rate": 1e-2}, fidelity=0.5)
+        loop.recall(trial)
+        loop.tell(Report(trial.key, "ok" if number != 2 else "failed: fell", y, cost=1.0))
+    running = Trial("trial4", point={"a.x": 0.3, "learner.rate": 1e-2}, fidelity=0.5)
+    loop.recall(running)
+    x = torch.linspace(0, 1, 8, dtype=torch.float64).unsqueeze(1).expand(8, 2)
+    model = Surrogate(SurrogateOptions(), Data(x, x[:, 0], torch.sin(9 * x[:, 0]), x[:, 0]))
+    here = torch.tensor([0.65, 2 / 3]).double()
+    found = loop._nearest(model, here, 0.6)
+    assert found == {"trial": "trial1", "parts": ["actor", "critic", "normaliser"]}
+    assert loop._nearest(model, here, 0.0) is None
+
+
+def test_without_transfer_every_trial_begins_anew() -> None:
+    told = carry_on(make(transfer=False, epsilon=10.0, trials=8), valley)
+    assert trials(told)[-1].fidelity == 1.0
+    assert all(t.start is None for t in trials(told))
+
+
+def test_what_is_transferred_is_an_option() -> None:
+    told = carry_on(make(parts=("actor",), epsilon=10.0, trials=6), valley)
+    assert (trials(told)[-1].start or {})["parts"] == ["actor"]
+
+
+@pytest.mark.parametrize(("epsilon", "expected"), [(1e-9, 0.0), (1e9, 1.0)])
+def test_epsilon_decides_when_a_task_is_known_well_enough(epsilon: float, expected: float) -> None:
+    told = carry_on(make(epsilon=epsilon, trials=8), valley)
+    assert [t.fidelity for t in trials(told)[5:]] == [expected] * 3
+
+
+def test_the_step_is_the_fidelitys_length_scale() -> None:
+    """α = l_z: with one that is short, whatever is known at z_min is asked next at z_min + l_z."""
+    short = SurrogateOptions(fidelity_scale=0.3, fidelity_spread=1e-3)
+    told = carry_on(make(surrogate=short, epsilon=0.2, trials=12), valley)
+    above = [t.fidelity for t in trials(told) if t.fidelity]
+    assert above
+    assert all(
+        f == pytest.approx(min(0.3 * round(f / 0.3), 1.0), abs=0.01) or f == 1.0 for f in above
+    )
+
+
+def test_difficulty_from_and_to() -> None:
+    given = {"parameters": {"a.x": {"low": -1.0, "high": 1.0}}, "trials": 8, "initial": 5, "epsilon": 1e9}
+    options = make_options(CMFBO.Options, {**given, "fidelity": {"low": 0.2, "high": 0.8}}, "o")
+    fidelities = {t.fidelity for t in trials(carry_on(CMFBO(options, 0), valley))}
+    assert fidelities <= {0.2, 0.8}
+
+
+def test_a_total_of_samples_ends_it() -> None:
+    """N_total of algorithm 4; the trial that reaches it is the last."""
+    told = carry_on(make(trials=None, budget=400.0), valley)
+    costs = [event.cost for event in told if isinstance(event, Report)]
+    assert sum(costs[:-1]) < 400 <= sum(costs)
+
+
+@pytest.mark.parametrize("objective", [None, float("nan"), 2.0])
+def test_it_goes_on_when_nothing_is_learned(objective: float | None) -> None:
+    assert len(trials(carry_on(make(trials=9), lambda trial: objective))) == 9
+
+
+def test_errors_name_the_option() -> None:
+    good = {"parameters": {"a.x": {"low": 0.0, "high": 1.0}}, "trials": 3}
+    for bad, message in [
+        ({"epsilon": 0.0}, r"o\.epsilon=0\.0 is not possible"),
+        ({"parts": []}, "parts must not be empty"),
+        ({"parts": ["legs"]}, "'legs' is not possible"),
+        ({"fidelity": {"high": 1.5}}, r"o\.fidelity\.high|o\.fidelity\.low"),
+        ({"trials": None}, "say when the search ends"),
+        ({"parameters": {"a.x": {"low": 1.0, "high": 0.0}}}, r"o\.parameters\.a\.x\.low=1"),
+    ]:
+        with pytest.raises(ConfigError, match=message):
+            make_options(CMFBO.Options, {**good, **bad}, "o")

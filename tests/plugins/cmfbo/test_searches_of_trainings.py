@@ -1,0 +1,108 @@
+"""``understudy sweep search=cmfbo/toy``: real trainings, policies handed on, and being killed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from worlds import python
+
+from understudy.command.cli import main
+
+QUICK = (
+    "+search=cmfbo/toy",
+    "budget.samples=1024",
+    "evaluation.criterion=null",
+    "evaluation.episodes=8",
+    "evaluation.final_episodes=8",
+    "evaluation.seconds=1.0",
+    "outer_loop.trials=4",
+    "outer_loop.initial=2",
+    "outer_loop.epsilon=1e9",
+)
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
+
+
+def asked(folder: Path) -> list[dict[str, Any]]:
+    return [row["trial"] for row in rows(folder) if row["event"] == "asked"]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("search")
+    assert main(["sweep", *QUICK, f"run.dir={folder}"]) == 0
+    return folder
+
+
+def test_trials_are_trained_at_their_difficulty(whole: Path) -> None:
+    """…, with the options of their point, from the policy of an earlier one."""
+    trials = asked(whole)
+    assert [t["fidelity"] for t in trials] == [0.0, 0.0, 1.0, 1.0]
+    for trial in trials:
+        run = json.loads((whole / trial["key"] / "run.json").read_text())
+        config = run["config"]
+        assert config["difficulty"] == trial["fidelity"]
+        assert config["learner"]["epochs"] == trial["point"]["learner.epochs"]
+        assert config["actuation"]["strength"] == trial["point"]["actuation.strength"]
+        start = trial["start"]
+        assert (config["start"] or {}).get("run") == (start and str(whole / start["trial"]))
+    summary = json.loads((whole / "summary.json").read_text())
+    assert [row["trial"] for row in summary if row["found"] == "answer"] in (["trial2"], ["trial3"])
+
+
+#: Carries the sweep out and dies when row `after` of the journal is written.
+KILLED = """
+import os, sys
+import torch
+torch.set_num_threads(1)
+from understudy.command.cli import main
+from understudy_sweeps import sweep as module
+folder, after, *overrides = sys.argv[1:]
+
+def dying(write):
+    def written(self, event):
+        write(self, event)
+        if len(self.events) == int(after):
+            os._exit(9)
+    return written
+
+module.Journal.ask = dying(module.Journal.ask)
+module.Journal.tell = dying(module.Journal.tell)
+main(["sweep", *overrides, f"run.dir={folder}"])
+"""
+
+
+@pytest.mark.parametrize("after", [3, 6])
+def test_killed_and_started_again(whole: Path, tmp_path: Path, after: int) -> None:
+    folder = tmp_path / "search"
+    died = python(KILLED, str(folder), str(after), *QUICK, cwd=tmp_path)
+    assert died.returncode == 9, died.stderr
+    assert len(rows(folder)) == after
+    assert main(["sweep", *QUICK, f"run.dir={folder}"]) == 0
+    assert asked(folder) == asked(whole)
+
+
+def test_an_option_that_is_none_is_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Trials that cannot begin are the search's fault: it ends, with status 2."""
+    bad = "outer_loop.parameters={learner.epoch: {low: 1, high: 8, integer: true}}"
+    quick = [o for o in QUICK if not o.startswith("outer_loop.e")]
+    assert main(["sweep", *quick, bad, f"run.dir={tmp_path / 's'}"]) == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert "None of the first 2 trials could begin" in message
+    assert "learner has no option 'epoch'. Did you mean 'epochs'?" in message
+
+
+def test_a_range_that_is_none_is_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = "outer_loop.parameters={learner.clip: {low: 0.0, high: 0.2, scale: log}}"
+    assert main(["sweep", *QUICK, bad, f"run.dir={tmp_path / 's'}"]) == 2
+    assert "outer_loop.parameters.learner.clip.low=0 is not possible" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
