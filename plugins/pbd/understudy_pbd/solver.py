@@ -205,7 +205,6 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
     for shape in range(s.tools.shapes):
         at_before = s.tools.shape_position_before[world, shape]
         at = s.tools.shape_position[world, shape]
-        # no faster than the particle's motion and that of the shape's farthest point
         before = wp.quat_rotate_inv(s.tools.shape_rotation_before[world, shape], start - at_before)
         turn = s.tools.shape_rotation[world, shape]
         after = wp.quat_rotate_inv(turn, result - at)
