@@ -208,6 +208,7 @@ SPHERE = (
         (Box((0.001, 0.12, 0.05)), 4.0),  # thinner than what it moves in a sub-step
         (Capsule(0.03, 0.08, orientation=(0.7071, 0.7071, 0.0, 0.0)), 1.0),
         (Grid(SPHERE, 0.005, (-0.08,) * 3), 1.0),
+        (Grid(SPHERE, 0.005, (-0.08,) * 3), 4.0),
     ],
 )
 def test_nothing_is_in_the_tool_or_the_table(shape: Shape, speed: float) -> None:
