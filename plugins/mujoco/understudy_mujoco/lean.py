@@ -15,6 +15,8 @@ _PASSIVE = (
     *("actuator_damping", "actuator_dampingpoly", "body_gravcomp"),
 )
 _MIXED = ("geom_priority", "geom_solref", "geom_solimp")
+#: Beyond this, looking at all pairs costs more than it can save.
+_MOST_GEOMS = 1000
 _OF_GEOMS = ("geom_margin", "geom_gap", "geom_surfacevel")
 
 
@@ -56,6 +58,8 @@ def _pair_with_floors(spec: mujoco.MjSpec, model: mujoco.MjModel) -> bool:
     MuJoCo sorts all bodies along an axis in each step to find which might touch one another, also
     where none may. A floor is tested with everything anyway.
     """
+    if model.ngeom > _MOST_GEOMS:
+        return False
     pairs = _possible_contacts(model)
     floors = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0)
     alike = all((getattr(model, n) == getattr(model, n)[:1]).all() for n in _MIXED)
@@ -87,15 +91,14 @@ def _possible_contacts(model: mujoco.MjModel) -> list[tuple[int, int]]:
     kind, affinity = model.geom_contype, model.geom_conaffinity
     welded = model.body_weldid[model.geom_bodyid]
     above = model.body_weldid[model.body_parentid[welded]]
-    pairs = []
-    for a in range(model.ngeom):
-        for b in range(a + 1, model.ngeom):
-            related = welded[a] and welded[b] and (welded[a] == above[b] or welded[b] == above[a])
-            meant = kind[a] & affinity[b] or kind[b] & affinity[a]
-            if meant and welded[a] != welded[b] and not related:
-                first, second = sorted((a, b), key=lambda g: model.geom_type[g])
-                pairs.append((first, second))
-    return pairs
+    meant = (kind[:, None] & affinity) | (affinity[:, None] & kind)
+    related = (welded[:, None] == above) | (above[:, None] == welded)
+    related &= (welded[:, None] != 0) & (welded != 0)
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+        related[:] = False
+    possible = (meant != 0) & (welded[:, None] != welded) & ~related
+    pairs = np.argwhere(np.triu(possible)).tolist()
+    return [(b, a) if model.geom_type[b] < model.geom_type[a] else (a, b) for a, b in pairs]
 
 
 def read_no_clock() -> None:
