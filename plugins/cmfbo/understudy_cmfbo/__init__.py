@@ -1,0 +1,12 @@
+"""Curriculum-based multi-fidelity Bayesian optimisation (thesis, chapter 6)."""
+
+from understudy import hookimpl
+from understudy.setup.registry import Registrar
+
+#: Plugins that this one builds on.
+REQUIRES: tuple[str, ...] = ()
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    pass

@@ -1,0 +1,12 @@
+"""Position-based dynamics of particles in Warp, N worlds at once."""
+
+from understudy import hookimpl
+from understudy.setup.registry import Registrar
+
+#: Plugins that this one builds on.
+REQUIRES: tuple[str, ...] = ()
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    pass
