@@ -6,6 +6,7 @@ slow. The tests marked gpu run the same checks where they matter.
 
 from __future__ import annotations
 
+import gc
 import itertools
 import os
 import subprocess
@@ -262,6 +263,23 @@ def test_recorded_evaluations_are_the_same_evaluations() -> None:
     evaluator._step._on = False
     assert evaluator.run(job.policy, "test", 40) == first
     assert evaluator.run(job.policy, "other", 40) != first
+
+
+@pytest.mark.gpu
+def test_garbage_ends_no_recording() -> None:
+    """Another environment's recording that is freed while a step is recorded would end it."""
+    threshold = gc.get_threshold()
+    for _ in range(2):
+        garbage: list[object] = [torch.cuda.CUDAGraph()]
+        with torch.cuda.graph(garbage[0]):  # type: ignore[arg-type]
+            torch.zeros(1, device="cuda").add_(1)
+        garbage.append(garbage)
+        del garbage
+    gc.set_threshold(1)
+    try:
+        assert learning(on_gpu()).environment.recorded_step.recording
+    finally:
+        gc.set_threshold(*threshold)
 
 
 @pytest.mark.gpu

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
+from understudy.running.recorded import uncollected
 from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import Stage, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
@@ -260,7 +261,7 @@ class MujocoWarpSimulator(Simulator):
         for name, value in before.items():
             self._state[name].copy_(value)
         self._overflow.copy_(overflow)
-        with self._on_device(), wp.ScopedCapture() as capture:
+        with uncollected(), self._on_device(), wp.ScopedCapture() as capture:
             work()
         return capture.graph
 
