@@ -122,7 +122,12 @@ def test_the_step_is_the_fidelitys_length_scale() -> None:
 
 
 def test_difficulty_from_and_to() -> None:
-    given = {"parameters": {"a.x": {"low": -1.0, "high": 1.0}}, "trials": 8, "initial": 5, "epsilon": 1e9}
+    given = {
+        "parameters": {"a.x": {"low": -1.0, "high": 1.0}},
+        "trials": 8,
+        "initial": 5,
+        "epsilon": 1e9,
+    }
     options = make_options(CMFBO.Options, {**given, "fidelity": {"low": 0.2, "high": 0.8}}, "o")
     fidelities = {t.fidelity for t in trials(carry_on(CMFBO(options, 0), valley))}
     assert fidelities <= {0.2, 0.8}
