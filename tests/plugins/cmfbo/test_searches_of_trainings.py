@@ -12,7 +12,7 @@ from worlds import python
 from understudy.command.cli import main
 
 QUICK = (
-    "+search=cmfbo/toy",
+    "search=cmfbo/toy",
     "budget.samples=1024",
     "evaluation.criterion=null",
     "evaluation.episodes=8",
