@@ -14,6 +14,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
+from understudy.running.recorded import uncollected
 from understudy.task import Context, Shape, Simulator
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
@@ -236,9 +237,8 @@ class ParticleSimulator(Simulator):
         s.overflow = wp.zeros((n, p), dtype=int)
         rounds = math.ceil(p / options.threads)
         threads = 32 * math.ceil(math.ceil(p / rounds) / 32)
-        shared = 1 << (p - 1).bit_length()  # so that scenes of similar size share kernels
-        if shared > SHARED_PARTICLES:
-            shared = 0
+        rounded = 1 << (p - 1).bit_length()  # so that scenes of similar size share kernels
+        shared = min(rounded, SHARED_PARTICLES) if p <= SHARED_PARTICLES else 0
         features = Features(
             fluids=bool(fluids),
             springs=partners.shape[1] > 0,
@@ -312,6 +312,7 @@ class ParticleSimulator(Simulator):
             self._state[name].copy_(value)
         self._overflow.copy_(overflow)
         with (
+            uncollected(),
             wp.ScopedDevice(wp.device_from_torch(self._device)),
             wp.ScopedCapture() as capture,
         ):

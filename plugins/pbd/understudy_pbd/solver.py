@@ -38,8 +38,9 @@ from understudy_pbd.shapes import Tools, local_distance, move_tool, place_shape,
 #: their number (−1: it is not there), which iterations read and write in turn, and one of where the
 #: sub-step began, with λ of the fluid.
 ROWS = 3
-#: Particles whose working memory fits into the shared memory of a block (48 KiB).
-SHARED_PARTICLES = 1024
+#: Particles whose working memory fits into the shared memory of a block: 45 of 48 KiB, of which Warp
+#: takes one.
+SHARED_PARTICLES = 960
 #: Nearer than this particles have no direction from each other, m.
 _NEAR = wp.constant(1e-9)
 #: How often a particle is pushed out of tools and table that push it into each other.

@@ -19,7 +19,7 @@ from understudy.task import Simulator
 from understudy.testing import check_simulator
 from understudy_pbd.scene import Fluid, Material, ParticleModel, Springs
 from understudy_pbd.simulator import ParticleSimulator
-from understudy_pbd.solver import Features, build_kernels
+from understudy_pbd.solver import SHARED_PARTICLES, Features, build_kernels
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -189,7 +189,7 @@ def test_it_is_drawn(tmp_path: Path) -> None:
     "features",
     [
         Features(fluids=False, springs=False, alike=True, shared=256, threads=224),
-        Features(fluids=True, springs=True, alike=False, shared=1024, threads=256),
+        Features(fluids=True, springs=True, alike=False, shared=SHARED_PARTICLES, threads=256),
     ],
 )
 def test_kernels_compile_for_cuda(features: Features, tmp_path: Path) -> None:
