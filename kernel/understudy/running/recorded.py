@@ -7,10 +7,8 @@ the next replay.
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -23,17 +21,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _WARM_UP = 3
-
-
-@contextlib.contextmanager
-def uncollected() -> Iterator[None]:
-    """No garbage is collected within: CUDA ends a recording when another graph is freed meanwhile."""
-    gc.collect()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
 
 
 @dataclass(frozen=True)
@@ -98,11 +85,7 @@ class Recorded(Generic[T]):
         try:
             # A pool of its own: a simulator may end and resume the capture, after which torch no
             # longer knows that its allocations belong to it.
-            with (
-                uncollected(),
-                torch.cuda.use_mem_pool(pool),
-                torch.cuda.graph(graph, stream=self._stream),
-            ):
+            with torch.cuda.use_mem_pool(pool), torch.cuda.graph(graph, stream=self._stream):
                 environment.refresh()  # values computed before are not in the recording
                 result = self._work(given)
         except RuntimeError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import os
 import shutil
 import tempfile
@@ -17,7 +18,6 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.running.recorded import uncollected
 from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import Stage, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
@@ -261,7 +261,8 @@ class MujocoWarpSimulator(Simulator):
         for name, value in before.items():
             self._state[name].copy_(value)
         self._overflow.copy_(overflow)
-        with uncollected(), self._on_device(), wp.ScopedCapture() as capture:
+        gc.collect()  # another recording that is freed during this one would end it
+        with self._on_device(), wp.ScopedCapture() as capture:
             work()
         return capture.graph
 

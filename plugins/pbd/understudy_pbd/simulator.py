@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,6 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
-from understudy.running.recorded import uncollected
 from understudy.task import Context, Shape, Simulator
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
@@ -311,8 +311,8 @@ class ParticleSimulator(Simulator):
         for name, value in before.items():
             self._state[name].copy_(value)
         self._overflow.copy_(overflow)
+        gc.collect()  # another recording that is freed during this one would end it
         with (
-            uncollected(),
             wp.ScopedDevice(wp.device_from_torch(self._device)),
             wp.ScopedCapture() as capture,
         ):
