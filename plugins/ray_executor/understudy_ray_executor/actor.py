@@ -1,0 +1,42 @@
+"""What runs on the cluster: one trial, advanced when it is asked to. Speaks JSON."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Generator
+
+from understudy.running.trials import Report
+from understudy_sweeps.pool import begun, written
+from understudy_sweeps.trial import run_trial
+
+
+class Carrier:
+    """Carries out the trial of a :func:`understudy_sweeps.pool.job`."""
+
+    def __init__(self, job: str) -> None:
+        self._job = job
+        self._reports: Generator[Report | None, bool | None, None] | None = None
+
+    def process(self) -> int:
+        return os.getpid()
+
+    def go_on(self, stop: bool, seconds: float) -> str:
+        """Until the next report, `seconds` at most: the message, empty if there is no report.
+        `stop` answers the last one."""
+        deadline = time.monotonic() + seconds
+        answer: bool | None = stop
+        if self._reports is None:
+            self._reports, answer = run_trial(*begun(self._job)), None
+        while True:
+            report = self._reports.send(answer)
+            if report is not None:
+                return written(report)
+            answer = False
+            if time.monotonic() > deadline:
+                return ""
+
+    def close(self) -> None:
+        """Leave the trial saved."""
+        if self._reports is not None:
+            self._reports.close()
