@@ -123,7 +123,7 @@ class _Actor(Host):
 
     def __init__(self, actor: Any) -> None:
         self._actor, self._answer = actor, False
-        self._saving, self._began = False, False
+        self._saving = False
         self.call: Any = actor.process.remote()
 
     def receive(self) -> str | None:
@@ -136,9 +136,8 @@ class _Actor(Host):
             raise Lost(f"it failed with {_words(error.cause)}") from error
         except RayError as error:
             raise Lost(f"its process on the cluster died ({type(error).__name__})") from error
-        if not self._began:
-            self._began = True
-            message = '{"began": true}'
+        if self.process is None:
+            self.process, message = message, '{"began": true}'
         elif message is None:
             raise Lost("it was told to end")
         if self._saving:

@@ -31,6 +31,8 @@ class Lost(Exception):
 class Host(ABC):
     """A process that carries out one trial."""
 
+    process: int | None = None  #: its number on its machine, once that is known
+
     @abstractmethod
     def receive(self) -> str | None:
         """The next message, or None if there is none yet; Lost if there never will be one."""
@@ -67,7 +69,7 @@ class _Running:
     deadline: float | None = None  #: since it began
     late: bool = False
     paused: bool = False  #: it reported and waits for an answer
-    error: str = ""
+    error: str = ""  #: what it said before it ended
     cost: float = 0.0
 
 

@@ -90,6 +90,7 @@ class _Child(Host):
         arguments = (theirs, job(trial, work, threads), str(output.absolute()))
         self._process = server.Process(target=_carry_out, args=arguments, daemon=True)
         self._process.start()
+        self.process = self._process.pid
         theirs.close()
 
     def receive(self) -> str | None:

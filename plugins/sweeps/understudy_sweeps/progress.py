@@ -64,9 +64,14 @@ def describe(journal: Journal, trials: int, running: int) -> str:
     parts = [f"{done} done", f"{running} running"]
     if failed:
         parts.append(f"{failed} failed")
-    found = [(r.objective, r.key) for r in finished.values() if r.objective is not None]
+    levels = {trial.key: trial.fidelity or 0.0 for trial in journal.asked}
+    found = [
+        (levels.get(r.key, 0.0), r.objective, r.key)
+        for r in finished.values()
+        if r.objective is not None
+    ]
     if found:
-        objective, key = max(found)
+        _, objective, key = max(found)  # of the greatest fidelity
         parts.append(f"best {objective:.3g} ({key})")
     return " · ".join(parts)
 

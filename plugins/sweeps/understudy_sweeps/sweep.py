@@ -134,31 +134,40 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
             progress.show(journal, talk.loop.share, running)
             if running == 0:
                 return
-            try:
-                report = executor.wait()
-            except PreemptedError as error:  # a trial in this process took the signal
-                raise _interrupted(error, page.folder) from error
-            if report is not None and talk.digest(report):
+            report = _next(executor, stop, page.folder)
+            if talk.digest(report):
                 executor.stop(report.key)
-            if report is not None and report.final:
+            if report.final:
                 running -= 1
                 page.write(journal)
-            if stop.received is not None:
-                name = signal.Signals(stop.received).name
-                raise _interrupted(f"Stopped by {name}", page.folder)
 
 
-def _interrupted(why: object, folder: Path) -> PreemptedError:
-    stopped = str(why).partition(" after ")[0]
+def _next(executor: Executor, stop: StopRequest, folder: Path) -> Report:
+    """The next report, unless this process is told to stop."""
+    while stop.received is None:
+        try:
+            report = executor.wait()
+        except PreemptedError as error:  # a trial in this process took the signal
+            raise _interrupted(str(error).partition(" after ")[0], folder) from error
+        if report is not None:
+            return report
+    raise _interrupted(f"Stopped by {signal.Signals(stop.received).name}", folder)
+
+
+def _interrupted(why: str, folder: Path) -> PreemptedError:
     return PreemptedError(
-        f"{stopped}; finished trials, and the last checkpoints of the others, are in {folder}. "
-        "Give the same command again to go on."
+        f"{why}; finished trials, and the last checkpoints of the others, are in {folder}. Give the "
+        "same command again to go on."
     )
 
 
 def _check(trials: Sequence[Trial | None], work: Work) -> None:
     """Refuse a sweep of which a variant cannot be composed, before anything runs."""
-    for trial in {(t.variant or t.key): t for t in reversed(trials) if t is not None}.values():
+    seen: set[str] = set()
+    for trial in trials:
+        if trial is None or (trial.variant or trial.key) in seen:
+            continue
+        seen.add(trial.variant or trial.key)
         if "trial" in (trial.start or {}):
             trial = dataclasses.replace(trial, start=None)
         try:
