@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-import os
+import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -93,8 +93,8 @@ def _connect(address: str | None) -> None:
     own: dict[str, Any] = {}
     if address is None:
         own = {"include_dashboard": False, "object_store_memory": _OBJECT_STORE}
-        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
+        _reach(address)
         ray.init(address or "local", log_to_driver=False, logging_level=logging.ERROR, **own)
     except (ConnectionError, ValueError, RuntimeError, OSError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -102,6 +102,13 @@ def _connect(address: str | None) -> None:
             f"There is no Ray cluster at executor.address={address}: {reason.rstrip('.')}. Start one "
             "(ray start --head), or leave the address out to use this machine."
         ) from error
+
+
+def _reach(address: str | None) -> None:
+    """An OSError at once where nobody listens: Ray would try for minutes."""
+    host, _, port = (address or "").rpartition("://")[2].rpartition(":")
+    if port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
 
 
 def _room(wanted: dict[str, float]) -> int:

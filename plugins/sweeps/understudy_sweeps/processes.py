@@ -31,8 +31,8 @@ from understudy_sweeps.trial import folder_of, run_trial
 OUTPUT = "output.txt"
 #: Seconds in which a trial whose sweep is gone saves and ends.
 _ORPHANED = 30.0
-#: What the server imports.
-_PRELOADED = ["torch", "understudy_sweeps.processes", "understudy.setup.building"]
+#: What the server imports: all that takes long, torch's compiler (which its optimisers touch) included.
+_PRELOADED = ["torch._dynamo", "understudy_sweeps.processes"]
 
 
 class Processes(Executor):

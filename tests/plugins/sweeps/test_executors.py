@@ -59,7 +59,7 @@ def test_gives_up(tmp_path: Path) -> None:
 
 
 def test_time_limit(tmp_path: Path) -> None:
-    executors.check_time_limit(built("processes", retries=1, seconds=1), tmp_path)
+    executors.check_time_limit(built("processes", retries=1, seconds=4), tmp_path)
 
 
 def test_what_a_trial_says_is_in_its_folder(
