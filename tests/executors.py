@@ -172,5 +172,3 @@ def check_time_limit(build: Callable[[Work], Executor], folder: Path) -> None:
     assert done == list(range(1, len(done) + 1))
     saved = [int(p.name) for p in checkpoint.newest(folder_of("a", folder) / "checkpoints")]
     assert saved[0] == done[-1], "it was saved when it was told to end"
-
-

@@ -30,7 +30,9 @@ def draw_points(
         frame = np.empty((height, width, 3), np.float32)
         frame[:] = _PAPER
 
-        def paint(inside: np.ndarray, colour: tuple[int, int, int], frame: np.ndarray = frame) -> None:
+        def paint(
+            inside: np.ndarray, colour: tuple[int, int, int], frame: np.ndarray = frame
+        ) -> None:
             """`inside` (H, W) m from the edge, positive within: edges are a pixel soft."""
             cover = np.clip(inside * metre + 0.5, 0.0, 1.0)[..., None]
             frame += cover * (np.array(colour, np.float32) - frame)
@@ -38,7 +40,9 @@ def draw_points(
         if upright:
             paint(-np.abs(y) + 0.01 + 0.0 * x, _LINE)
         if "bar_height" in tracks:
-            post = np.minimum(0.02 - np.abs(x), np.minimum(y, float(tracks["bar_height"][step]) - y))
+            post = np.minimum(
+                0.02 - np.abs(x), np.minimum(y, float(tracks["bar_height"][step]) - y)
+            )
             paint(post, _TARGET)
         if "target" in tracks:
             away = np.hypot(x - tracks["target"][step, 0], y - tracks["target"][step, 1])

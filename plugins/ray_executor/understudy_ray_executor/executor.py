@@ -138,7 +138,7 @@ class _Actor(Host):
             return None
         call, self.call = self.call, None
         try:
-            message = ray.get(call)
+            message: Any = ray.get(call)
         except RayTaskError as error:
             raise Lost(f"it failed with {_words(error.cause)}") from error
         except RayError as error:
@@ -177,6 +177,8 @@ def _words(error: Any) -> str:
 
 
 def _await(hosts: Sequence[Host], seconds: float) -> Sequence[Host]:
-    calls = {host.call: host for host in hosts if isinstance(host, _Actor) and host.call is not None}
+    calls = {
+        host.call: host for host in hosts if isinstance(host, _Actor) and host.call is not None
+    }
     ready, _ = ray.wait(list(calls), timeout=seconds) if calls else ([], [])
     return [calls[call] for call in ready]

@@ -138,9 +138,7 @@ def draw_series(chart: Chart, series: Sequence[Series], end: float) -> str:
                     for x, y in points.tolist()
                 ]
         parts.append(f'<g style="{escape(one.style)}">{"".join(inner)}</g>')
-    return (
-        f'<div class="card chart"><h4>{title}</h4>{svg(grid(axes) + "".join(parts), chart.title)}</div>'
-    )
+    return f'<div class="card chart"><h4>{title}</h4>{svg(grid(axes) + "".join(parts), chart.title)}</div>'
 
 
 def svg(content: str, label: str, height: float = HEIGHT) -> str:

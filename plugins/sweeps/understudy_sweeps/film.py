@@ -24,6 +24,7 @@ from understudy_report.video import write_video
 _WIDTHS = {1: 640, 2: 480, 3: 360}
 _RATE = 30.0  #: frames a second, at most
 _SECONDS = 20.0  #: at most
+_EDGE = 120  #: the grey between tiles
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,12 @@ def make_film(path: Path, tiles: Sequence[Tile]) -> None:
         for shown in zip(*sheets, strict=True):
             cells = [*shown, *[blank] * (-len(shown) % columns)]
             lines = [np.hstack(cells[i : i + columns]) for i in range(0, len(cells), columns)]
-            yield np.vstack(lines)
+            sheet = np.vstack(lines)
+            for edge in range(1, columns):
+                sheet[:, edge * size[0] - 1 : edge * size[0] + 1] = _EDGE
+            for edge in range(1, len(lines)):
+                sheet[edge * size[1] - 1 : edge * size[1] + 1] = _EDGE
+            yield sheet
 
     write_video(path, frames(), rate)
     write_atomically(mark, note)
@@ -77,7 +83,9 @@ def make_film(path: Path, tiles: Sequence[Tile]) -> None:
 
 def _identity(tiles: Sequence[Tile]) -> bytes:
     """What decides how the film looks."""
-    stamps = [(t.name, t.run.name, t.recording.stat().st_mtime_ns) for t in tiles if t.recording.exists()]
+    stamps = [
+        (t.name, t.run.name, t.recording.stat().st_mtime_ns) for t in tiles if t.recording.exists()
+    ]
     return json.dumps(stamps).encode()
 
 

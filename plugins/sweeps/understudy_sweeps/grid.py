@@ -77,7 +77,11 @@ class Grid(OuterLoop):
         """Per variant: seeds finished, and mean and spread of the objective and samples."""
         rows = []
         for name in self._variants:
-            found = [self._results[t.key] for t in self.plan if t.variant == name and t.key in self._results]
+            found = [
+                self._results[t.key]
+                for t in self.plan
+                if t.variant == name and t.key in self._results
+            ]
             done = [r for r in found if r.objective is not None]
             values = [r.objective for r in done if r.objective is not None]
             samples = [r.cost for r in done]

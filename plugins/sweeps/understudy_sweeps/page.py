@@ -179,7 +179,9 @@ def _headline(results: Sequence[Result], variants: Sequence[Variant], objective:
     what = f"{len(variants)} variants" if len(variants) > 1 else "A search"
     if variants:
         seeds = len({r.trial.seed for r in results})
-        what = f"{len(variants)} variant{'s' * (len(variants) > 1)}, {seeds} seed{'s' * (seeds > 1)}"
+        what = (
+            f"{len(variants)} variant{'s' * (len(variants) > 1)}, {seeds} seed{'s' * (seeds > 1)}"
+        )
     parts = [f"{what}: {done} of {len(results)} trials asked for are finished"]
     if failed:
         parts.append(f"{failed} of them failed")
@@ -187,7 +189,9 @@ def _headline(results: Sequence[Result], variants: Sequence[Variant], objective:
     if not variants and best is not None and best.report is not None:
         at = ", ".join(f"{name}={value:g}" for name, value in best.trial.point.items())
         value = tables.shown(best.report.objective, objective)
-        parts.append(f"the best {objective.replace('_', ' ')} is {value}, of {best.trial.key} ({at})")
+        parts.append(
+            f"the best {objective.replace('_', ' ')} is {value}, of {best.trial.key} ({at})"
+        )
     return "; ".join(parts) + "."
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from understudy.records.runs import Run
 from understudy.running.trials import Report, Trial
@@ -25,7 +24,7 @@ class Result:
     report: Report | None  #: the final one
     path: Path  #: its run folder
     rows: Sequence[Row] = ()  #: its metrics
-    evaluation: Row = ()  # type: ignore[assignment] # its last evaluation
+    evaluation: Row = field(default_factory=dict)  #: its last one
 
     @property
     def ok(self) -> bool:
@@ -109,7 +108,9 @@ def objective_of(results: Sequence[Result]) -> str:
 
 def final_fidelity(results: Sequence[Result]) -> float | None:
     """The greatest fidelity of any finished trial, at which objectives are compared."""
-    return max((r.trial.fidelity for r in results if r.ok and r.trial.fidelity is not None), default=None)
+    return max(
+        (r.trial.fidelity for r in results if r.ok and r.trial.fidelity is not None), default=None
+    )
 
 
 def best_of(results: Sequence[Result]) -> Result | None:
@@ -117,8 +118,3 @@ def best_of(results: Sequence[Result]) -> Result | None:
     fidelity = final_fidelity(results)
     found = [r for r in results if r.trial.fidelity == fidelity and r.figure(OBJECTIVE) is not None]
     return max(found, key=lambda r: r.figure(OBJECTIVE) or 0.0, default=None)
-
-
-def plain(value: Any) -> Any:
-    """For CSV: nothing in place of None."""
-    return "" if value is None else value

@@ -9,10 +9,10 @@ import numpy as np
 
 from understudy_report import words
 from understudy_report.charts import HEIGHT, WIDTH, Axes, grid, svg
-from understudy_sweeps.results import OBJECTIVE, SAMPLES, Result, final_fidelity
+from understudy_sweeps.results import OBJECTIVE, SAMPLES, Result, best_of, final_fidelity
 
-#: Viridis, dark to light: its order is seen in grey and by colour-blind readers too.
-_VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+#: Viridis, less its lightest end: its order is seen in grey and by colour-blind readers too.
+_VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (189, 206, 38))
 
 
 def charts(results: Sequence[Result], objective: str) -> str:
@@ -38,7 +38,7 @@ def charts(results: Sequence[Result], objective: str) -> str:
     return (
         (f'<p class="variants">{key}</p>' if key else "")
         + f'<div class="pair">{"".join(cards)}</div><p>{escape("; ".join(notes))}. In the second '
-        "picture a trial is a line through its values, yellow where the objective is high.</p>"
+        "picture a trial is a line through its values, light where the objective is high, the best one bold.</p>"
     )
 
 
@@ -86,10 +86,15 @@ def _history(results: Sequence[Result]) -> str:
 def _parallel(done: Sequence[Result], objective: str) -> str:
     """A line for each trial across one axis for each parameter, the objective last."""
     names = list(dict.fromkeys(name for r in done for name in r.trial.point))
-    found = [
-        [*(float(r.trial.point.get(name, np.nan)) for name in names), r.figure(OBJECTIVE)] for r in done
+    rows = [
+        {**r.trial.point, "fidelity": r.trial.fidelity, objective: r.figure(OBJECTIVE)}
+        for r in done
     ]
+    if any(r.trial.fidelity is not None for r in done):
+        names.append("fidelity")
+    found = [[row.get(name) for name in (*names, objective)] for row in rows]
     values = np.array(found, dtype=float)
+    best = best_of(done)
     least, most = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
     shares = (values - least) / np.where(most > least, most - least, 1.0)
     top, bottom, left, right = 22.0, HEIGHT - 34.0, 40.0, WIDTH - 40.0
@@ -107,7 +112,7 @@ def _parallel(done: Sequence[Result], objective: str) -> str:
     for index in np.argsort(values[:, -1]):  # the best are on top
         share = float(shares[index, -1])
         points = [f"{x:.1f} {y:.1f}" for x, y in zip(xs, ys[index], strict=True) if np.isfinite(y)]
-        emphasis = " top" if index == int(np.argmax(values[:, -1])) else ""
+        emphasis = " top" if done[index] is best else ""
         parts.append(
             f'<path class="parallel{emphasis}" stroke="{_viridis(share)}" d="M{"L".join(points)}">'
             f"<title>{escape(done[index].trial.key)}</title></path>"

@@ -135,7 +135,11 @@ def compared(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> Ta
 
 def _same(name: str, of: Any, objective: str) -> bool:
     """Whether the figure `name` is what the published numbers are `of`."""
-    return name == of or (of == OBJECTIVE and name == objective) or (name == OBJECTIVE and of == objective)
+    return (
+        name == of
+        or (of == OBJECTIVE and name == objective)
+        or (name == OBJECTIVE and of == objective)
+    )
 
 
 def compared_csv(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> str:

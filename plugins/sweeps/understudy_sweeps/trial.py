@@ -124,7 +124,11 @@ def overrides_of(trial: Trial, work: Work) -> list[str]:
         own.append(f"start={written(trial.start)}")
     if trial.initial_states is not None:
         own.append(f"initial_states={written({'name': 'bank', 'file': trial.initial_states})}")
-    own += ["outer_loop=null", "executor=null", f"run.dir={written(str(folder_of(trial.key, work.folder)))}"]
+    own += [
+        "outer_loop=null",
+        "executor=null",
+        f"run.dir={written(str(folder_of(trial.key, work.folder)))}",
+    ]
     return replaced(work.overrides, own)
 
 

@@ -119,7 +119,13 @@ sys.exit(main(sys.argv[1:]))
 
 
 def test_without_ray_a_sentence_says_how_to_install_it(tmp_path: Path) -> None:
-    arguments = ["sweep", *SMALL_STOP, "outer_loop=grid", "executor=ray", f"run.dir={tmp_path / 's'}"]
+    arguments = [
+        "sweep",
+        *SMALL_STOP,
+        "outer_loop=grid",
+        "executor=ray",
+        f"run.dir={tmp_path / 's'}",
+    ]
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_RAY, *arguments],
         env=child_environment(), capture_output=True, text=True, timeout=100,
@@ -132,5 +138,7 @@ def test_without_ray_a_sentence_says_how_to_install_it(tmp_path: Path) -> None:
 
 def test_no_cluster_at_the_address() -> None:
     """Said at once, where Ray would try for minutes."""
-    with pytest.raises(UnderstudyError, match=r"no Ray cluster at executor\.address=127\.0\.0\.1:1: "):
+    with pytest.raises(
+        UnderstudyError, match=r"no Ray cluster at executor\.address=127\.0\.0\.1:1: "
+    ):
         _connect("127.0.0.1:1")

@@ -14,7 +14,9 @@ def curve(*points: tuple[float, float]) -> np.ndarray:
 
 def test_the_mean_of_curves_at_different_samples() -> None:
     """On a common axis, as far as all have come: one more seed that ended early draws no jump."""
-    line, band = mean_curve([curve((0, 0), (100, 10)), curve((20, 4), (60, 8)), curve((0, 2), (200, 2))])
+    line, band = mean_curve(
+        [curve((0, 0), (100, 10)), curve((20, 4), (60, 8)), curve((0, 2), (200, 2))]
+    )
     assert (line[0, 0], line[-1, 0]) == (20, 60)
     assert line[0, 1] == pytest.approx((2 + 4 + 2) / 3)
     assert line[-1, 1] == pytest.approx((6 + 8 + 2) / 3)

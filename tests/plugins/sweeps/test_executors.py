@@ -90,7 +90,9 @@ def test_workers_by_default(device: str, workers: int, tmp_path: Path) -> None:
     assert make("processes", Work((), str(tmp_path), device)).free() == workers
 
 
-@pytest.mark.parametrize("option", ["workers=0", "seconds=0", "retries=-1", "grace=-1", "threads=0"])
+@pytest.mark.parametrize(
+    "option", ["workers=0", "seconds=0", "retries=-1", "grace=-1", "threads=0"]
+)
 def test_options_out_of_range(option: str) -> None:
     with pytest.raises(ConfigError, match=rf"executor\.{option.partition('=')[0]}=.* not possible"):
         load_experiment(["executor=processes", f"executor.{option}"])

@@ -22,7 +22,6 @@ from understudy.running.trials import OuterLoop, Report, Trial
 from understudy.task import Context
 from understudy_basics import bank
 from understudy_sweeps import in_process
-from understudy_sweeps import journal, trial
 from understudy_sweeps import sweep as module
 from understudy_sweeps.journal import Journal
 
@@ -333,7 +332,10 @@ def test_a_broken_variant_is_refused_before_anything_runs(
 ) -> None:
     variants = "outer_loop.variants={sound: [], odd: ['learner.rate=fast']}"
     assert main(["sweep", *BASE, variants, f"run.dir={tmp_path / 'sweep'}"]) == 2
-    assert "Variant 'odd' cannot be run: learner.rate='fast' is not possible" in capsys.readouterr().err
+    assert (
+        "Variant 'odd' cannot be run: learner.rate='fast' is not possible"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "sweep").exists()
 
 
