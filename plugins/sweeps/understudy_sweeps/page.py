@@ -62,7 +62,8 @@ class Page:
         try:
             if film and results:
                 self._draw(results)
-            self._write(results)
+            if results:
+                self._write(results)
         except UnderstudyError as error:
             print(f"No page: {error}", file=sys.stderr)
 

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from queue import SimpleQueue
@@ -54,8 +55,7 @@ class Processes(Executor):
             check_range(self, "seconds", above=0)
 
     def __init__(self, options: Options, work: Work) -> None:
-        server = multiprocessing.get_context("forkserver")
-        server.set_forkserver_preload(_PRELOADED)
+        server = _server()
         alone = work.device.startswith("cuda")
         workers = options.workers or (1 if alone else max(1, cores() // options.threads))
 
@@ -79,6 +79,18 @@ class Processes(Executor):
 
     def close(self) -> None:
         self._pool.close()
+
+
+def _server() -> Any:
+    """What forks the trials; Ctrl-C, which the terminal sends to it too, is the sweep's alone."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_PRELOADED)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return server
 
 
 class _Child(Host):

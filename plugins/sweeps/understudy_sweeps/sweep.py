@@ -60,6 +60,8 @@ def sweep(overrides: Sequence[str]) -> int:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
         book.write_json("summary.json", loop.summary())
         page.write(journal, film=True)
+    except KeyboardInterrupt:  # when no trial is under way
+        raise _interrupted("Stopped by SIGINT", folder) from None
     finally:
         executor.close()
         book.unlock()

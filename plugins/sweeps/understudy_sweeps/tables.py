@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +27,8 @@ from understudy_sweeps.results import (
 )
 
 _NOTHING = "–"
+#: Between which a figure can lie, so that its interval need not say more.
+_BOUNDS = {SUCCESS: (0.0, 1.0), SAMPLES: (0.0, math.inf), SECONDS: (0.0, math.inf)}
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,8 @@ def shown_mean(mean: Mean | None, name: str = "", *, sign: bool = False) -> str:
     """A mean and its interval."""
     if mean is None:
         return _NOTHING
-    if name == SUCCESS and not sign:
-        mean = mean.clipped(0.0, 1.0)
+    if name in _BOUNDS and not sign:
+        mean = mean.clipped(*_BOUNDS[name])
     scale = 100.0 if name == SUCCESS else 1.0
 
     def figure(value: float) -> str:

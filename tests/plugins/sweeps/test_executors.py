@@ -13,6 +13,7 @@ from pathlib import Path
 
 import executors
 import pytest
+import torch
 from executors import ENDLESS, SMALL_STOP, iterations, make, work
 from worlds import child_environment
 
@@ -96,6 +97,16 @@ def test_workers_by_default(device: str, workers: int, tmp_path: Path) -> None:
 def test_options_out_of_range(option: str) -> None:
     with pytest.raises(ConfigError, match=rf"executor\.{option.partition('=')[0]}=.* not possible"):
         load_experiment(["executor=processes", f"executor.{option}"])
+
+
+@pytest.mark.gpu
+def test_on_a_gpu(tmp_path: Path) -> None:
+    """In processes of their own; the sweep's own process never touches the device."""
+    given = Work((*SMALL_STOP, "device=cuda"), str(tmp_path), "cuda")
+    reports = executors.carry_out(make("processes", given), executors.TRIALS)
+    last = {r.key: r.status for r in reports if r.final}
+    assert last == {"a": "ok", "b": "ok", "c": "ok"}
+    assert not torch.cuda.is_initialized()
 
 
 def test_children_end_with_their_sweep(tmp_path: Path) -> None:

@@ -41,6 +41,10 @@ BASE = (
 TWO = "outer_loop.variants={slow: [], fast: ['learner.rate=2']}"
 
 
+class Killed(BaseException):
+    """As if the process ended here."""
+
+
 class Scripted(OuterLoop):
     """Asks for `trials`, one after another's end; answers `stop` to the reports of those in it."""
 
@@ -246,11 +250,11 @@ def test_an_interrupted_trial_is_saved(tmp_path: Path, monkeypatch: pytest.Monke
     def interrupted(self: Journal, report: Report) -> None:
         tell(self, report)
         if report.objective == 8.0:
-            raise KeyboardInterrupt
+            raise Killed
 
     with monkeypatch.context() as patch:
         patch.setattr(Journal, "tell", interrupted)
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(Killed):
             sweep(tmp_path)
     iterate, again = Training.iterate, []
 
@@ -374,11 +378,11 @@ def test_an_early_stop_is_remembered(tmp_path: Path, scripted: Any, monkeypatch:
     monkeypatch.setattr(scripted, "stopped", ["a"])
 
     def killed(*arguments: Any) -> None:
-        raise KeyboardInterrupt
+        raise Killed
 
     with monkeypatch.context() as patch:
         patch.setattr(module, "note_stop", killed)
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(Killed):
             script(tmp_path, "checkpoint.minutes=0")
     assert events(tmp_path) == whole("a", 4)[:-1]
     script(tmp_path, "checkpoint.minutes=0")
@@ -396,12 +400,12 @@ def test_a_report_that_was_lost_is_made_again(
 
     def killed(self: Journal, report: Report) -> None:
         if report.objective == 8:
-            raise KeyboardInterrupt
+            raise Killed
         tell(self, report)
 
     with monkeypatch.context() as patch:
         patch.setattr(Journal, "tell", killed)
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(Killed):
             script(tmp_path, "checkpoint.minutes=0")
     assert events(tmp_path) == whole("a", 4)[:-1]
     script(tmp_path, "checkpoint.minutes=0")
