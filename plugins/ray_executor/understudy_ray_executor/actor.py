@@ -7,7 +7,7 @@ import time
 from collections.abc import Generator
 
 from understudy.running.trials import Report
-from understudy_sweeps.pool import begun, written
+from understudy_sweeps.pool import begun, message_of
 from understudy_sweeps.trial import run_trial
 
 
@@ -31,7 +31,7 @@ class Carrier:
         while True:
             report = self._reports.send(answer)
             if report is not None:
-                return written(report)
+                return message_of(report)
             answer = False
             if time.monotonic() > deadline:
                 return ""

@@ -196,5 +196,5 @@ def begun(text: str) -> tuple[Trial, Work]:
     return trial_of(given["trial"]), Work(**{**work, "overrides": tuple(work["overrides"])})
 
 
-def written(report: Report) -> str:
+def message_of(report: Report) -> str:
     return json.dumps({"report": dataclasses.asdict(report)})

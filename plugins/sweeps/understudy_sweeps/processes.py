@@ -25,7 +25,7 @@ from understudy.errors import PreemptedError
 from understudy.options import check_range
 from understudy.records.runs import cores
 from understudy.running.trials import Executor, Report, Trial, Work
-from understudy_sweeps.pool import Host, Limits, Lost, Pool, begun, job, written
+from understudy_sweeps.pool import Host, Limits, Lost, Pool, begun, job, message_of
 from understudy_sweeps.trial import folder_of, run_trial
 
 #: In a trial's folder: what it wrote on standard output and error.
@@ -41,10 +41,10 @@ class Processes(Executor):
 
     @dataclass(frozen=True)
     class Options:
-        #: Trials at once; null is one for every `threads` cores on a CPU, and one on a GPU, which one
-        #: training fills.
+        #: Trials at once; null is one for each core on a CPU, and one on a GPU, which one training
+        #: fills.
         workers: int | None = None
-        threads: int = 1  #: of torch, in each trial
+        threads: int | None = None  #: of torch, in each trial; null shares the cores among workers
         retries: int = 2  #: times that a trial goes on from its checkpoint after its process died
         seconds: float | None = None  #: one try takes at most
         grace: float = 30.0  #: seconds to save, for a trial that is told to end
@@ -57,10 +57,11 @@ class Processes(Executor):
     def __init__(self, options: Options, work: Work) -> None:
         server = _server()
         alone = work.device.startswith("cuda")
-        workers = options.workers or (1 if alone else max(1, cores() // options.threads))
+        workers = options.workers or (1 if alone else max(1, cores() // (options.threads or 1)))
+        threads = options.threads or max(1, cores() // workers)
 
         def start(trial: Trial) -> Host:
-            return _Child(server, trial, work, options.threads)
+            return _Child(server, trial, work, threads)
 
         limits = Limits(options.retries, options.seconds, options.grace)
         self._pool = Pool(start, _await, workers, limits)
@@ -155,7 +156,7 @@ def _carry_out(pipe: Connection, text: str, output: str) -> None:
             while True:
                 stop: bool | None = False
                 if report is not None:
-                    pipe.send_bytes(written(report).encode())
+                    pipe.send_bytes(message_of(report).encode())
                     if report.final:
                         return
                     stop = answers.get()

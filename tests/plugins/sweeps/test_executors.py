@@ -29,7 +29,9 @@ Build = Callable[[Work], Executor]
 
 
 def built(name: str, **options: object) -> Build:
-    return functools.partial(make, name, **options)
+    """With as many threads of torch as the tests' own process has."""
+    more = {} if name == "in_process" else {"threads": 1}
+    return functools.partial(make, name, **more, **options)
 
 
 BOTH = pytest.mark.parametrize(

@@ -116,7 +116,8 @@ def test_killed_at_random_moments(
         search.append("budget.samples=8192")
     assert main(["sweep", *search, f"run.dir={straight}"]) == 0
     command = ["sweep", *search, f"executor={executor}", f"run.dir={folder}"]
-    command += ["executor.workers=1"] if executor == "processes" else []
+    if executor == "processes":
+        command += ["executor.workers=1", "executor.threads=1"]
     moments = random.Random(count)
     for _ in range(count):
         assert kills(start(*command), moments.uniform(0.6, 2.5)), "it ended before it was killed"
