@@ -172,3 +172,19 @@ def check_time_limit(build: Callable[[Work], Executor], folder: Path) -> None:
     assert done == list(range(1, len(done) + 1))
     saved = [int(p.name) for p in checkpoint.newest(folder_of("a", folder) / "checkpoints")]
     assert saved[0] == done[-1], "it was saved when it was told to end"
+
+
+def check_hanging(build: Callable[[Work], Executor], folder: Path) -> None:
+    """A process that does nothing any more is killed after its time (10 s) and the grace (1 s), and
+    its trial goes on."""
+    stopped: list[int] = []
+
+    def stop_once(executor: Any, report: Report | None) -> None:
+        if report is not None and not stopped:
+            stopped.append(executor._pool._running["a"].host.process)
+            os.kill(stopped[0], signal.SIGSTOP)
+
+    found = carry_out(build(work(folder)), TRIALS[:1], meanwhile=stop_once)
+    assert stopped
+    assert (found[-1].status, found[-1].cost) == ("ok", 640)
+    assert iterations(folder, "a") == [1, 2, 3, 4, 5]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Generator
+
+import ray
 
 from understudy.running.trials import Report
 from understudy_sweeps.pool import begun, message_of
@@ -18,8 +21,9 @@ class Carrier:
         self._job = job
         self._reports: Generator[Report | None, bool | None, None] | None = None
 
-    def process(self) -> int:
-        return os.getpid()
+    def where(self) -> str:
+        """On which node of the cluster, and in which process there, as JSON."""
+        return json.dumps([ray.get_runtime_context().get_node_id(), os.getpid()])
 
     def go_on(self, stop: bool, seconds: float) -> str:
         """Until the next report, `seconds` at most: the message, empty if there is no report.

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import logging
+import os
+import signal
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +15,6 @@ from typing import Any
 from understudy.errors import PluginError, UnderstudyError
 from understudy.options import check_range
 from understudy.running.trials import Executor, Report, Trial, Work
-from understudy_ray_executor.actor import Carrier
 from understudy_sweeps.pool import PAUSE, Host, Limits, Lost, Pool, job
 
 try:
@@ -19,6 +22,8 @@ try:
     from ray.exceptions import RayError, RayTaskError
 except ImportError as error:
     raise PluginError("Ray is not installed (pip install 'understudy[ray]')") from error
+
+from understudy_ray_executor.actor import Carrier
 
 #: Bytes of shared memory on a cluster of our own: messages are short.
 _OBJECT_STORE = 100 * 2**20
@@ -130,8 +135,8 @@ class _Actor(Host):
 
     def __init__(self, actor: Any) -> None:
         self._actor, self._answer = actor, False
-        self._saving = False
-        self.call: Any = actor.process.remote()
+        self._saving, self._node = False, ""
+        self.call: Any = actor.where.remote()
 
     def receive(self) -> str | None:
         if self.call is None or not ray.wait([self.call], timeout=0)[0]:
@@ -144,7 +149,8 @@ class _Actor(Host):
         except RayError as error:
             raise Lost(f"its process on the cluster died ({type(error).__name__})") from error
         if self.process is None:
-            self.process, message = message, '{"began": true}'
+            self._node, self.process = json.loads(message)
+            message = '{"began": true}'
         elif message is None:
             raise Lost("it was told to end")
         if self._saving:
@@ -169,6 +175,9 @@ class _Actor(Host):
 
     def kill(self) -> None:
         ray.kill(self._actor)
+        if self.process is not None and self._node == ray.get_runtime_context().get_node_id():
+            with contextlib.suppress(ProcessLookupError):  # one that hangs does not listen to Ray
+                os.kill(self.process, signal.SIGKILL)
 
 
 def _words(error: Any) -> str:

@@ -33,6 +33,7 @@ class Tile:
 
     name: str
     run: Path
+    index: int = 0  #: of its variant
 
     @property
     def recording(self) -> Path:

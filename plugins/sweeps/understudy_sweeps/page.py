@@ -10,6 +10,7 @@ import base64
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,8 @@ class Page:
                 self._write(results)
         except UnderstudyError as error:
             print(f"No page: {error}", file=sys.stderr)
+        except Exception as error:  # what is shown may come from any plugin
+            print(f"No page: {type(error).__name__}: {error}", file=sys.stderr)
 
     def table(self, journal: Journal) -> str:
         """The main table as text."""
@@ -99,7 +102,7 @@ class Page:
         rows = -(-len(tiles) // columns)
         names = "".join(
             f'<span style="left:{100 * (i % columns) / columns:.2f}%;'
-            f'top:{100 * (i // columns) / rows:.2f}%;{style_of(i)}">{escape(tile.name)}</span>'
+            f'top:{100 * (i // columns) / rows:.2f}%;{style_of(tile.index)}">{escape(tile.name)}</span>'
             for i, tile in enumerate(tiles)
         )
         data = base64.b64encode((self.folder / "film.mp4").read_bytes()).decode()
@@ -112,56 +115,81 @@ class Page:
 
     def _write(self, results: Sequence[Result]) -> None:
         variants = variants_of(results)
-        objective = objective_of(results)
-        headline, notes = _headline(results, variants, objective), []
-        sections: list[tuple[str, str]] = []
-        markdown = [f"# {tables.in_markdown(self._title)}", tables.in_markdown(headline)]
-        if variants:
-            main = tables.compared(variants, self._paper)
-            notes = [_INTERVALS]
-            if len(variants) > 1:
-                notes.append(_PAIRED.format(first=variants[0].name, objective=objective))
-            notes += _published(self._paper, variants)
-            sections.append(("Comparison", main.html() + _paragraphs(notes)))
-            sections.append(("Side by side", self._video()))
-            curves = "".join(
-                f'<h3>{heading}</h3><div class="charts">{charts}</div>'
-                for heading, charts in learning_curves(variants).items()
-            )
-            if curves:
-                sections.append(("Learning", _key(variants) + curves + _paragraphs([_CURVES])))
-            measures = tables.all_measures(variants)
-            if len(measures.rows) > 1:
-                sections.append(("All measures", measures.html()))
-            sections.append(("Trials", tables.trials(results).html() + _paragraphs([_EPISODES])))
-            markdown += [main.markdown(), *map(tables.in_markdown, notes)]
-            markdown += ["## All measures", measures.markdown(), "## Trials"]
-            markdown += [tables.trials(results).markdown(), tables.in_markdown(_EPISODES)]
-        elif results:
-            main = tables.trials(results)
-            sections.append(("Search", search.charts(results, objective)))
-            sections.append(("Trials, the best first", main.html()))
-            sections.append(("The best", self._video()))
-            markdown.append(main.markdown())
-        failed = [r for r in results if r.report is not None and not r.ok]
+        headline = _headline(results, variants)
+        sections = self._of_variants(variants, results) if variants else self._of_search(results)
+        failed = [[r.trial.key, r.report.status] for r in results if r.report and not r.ok]
         if failed:
-            rows = [[r.trial.key, r.report.status] for r in failed if r.report]
-            sections.append(("What failed", Table(["trial", "why"], rows).html()))
+            sections.append(_Section("What failed", table=Table(["trial", "why"], failed)))
         content = f'<p class="headline">{escape(headline)}</p>' + "".join(
-            f"<section><h2>{escape(title)}</h2>{content}</section>" for title, content in sections
+            s.html() for s in sections
         )
         check_markup(content)
         created = time.strftime("%Y-%m-%d %H:%M")
         over = f"understudy sweep · {__version__}"
+        title = tables.in_markdown(self._title)
+        markdown = [f"# {title}", tables.in_markdown(headline), *(s.markdown() for s in sections)]
         files = {
             "page.html": html_page(self._title, over, created, content, _STYLE),
-            "page.md": "\n\n".join(markdown).encode(errors="replace") + b"\n",
+            "page.md": "\n\n".join(filter(None, markdown)).encode(errors="replace") + b"\n",
             "trials.csv": tables.trials_csv(results).encode(errors="replace"),
         }
         if variants:
             files["table.csv"] = tables.compared_csv(variants, self._paper).encode(errors="replace")
         for name, data in files.items():
             write_atomically(self.folder / name, data)
+
+    def _of_variants(
+        self, variants: Sequence[Variant], results: Sequence[Result]
+    ) -> list[_Section]:
+        notes = [_INTERVALS]
+        if len(variants) > 1:
+            objective = objective_of(results)
+            notes.append(_PAIRED.format(first=variants[0].name, objective=objective))
+        notes += _published(self._paper, variants)
+        compared = tables.compared(variants, self._paper)
+        sections = [
+            _Section("Comparison", table=compared, notes=notes),
+            _Section("Side by side", self._video()),
+        ]
+        curves = "".join(
+            f'<h3>{heading}</h3><div class="charts">{charts}</div>'
+            for heading, charts in learning_curves(variants).items()
+        )
+        if curves:
+            sections.append(_Section("Learning", _key(variants) + curves, notes=[_CURVES]))
+        measures = tables.all_measures(variants)
+        if len(measures.rows) > 1:
+            sections.append(_Section("All measures", table=measures))
+        trials = tables.trials(results)
+        return [*sections, _Section("Trials", table=trials, notes=[_EPISODES])]
+
+    def _of_search(self, results: Sequence[Result]) -> list[_Section]:
+        return [
+            _Section("Search", search.charts(results, objective_of(results))),
+            _Section("Trials, the best first", table=tables.trials(results)),
+            _Section("The best", self._video()),
+        ]
+
+
+@dataclass(frozen=True)
+class _Section:
+    """A part of the page: pictures, which are HTML, a table, and what they mean."""
+
+    title: str
+    pictures: str = ""
+    table: Table | None = None
+    notes: Sequence[str] = ()
+
+    def html(self) -> str:
+        table = self.table.html() if self.table else ""
+        body = self.pictures + table + _paragraphs(self.notes)
+        return f"<section><h2>{escape(self.title)}</h2>{body}</section>"
+
+    def markdown(self) -> str:
+        if self.table is None:
+            return ""
+        notes = map(tables.in_markdown, self.notes)
+        return "\n\n".join([f"## {self.title}", self.table.markdown(), *notes])
 
 
 def _tiles(results: Sequence[Result]) -> list[Tile]:
@@ -171,13 +199,14 @@ def _tiles(results: Sequence[Result]) -> list[Tile]:
         best = best_of(results)
         return [] if best is None else [Tile(best.trial.key, best.path)]
     firsts = [next((r for r in v.results if r.ok), None) for v in variants]
-    return [Tile(v.name, r.path) for v, r in zip(variants, firsts, strict=True) if r is not None]
+    shown = enumerate(zip(variants, firsts, strict=True))
+    return [Tile(v.name, r.path, i) for i, (v, r) in shown if r is not None]
 
 
-def _headline(results: Sequence[Result], variants: Sequence[Variant], objective: str) -> str:
+def _headline(results: Sequence[Result], variants: Sequence[Variant]) -> str:
     done = sum(r.report is not None for r in results)
     failed = sum(r.report is not None and not r.ok for r in results)
-    what = f"{len(variants)} variants" if len(variants) > 1 else "A search"
+    what, objective = "A search", objective_of(results)
     if variants:
         seeds = len({r.trial.seed for r in results})
         what = (

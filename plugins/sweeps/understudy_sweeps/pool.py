@@ -93,7 +93,9 @@ class Pool(Executor):
             if running.paused:
                 running.host.answer(stop=False)
                 running.paused = False
-        self._end_the_late()
+        report = self._end_the_late()
+        if report is not None:
+            return report
         by_host = {id(r.host): r for r in self._running.values()}
         for host in self._wait([r.host for r in self._running.values()], PAUSE):
             report = self._listen(by_host[id(host)])
@@ -144,16 +146,20 @@ class Pool(Executor):
             running.host.kill()  # it has nothing left to do
         return report
 
-    def _end_the_late(self) -> None:
-        for running in self._running.values():
+    def _end_the_late(self) -> Report | None:
+        """Tell those that take too long to save, and kill those that do not."""
+        for running in list(self._running.values()):
             if running.deadline is None or time.monotonic() < running.deadline:
                 continue
             if running.late:
-                running.host.kill()
+                report = self._lost(running, "")
+                if report is not None:
+                    return report
             else:
                 running.late = True
                 running.deadline += self._limits.grace
                 running.host.save()
+        return None
 
     def _lost(self, running: _Running, why: str) -> Report | None:
         """Another try, or the report that there is none left."""

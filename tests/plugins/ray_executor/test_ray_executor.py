@@ -66,6 +66,10 @@ def test_time_limit(tmp_path: Path) -> None:
     executors.check_time_limit(built(retries=1, seconds=4), tmp_path)
 
 
+def test_a_process_that_hangs(tmp_path: Path) -> None:
+    executors.check_hanging(built(seconds=10, grace=1), tmp_path)
+
+
 def test_a_sweep(tmp_path: Path) -> None:
     """By the command line: the same table as in this process."""
     grid = ("outer_loop=grid", "outer_loop.seeds=[1,2]")

@@ -65,6 +65,10 @@ def test_time_limit(tmp_path: Path) -> None:
     executors.check_time_limit(built("processes", retries=1, seconds=4), tmp_path)
 
 
+def test_a_process_that_hangs(tmp_path: Path) -> None:
+    executors.check_hanging(built("processes", seconds=10, grace=1), tmp_path)
+
+
 def test_what_a_trial_says_is_in_its_folder(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
