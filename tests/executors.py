@@ -57,7 +57,7 @@ def carry_out(
 ) -> list[Report]:
     """Run `trials` and end those in `stopped` at their first report; all reports, in order."""
     waiting, reports, running = list(trials), [], 0
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 240
     try:
         while waiting or running:
             assert time.monotonic() < deadline
