@@ -19,11 +19,15 @@ NAMES = sorted(
 
 #: Plugins for any figure: what their tests and tasks move is the humanoid, with what that needs.
 FIGURE = {"basics", "humanoid", "characters", "motion", "mujoco"}
+#: Plugins for a training that takes seconds.
+TOYS = {"basics", "miniature", "ppo"}
 MATERIAL = {
     "characters": FIGURE,
     "doctor": FIGURE,
+    "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,
     "spacetime": FIGURE | {"retarget"},
+    "sweeps": TOYS,
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -22,6 +22,8 @@ class Trial:
     fidelity: float | None = None  #: the difficulty in [0, 1] that it is trained and judged at
     start: Mapping[str, Any] | None = None
     initial_states: str | None = None  #: a bank of states to begin episodes in
+    variant: str = ""  #: what is compared, over trials that differ in the seed alone
+    seed: int | None = None  #: in place of the sweep's
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Report:
     measures: Mapping[str, float] = field(default_factory=dict)
     cost: float = 0.0  #: samples consumed
     run: str = ""  #: its run folder
+    outcome: str = ""  #: why its training ended: criterion, budget, finished, or stopped early
 
     @property
     def final(self) -> bool:
@@ -47,8 +50,9 @@ class OuterLoop(ABC):
     alone (``random.generator(seed, f"NAME/{number}")``), so that a resumed loop repeats itself.
     """
 
-    #: Options that may grow without the loop becoming another one (more variants, more seeds).
-    extendable: tuple[str, ...] = ()
+    extendable: tuple[str, ...] = ()  #: options that may grow and leave it the same loop
+    plan: Sequence[Trial] = ()  #: all trials, where they are known: checked before the first starts
+    share: float | None = None  #: of the loop that is done, where that can be said
 
     @abstractmethod
     def ask(self, number: int) -> Trial | None:
@@ -58,13 +62,7 @@ class OuterLoop(ABC):
     @abstractmethod
     def recall(self, trial: Trial) -> bool:
         """Note a trial that was asked for before this process began; whether it is still wanted if it
-        is not finished.
-
-        Raises
-        ------
-        ConfigError
-            if the loop knows another trial by that key.
-        """
+        is not finished. A ConfigError says that the loop knows another trial by that key."""
 
     @abstractmethod
     def tell(self, report: Report) -> Literal["stop"] | None:
@@ -81,6 +79,7 @@ class Work:
 
     overrides: tuple[str, ...]  #: the configuration that a trial's own overrides change
     folder: str  #: where the trials' run folders are
+    device: str = "cpu"
 
 
 class Executor(ABC):
@@ -95,12 +94,13 @@ class Executor(ABC):
         """Begin, or go on with, a trial."""
 
     @abstractmethod
-    def wait(self) -> Report:
-        """The next report, intermediate or final, of any started trial."""
+    def wait(self) -> Report | None:
+        """The next report of any started trial, or None after a while without. A trial that reported
+        pauses until this is called again."""
 
     @abstractmethod
     def stop(self, key: str) -> None:
-        """End a trial early; its final report comes by :meth:`wait`."""
+        """End the trial that reported last; its final report comes by :meth:`wait`."""
 
     def close(self) -> None:  # noqa: B027 - in-process ones hold nothing
         """Stop what still runs and release it; trials keep their checkpoints."""

@@ -86,6 +86,7 @@ class RandomFidelity(OuterLoop):
     def tell(self, report: Report) -> Literal["stop"] | None:
         if report.final:
             self._reports[report.key] = report
+            self.share = len(self._reports) / self._options.trials
             return None
         fidelity = self._trials[report.key].fidelity or 0.0
         rivals = [

@@ -6,10 +6,11 @@ columns of every position. SI units.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -26,10 +27,13 @@ from understudy.task import (
     Simulator,
     box,
 )
+from understudy_miniature.drawing import draw_points
 
 
 class PlaneScene(Scene):
     """B points of one kilogram; forces push the first of them, springs tie some together."""
+
+    recorded = ("positions", "target", "bar_height")
 
     @dataclass(frozen=True)
     class Options:
@@ -52,6 +56,11 @@ class PlaneScene(Scene):
 
     def describe(self) -> dict[str, Any]:
         return {"points": self.options.bodies, "mass_kg": 1.0}
+
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
+    ) -> Iterator[np.ndarray]:
+        return draw_points(tracks, width, height, upright=self.options.gravity > 0)
 
 
 class Plane(Simulator):

@@ -1,4 +1,4 @@
-"""Curves of metrics against samples, as cards with an SVG in them."""
+"""Curves of metrics against samples, as cards with an SVG in them; one curve, or several to compare."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Mark:
 
 
 #: Size of a chart and of the margins around its plot, in the SVG's own pixels.
-_WIDTH, _HEIGHT = 340.0, 176.0
+WIDTH, HEIGHT = 340.0, 176.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44.0, 14.0, 8.0, 34.0
 #: Long curves are drawn as means over this many stretches, in a band from least to greatest.
 _STRETCHES = 120
@@ -76,17 +76,16 @@ def draw_chart(
     plot = _plot(chart, points, marks, end)
     return (
         f'<div class="card chart"><h4>{title}{note}<b>{escape(last)}</b></h4>'
-        f'<svg viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img" aria-label="{title} against samples" '
-        f'xmlns="http://www.w3.org/2000/svg">{plot}</svg></div>'
+        f"{svg(plot, f'{chart.title} against samples')}</div>"
     )
 
 
-class _Axes:
+class Axes:
     """Where samples and values are in the SVG."""
 
     def __init__(self, low: float, high: float, end: float) -> None:
-        self.low, self.high, self.end = low, high, end
-        self.right, self.bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+        self.low, self.high, self.end = low, high, max(end, 1e-9)
+        self.right, self.bottom = WIDTH - _RIGHT, HEIGHT - _BOTTOM
 
     def across(self, samples: float) -> float:
         return _LEFT + (self.right - _LEFT) * max(samples, 0.0) / self.end
@@ -99,10 +98,68 @@ class _Axes:
         return "M" + "L".join(f"{self.across(x):.1f} {self.down(y):.1f}" for x, y in points)
 
 
+@dataclass(frozen=True)
+class Series:
+    """One of several curves in a chart; points are (n, 2) of samples and values."""
+
+    line: np.ndarray
+    style: str  #: CSS of its strokes, ``--series`` its colour
+    band: tuple[np.ndarray, np.ndarray] | None = None  #: the lower and the upper edge
+    thin: Sequence[np.ndarray] = ()  #: what it is the mean of
+
+
+def draw_series(chart: Chart, series: Sequence[Series], end: float) -> str:
+    """Several curves as a card; nothing if there is no point."""
+    scale = 100.0 if chart.unit == "%" else 1.0
+    groups = [[s.line, *s.thin, *(s.band or ())] for s in series]
+    values = [p[:, 1] * scale for group in groups for p in group if len(p)]
+    if not values:
+        return ""
+    axes = Axes(*_range(np.concatenate(values), chart), end)
+    title = escape(chart.title) + (f" <small>{escape(chart.unit)}</small>" if chart.unit else "")
+    parts = []
+
+    def path(points: np.ndarray) -> str:
+        return axes.path([(x, y * scale) for x, y in points.tolist()])
+
+    for one in series:
+        inner = []
+        if one.band is not None:
+            edge = np.concatenate([one.band[1], one.band[0][::-1]])
+            inner.append(f'<path class="series-band" d="{path(edge)}Z"/>')
+        inner += [f'<path class="series-thin" d="{path(p)}"/>' for p in one.thin if len(p) > 1]
+        if len(one.line) > 1:
+            inner.append(f'<path class="series" d="{path(one.line)}"/>')
+        if chart.dots:
+            for points in one.thin:
+                inner += [
+                    f'<circle class="series-dot" cx="{axes.across(x):.1f}" '
+                    f'cy="{axes.down(y * scale):.1f}" r="2"/>'
+                    for x, y in points.tolist()
+                ]
+        parts.append(f'<g style="{escape(one.style)}">{"".join(inner)}</g>')
+    return f'<div class="card chart"><h4>{title}</h4>{svg(grid(axes) + "".join(parts), chart.title)}</div>'
+
+
+def svg(content: str, label: str, height: float = HEIGHT) -> str:
+    """An SVG of the charts' width."""
+    return (
+        f'<svg viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(label)}" '
+        f'xmlns="http://www.w3.org/2000/svg">{content}</svg>'
+    )
+
+
+def thinned(points: np.ndarray, most: int = _STRETCHES) -> np.ndarray:
+    """`points` (n, 2) as means over at most `most` stretches."""
+    if len(points) <= most:
+        return points
+    return np.array([stretch.mean(axis=0) for stretch in np.array_split(points, most)])
+
+
 def _plot(chart: Chart, points: np.ndarray, marks: Sequence[Mark], end: float) -> str:
     """Axes, marks and the curve through `points` (n, 2) of samples and values."""
-    axes = _Axes(*_range(points[:, 1], chart), end)
-    return _grid(axes) + _marks(marks, axes) + _curve(points, axes, chart.dots)
+    axes = Axes(*_range(points[:, 1], chart), end)
+    return grid(axes) + _marks(marks, axes) + _curve(points, axes, chart.dots)
 
 
 def _range(values: np.ndarray, chart: Chart) -> tuple[float, float]:
@@ -119,7 +176,7 @@ def _range(values: np.ndarray, chart: Chart) -> tuple[float, float]:
     )
 
 
-def _grid(axes: _Axes) -> str:
+def grid(axes: Axes, below: str = "samples") -> str:
     parts = []
     ticks, step = _ticks(axes.low, axes.high, 4)
     for tick in ticks:
@@ -137,12 +194,12 @@ def _grid(axes: _Axes) -> str:
         )
     parts.append(
         f'<path class="axis" d="M{_LEFT:g} {_TOP:g}V{axes.bottom:g}H{axes.right:g}"/>'
-        f'<text x="{(_LEFT + axes.right) / 2:g}" y="{_HEIGHT - 5:g}" text-anchor="middle">samples</text>'
+        f'<text x="{(_LEFT + axes.right) / 2:g}" y="{HEIGHT - 5:g}" text-anchor="middle">{escape(below)}</text>'
     )
     return "".join(parts)
 
 
-def _marks(marks: Sequence[Mark], axes: _Axes) -> str:
+def _marks(marks: Sequence[Mark], axes: Axes) -> str:
     """A vertical line each, and labels along those that have room; pointing at one tells it."""
     parts = []
     free = -math.inf  # where the next label has room
@@ -162,7 +219,7 @@ def _marks(marks: Sequence[Mark], axes: _Axes) -> str:
     return "".join(parts)
 
 
-def _curve(points: np.ndarray, axes: _Axes, dots: bool) -> str:
+def _curve(points: np.ndarray, axes: Axes, dots: bool) -> str:
     short = len(points) <= 2 * _STRETCHES
     stretches = np.array_split(points, len(points) if short else _STRETCHES)
     means = [(s[:, 0].mean(), s[:, 1].mean()) for s in stretches]

@@ -44,17 +44,29 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
         if the file cannot be written; the old one is untouched.
     """
     task = words.text(mapping(run.info.get("config")).get("task") or run.path.name)
-    page = _PAGE.substitute(
-        policy=_security_policy(),
-        style=_STYLE,
-        task=escape(task),
-        created=escape(words.text(run.info.get("created", ""))[:16].replace("T", " ")),
-        sections=_sections(run, registry or installed().registry),
+    page = html_page(
+        task,
+        "understudy report",
+        words.text(run.info.get("created", ""))[:16].replace("T", " "),
+        _sections(run, registry or installed().registry),
     )
     path = run.path / "report.html"
-    # JSON can smuggle in lone surrogates, which UTF-8 has no bytes for.
-    write_atomically(path, page.encode(errors="replace"))
+    write_atomically(path, page)
     return path
+
+
+def html_page(title: str, over: str, created: str, content: str, style: str = "") -> bytes:
+    """A page of `content`, which is HTML, in the style of all pages and what `style` adds to it."""
+    page = _PAGE.substitute(
+        policy=_security_policy(),
+        style=_STYLE + style,
+        title=escape(title),
+        over=escape(over),
+        created=escape(created),
+        sections=content,
+    )
+    # JSON can smuggle in lone surrogates, which UTF-8 has no bytes for.
+    return page.encode(errors="replace")
 
 
 @dataclass(frozen=True)

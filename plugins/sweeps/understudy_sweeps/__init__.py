@@ -1,4 +1,4 @@
-"""Outer loops over whole runs: the command ``sweep``, its journal, and the plain grid."""
+"""Outer loops over whole runs: the command ``sweep``, its journal, executors, and the plain grid."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("report",)
 
 
 @hookimpl
@@ -15,15 +15,14 @@ def understudy_register(register: Registrar) -> None:
         "command",
         "sweep",
         "understudy_sweeps.command:Sweep",
-        "run an outer loop over trainings: understudy sweep ablation=…",
+        "run an outer loop over trainings: understudy sweep ablation=… or search=…",
     )
     register.component("outer_loop", "grid", "understudy_sweeps.grid:Grid", "variants × seeds")
-    register.component(
-        "executor",
-        "in_process",
-        "understudy_sweeps.in_process:InProcess",
-        "one trial after another",
-    )
+    for name, target, summary in (
+        ("in_process", "in_process:InProcess", "one trial after another"),
+        ("processes", "processes:Processes", "trials in processes of this machine"),
+    ):
+        register.component("executor", name, f"understudy_sweeps.{target}", summary)
 
 
 @hookimpl

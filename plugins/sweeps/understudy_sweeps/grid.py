@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import statistics
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,33 +11,49 @@ from understudy.errors import ConfigError
 from understudy.running.trials import OuterLoop, Report, Trial
 
 
-class Grid(OuterLoop):
-    """Every variant with every seed. A variant is a name and the overrides that make it."""
+@dataclass(frozen=True)
+class Published:
+    """Numbers to compare with: one a variant, of one figure of the table."""
 
-    extendable = ("variants", "seeds")
+    caption: str  #: where they are from
+    values: Mapping[str, float]  #: by variant
+    of: str = "objective"  #: ``objective``, ``success_rate``, ``samples``, or a measure
+
+
+class Grid(OuterLoop):
+    """Every variant with every seed; all variants with the first seed come first.
+
+    A variant is a name and the overrides that make it. The first one is what the others are compared
+    with, seed by seed.
+    """
+
+    extendable = ("variants", "seeds", "paper")
 
     @dataclass(frozen=True)
     class Options:
         variants: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"base": ()})
         seeds: tuple[int, ...] = (0,)
+        paper: Published | None = None
 
         def __post_init__(self) -> None:
             if not self.variants or not self.seeds:
                 raise ValueError("variants and seeds must not be empty.")
 
     def __init__(self, options: Options, seed: int = 0) -> None:
-        self._trials = {
-            f"{name}/seed{seed}": Trial(f"{name}/seed{seed}", (*overrides, f"seed={seed}"))
-            for (name, overrides), seed in itertools.product(
-                options.variants.items(), options.seeds
-            )
-        }
+        self.plan = tuple(
+            Trial(f"{name}/seed{number}", overrides, variant=name, seed=number)
+            for number in dict.fromkeys(options.seeds)
+            for name, overrides in options.variants.items()
+        )
+        self.share = 0.0
+        self.paper = options.paper
+        self._trials = {trial.key: trial for trial in self.plan}
         self._variants = list(options.variants)
         self._asked: set[str] = set()
         self._results: dict[str, Report] = {}
 
     def ask(self, number: int) -> Trial | None:
-        trial = next((t for k, t in self._trials.items() if k not in self._asked), None)
+        trial = next((t for t in self.plan if t.key not in self._asked), None)
         if trial is not None:
             self._asked.add(trial.key)
         return trial
@@ -49,19 +64,24 @@ class Grid(OuterLoop):
         if known is not None and known != trial:
             raise ConfigError(
                 f"The variant of trial '{trial.key}' had other overrides when this sweep began: "
-                f"{', '.join(trial.overrides)}. Give the new one another name."
+                f"{', '.join(trial.overrides) or 'none'}. Give the new one another name."
             )
         return known is not None
 
     def tell(self, report: Report) -> None:
         if report.final:
             self._results[report.key] = report
+            self.share = len(self._results.keys() & self._trials.keys()) / len(self._trials)
 
     def summary(self) -> list[dict[str, Any]]:
         """Per variant: seeds finished, and mean and spread of the objective and samples."""
         rows = []
         for name in self._variants:
-            found = [r for k, r in self._results.items() if k.rpartition("/seed")[0] == name]
+            found = [
+                self._results[t.key]
+                for t in self.plan
+                if t.variant == name and t.key in self._results
+            ]
             done = [r for r in found if r.objective is not None]
             values = [r.objective for r in done if r.objective is not None]
             samples = [r.cost for r in done]

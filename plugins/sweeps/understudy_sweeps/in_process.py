@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 
 from understudy.running.trials import Executor, Report, Trial, Work
-from understudy_sweeps.sweep import run_trial
+from understudy_sweeps.trial import run_trial
 
 
 class InProcess(Executor):
@@ -13,7 +13,7 @@ class InProcess(Executor):
 
     def __init__(self, options: None, work: Work) -> None:
         self._work = work
-        self._reports: Generator[Report, bool | None, None] | None = None
+        self._reports: Generator[Report | None, bool | None, None] | None = None
         self._answer: bool | None = None  #: None before the first report
 
     def free(self) -> int:
@@ -22,12 +22,12 @@ class InProcess(Executor):
     def start(self, trial: Trial) -> None:
         self._reports, self._answer = run_trial(trial, self._work), None
 
-    def wait(self) -> Report:
+    def wait(self) -> Report | None:
         assert self._reports is not None
         report = self._reports.send(self._answer)
         self._answer = False
-        if report.final:
-            self._reports = None
+        if report is not None and report.final:
+            self.close()
         return report
 
     def stop(self, key: str) -> None:
@@ -36,3 +36,4 @@ class InProcess(Executor):
     def close(self) -> None:
         if self._reports is not None:
             self._reports.close()
+        self._reports = None

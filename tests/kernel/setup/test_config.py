@@ -17,7 +17,7 @@ from understudy.setup.plugins import Plugins, load
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.origins import origins
-from understudy_sweeps.sweep import written
+from understudy_sweeps.trial import written
 
 
 def test_experiment(plugins: Plugins) -> None:

@@ -105,7 +105,7 @@ def test_killed_and_resumed(
 def test_a_killed_search_goes_on(start: Callable[..., Any], tmp_path: Path) -> None:
     """In its third trial, which begins from the best of the first two."""
     overrides = (
-        "experiment=miniature/cmfbo", *USUAL, *QUICK, "evaluation.every_samples=256",
+        "search=miniature/cmfbo", *USUAL, *QUICK, "evaluation.every_samples=256",
         "evaluation.seconds=2.0",
     )  # fmt: skip
     straight, cut = tmp_path / "straight", tmp_path / "cut"

@@ -16,8 +16,18 @@ def test_every_variant_with_every_seed_once() -> None:
     while (trial := grid.ask(len(seen))) is not None:
         seen.append(trial)
         grid.tell(Report(trial.key, "ok", objective=0.5, cost=10.0))
-    assert [t.key for t in seen] == ["a/seed0", "a/seed5", "b/seed0", "b/seed5"]
-    assert seen[-1].overrides == ("x=1", "seed=5")
+    assert [t.key for t in seen] == ["a/seed0", "b/seed0", "a/seed5", "b/seed5"]
+    assert seen == list(grid.plan)
+    assert (seen[-1].overrides, seen[-1].variant, seen[-1].seed) == (("x=1",), "b", 5)
+
+
+def test_the_share_that_is_done() -> None:
+    grid = Grid(OPTIONS)
+    assert grid.share == 0.0
+    grid.tell(Report("a/seed0", "ok", objective=0.5))
+    grid.tell(Report("a/seed0", "running", objective=0.5))
+    grid.tell(Report("gone/seed0", "ok", objective=0.5))
+    assert grid.share == 0.25
 
 
 def test_sums_up_results_and_failures() -> None:
@@ -31,15 +41,15 @@ def test_sums_up_results_and_failures() -> None:
 
 def test_what_was_asked_before_is_not_asked_again() -> None:
     grid = Grid(OPTIONS)
-    assert grid.recall(Trial("b/seed0", ("x=1", "seed=0")))
-    assert not grid.recall(Trial("gone/seed0", ("seed=0",)))
+    assert grid.recall(Trial("b/seed0", ("x=1",), variant="b", seed=0))
+    assert not grid.recall(Trial("gone/seed0", variant="gone", seed=0))
     asked = [grid.ask(i) for i in range(2, 6)]
     assert [t.key for t in asked if t] == ["a/seed0", "a/seed5", "b/seed5"]
 
 
 def test_a_variant_that_became_another_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"x=2.*another name"):
-        Grid(OPTIONS).recall(Trial("b/seed0", ("x=2", "seed=0")))
+        Grid(OPTIONS).recall(Trial("b/seed0", ("x=2",), variant="b", seed=0))
 
 
 def test_empty_grids_are_refused() -> None:

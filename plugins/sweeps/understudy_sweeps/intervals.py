@@ -1,0 +1,49 @@
+"""Means over seeds, with 95 % intervals that hold for few of them."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from scipy.special import stdtrit
+
+
+@dataclass(frozen=True)
+class Mean:
+    """The mean of `count` values, and the 95 % interval of what they are drawn around."""
+
+    value: float
+    count: int
+    low: float | None = None  #: None where one value alone says nothing of its spread
+    high: float | None = None
+
+    def clipped(self, low: float, high: float) -> Mean:
+        """For values that cannot lie beyond."""
+        if self.low is None or self.high is None:
+            return self
+        return Mean(self.value, self.count, max(self.low, low), min(self.high, high))
+
+
+def mean_of(values: Sequence[float]) -> Mean | None:
+    """Student's t interval: mean ± t(0.975, n - 1) · s / √n; None without values."""
+    n = len(values)
+    if n == 0:
+        return None
+    mean = statistics.fmean(values)
+    if n == 1:
+        return Mean(mean, 1)
+    reach = t_quantile(n) * statistics.stdev(values) / math.sqrt(n)
+    return Mean(mean, n, mean - reach, mean + reach)
+
+
+def t_quantile(count: int) -> float:
+    """The 97.5 % quantile of Student's t with `count` - 1 degrees of freedom."""
+    return float(stdtrit(count - 1, 0.975))
+
+
+def paired_difference(first: Mapping[int, float], second: Mapping[int, float]) -> Mean | None:
+    """How much more `second` has than `first`, each by seed, over the seeds that both have: what
+    differs between seeds and not between variants falls out."""
+    return mean_of([second[seed] - first[seed] for seed in first if seed in second])

@@ -1,0 +1,248 @@
+"""What a sweep shows of itself, anew after every finished trial.
+
+``page.html`` needs nothing else, not even the network; ``page.md`` says the same without pictures,
+``table.csv`` and ``trials.csv`` have every digit.
+"""
+
+from __future__ import annotations
+
+import base64
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from understudy import __version__
+from understudy.errors import UnderstudyError
+from understudy.records.checkpoint import write_atomically
+from understudy_report.markup import check_markup
+from understudy_report.page import html_page
+from understudy_report.values import mapping
+from understudy_sweeps import search, tables
+from understudy_sweeps.curves import learning_curves, style_of
+from understudy_sweeps.film import Tile, columns_of, make_film
+from understudy_sweeps.journal import Journal
+from understudy_sweeps.results import Result, Results, Variant, best_of, objective_of, variants_of
+from understudy_sweeps.tables import Table
+
+_STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
+_INTERVALS = (
+    "Mean over seeds [95 % interval of the mean, Student's t]; one seed alone has none, and no width "
+    "means that the seeds agreed, not that the value is certain."
+)
+_PAIRED = (
+    "The last column is the mean difference to {first}, seed by seed, in {objective}: an interval "
+    "without 0 in it is a difference that these seeds show."
+)
+_EPISODES = "Success of a single trial is [95 % interval over its episodes, Wilson]."
+_CURVES = (
+    "Bold: the mean over seeds, as far as all of them have come; band: its 95 % interval, or least to "
+    "greatest of two seeds; thin: each seed."
+)
+
+
+class Page:
+    """Writes the files of the sweep in `folder`; `paper` are the published numbers, if there are."""
+
+    def __init__(self, folder: Path, title: str, paper: Mapping[str, Any] | None = None) -> None:
+        self.folder, self._title, self._paper = folder, title, paper
+        self._results = Results(folder)
+        self._film: tuple[Sequence[Tile], str] | None = None  #: and why there is none
+
+    @property
+    def path(self) -> Path:
+        return self.folder / "page.html"
+
+    def write(self, journal: Journal, *, film: bool = False) -> None:
+        """All files, from what is known now; with `film`, the video too, which takes a while. What
+        keeps it from being written is said, and the sweep goes on."""
+        results = self._results.of(journal)
+        try:
+            if film and results:
+                self._draw(results)
+            if results:
+                self._write(results)
+        except UnderstudyError as error:
+            print(f"No page: {error}", file=sys.stderr)
+        except Exception as error:  # what is shown may come from any plugin
+            print(f"No page: {type(error).__name__}: {error}", file=sys.stderr)
+
+    def table(self, journal: Journal) -> str:
+        """The main table as text."""
+        results = self._results.of(journal)
+        return self._main(results, variants_of(results)).text() if results else "No trial yet."
+
+    def _main(self, results: Sequence[Result], variants: Sequence[Variant]) -> Table:
+        return tables.compared(variants, self._paper) if variants else tables.trials(results)
+
+    # ------------------------------------------------------------------ the video
+
+    def _draw(self, results: Sequence[Result]) -> None:
+        tiles = _tiles(results)
+        reason = ""
+        print("Drawing the video …", file=sys.stderr)
+        try:
+            make_film(self.folder / "film.mp4", tiles)
+        except UnderstudyError as error:
+            reason = str(error)
+        except Exception as error:  # a scene may come from any plugin
+            reason = f"{type(error).__name__}: {error}"
+        self._film = tiles, reason.rstrip(".")
+
+    def _video(self) -> str:
+        if self._film is None:
+            return "<p>The video is drawn when all trials are finished.</p>"
+        tiles, reason = self._film
+        if reason:
+            return f'<p class="failed">There is no video: {escape(reason)}.</p>'
+        columns = columns_of(len(tiles))
+        rows = -(-len(tiles) // columns)
+        names = "".join(
+            f'<span style="left:{100 * (i % columns) / columns:.2f}%;'
+            f'top:{100 * (i // columns) / rows:.2f}%;{style_of(tile.index)}">{escape(tile.name)}</span>'
+            for i, tile in enumerate(tiles)
+        )
+        data = base64.b64encode((self.folder / "film.mp4").read_bytes()).decode()
+        return (
+            '<div class="card"><div class="film"><video autoplay muted loop controls playsinline '
+            f'src="data:video/mp4;base64,{data}"></video>{names}</div></div>'
+        )
+
+    # ------------------------------------------------------------------ the files
+
+    def _write(self, results: Sequence[Result]) -> None:
+        variants = variants_of(results)
+        headline = _headline(results, variants)
+        sections = self._of_variants(variants, results) if variants else self._of_search(results)
+        failed = [[r.trial.key, r.report.status] for r in results if r.report and not r.ok]
+        if failed:
+            sections.append(_Section("What failed", table=Table(["trial", "why"], failed)))
+        content = f'<p class="headline">{escape(headline)}</p>' + "".join(
+            s.html() for s in sections
+        )
+        check_markup(content)
+        created = time.strftime("%Y-%m-%d %H:%M")
+        over = f"understudy sweep · {__version__}"
+        title = tables.in_markdown(self._title)
+        markdown = [f"# {title}", tables.in_markdown(headline), *(s.markdown() for s in sections)]
+        files = {
+            "page.html": html_page(self._title, over, created, content, _STYLE),
+            "page.md": "\n\n".join(filter(None, markdown)).encode(errors="replace") + b"\n",
+            "trials.csv": tables.trials_csv(results).encode(errors="replace"),
+        }
+        if variants:
+            files["table.csv"] = tables.compared_csv(variants, self._paper).encode(errors="replace")
+        for name, data in files.items():
+            write_atomically(self.folder / name, data)
+
+    def _of_variants(
+        self, variants: Sequence[Variant], results: Sequence[Result]
+    ) -> list[_Section]:
+        notes = [_INTERVALS]
+        if len(variants) > 1:
+            objective = objective_of(results)
+            notes.append(_PAIRED.format(first=variants[0].name, objective=objective))
+        notes += _published(self._paper, variants)
+        compared = tables.compared(variants, self._paper)
+        sections = [
+            _Section("Comparison", table=compared, notes=notes),
+            _Section("Side by side", self._video()),
+        ]
+        curves = "".join(
+            f'<h3>{heading}</h3><div class="charts">{charts}</div>'
+            for heading, charts in learning_curves(variants).items()
+        )
+        if curves:
+            sections.append(_Section("Learning", _key(variants) + curves, notes=[_CURVES]))
+        measures = tables.all_measures(variants)
+        if len(measures.rows) > 1:
+            sections.append(_Section("All measures", table=measures))
+        trials = tables.trials(results)
+        return [*sections, _Section("Trials", table=trials, notes=[_EPISODES])]
+
+    def _of_search(self, results: Sequence[Result]) -> list[_Section]:
+        return [
+            _Section("Search", search.charts(results, objective_of(results))),
+            _Section("Trials, the best first", table=tables.trials(results)),
+            _Section("The best", self._video()),
+        ]
+
+
+@dataclass(frozen=True)
+class _Section:
+    """A part of the page: pictures, which are HTML, a table, and what they mean."""
+
+    title: str
+    pictures: str = ""
+    table: Table | None = None
+    notes: Sequence[str] = ()
+
+    def html(self) -> str:
+        table = self.table.html() if self.table else ""
+        body = self.pictures + table + _paragraphs(self.notes)
+        return f"<section><h2>{escape(self.title)}</h2>{body}</section>"
+
+    def markdown(self) -> str:
+        if self.table is None:
+            return ""
+        notes = map(tables.in_markdown, self.notes)
+        return "\n\n".join([f"## {self.title}", self.table.markdown(), *notes])
+
+
+def _tiles(results: Sequence[Result]) -> list[Tile]:
+    """The first seed of each variant; of a search, the best trial."""
+    variants = variants_of(results)
+    if not variants:
+        best = best_of(results)
+        return [] if best is None else [Tile(best.trial.key, best.path)]
+    firsts = [next((r for r in v.results if r.ok), None) for v in variants]
+    shown = enumerate(zip(variants, firsts, strict=True))
+    return [Tile(v.name, r.path, i) for i, (v, r) in shown if r is not None]
+
+
+def _headline(results: Sequence[Result], variants: Sequence[Variant]) -> str:
+    done = sum(r.report is not None for r in results)
+    failed = sum(r.report is not None and not r.ok for r in results)
+    what, objective = "A search", objective_of(results)
+    if variants:
+        seeds = len({r.trial.seed for r in results})
+        what = (
+            f"{len(variants)} variant{'s' * (len(variants) > 1)}, {seeds} seed{'s' * (seeds > 1)}"
+        )
+    parts = [f"{what}: {done} of {len(results)} trials asked for are finished"]
+    if failed:
+        parts.append(f"{failed} of them failed")
+    best = best_of(results)
+    if not variants and best is not None and best.report is not None:
+        at = ", ".join(f"{name}={value:g}" for name, value in best.trial.point.items())
+        value = tables.shown(best.report.objective, objective)
+        parts.append(
+            f"the best {objective.replace('_', ' ')} is {value}, of {best.trial.key} ({at})"
+        )
+    return "; ".join(parts) + "."
+
+
+def _published(paper: Mapping[str, Any] | None, variants: Sequence[Variant]) -> list[str]:
+    if not paper:
+        return []
+    notes = [f"Paper: {paper.get('caption', '')}"]
+    names = {v.name for v in variants}
+    others = [f"{k} {v:g}" for k, v in mapping(paper.get("values")).items() if k not in names]
+    return notes + ([f"It also has: {', '.join(others)}."] if others else [])
+
+
+def _key(variants: Sequence[Variant]) -> str:
+    """Which colour is whose."""
+    names = "".join(
+        f'<span style="{style_of(i)}"><svg viewBox="0 0 28 8"><path class="series" d="M0 4H28"/></svg>'
+        f"{escape(v.name)}</span>"
+        for i, v in enumerate(variants)
+    )
+    return f'<p class="variants">{names}</p>'
+
+
+def _paragraphs(texts: Sequence[str]) -> str:
+    return "".join(f"<p>{escape(text)}</p>" for text in texts)

@@ -1,0 +1,190 @@
+"""Trials in processes of this machine: what one does, crashes and memory included, stays its own.
+
+The processes are forks of a server that has imported torch once, so they start at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing import forkserver
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from understudy.errors import PreemptedError
+from understudy.options import check_range
+from understudy.records.runs import cores
+from understudy.running.trials import Executor, Report, Trial, Work
+from understudy_sweeps.pool import Host, Limits, Lost, Pool, begun, job, message_of
+from understudy_sweeps.trial import folder_of, run_trial
+
+#: In a trial's folder: what it wrote on standard output and error.
+OUTPUT = "output.txt"
+#: Seconds in which a trial whose sweep is gone saves and ends.
+_ORPHANED = 30.0
+#: What the server imports: all that takes long, torch's compiler (which its optimisers touch) included.
+_PRELOADED = ["torch._dynamo", "understudy_sweeps.processes"]
+
+
+class Processes(Executor):
+    """Each trial in a process of its own, `workers` at once."""
+
+    @dataclass(frozen=True)
+    class Options:
+        #: Trials at once; null is one for each core on a CPU, and one on a GPU, which one training
+        #: fills.
+        workers: int | None = None
+        threads: int | None = None  #: of torch, in each trial; null shares the cores among workers
+        retries: int = 2  #: times that a trial goes on from its checkpoint after its process died
+        seconds: float | None = None  #: one try takes at most
+        grace: float = 30.0  #: seconds to save, for a trial that is told to end
+
+        def __post_init__(self) -> None:
+            check_range(self, "workers", "threads", least=1)
+            check_range(self, "retries", "grace", least=0)
+            check_range(self, "seconds", above=0)
+
+    def __init__(self, options: Options, work: Work) -> None:
+        server = _server()
+        alone = work.device.startswith("cuda")
+        workers = options.workers or (1 if alone else max(1, cores() // (options.threads or 1)))
+        threads = options.threads or max(1, cores() // workers)
+
+        def start(trial: Trial) -> Host:
+            return _Child(server, trial, work, threads)
+
+        limits = Limits(options.retries, options.seconds, options.grace)
+        self._pool = Pool(start, _await, workers, limits)
+
+    def free(self) -> int:
+        return self._pool.free()
+
+    def start(self, trial: Trial) -> None:
+        self._pool.start(trial)
+
+    def wait(self) -> Report | None:
+        return self._pool.wait()
+
+    def stop(self, key: str) -> None:
+        self._pool.stop(key)
+
+    def close(self) -> None:
+        self._pool.close()
+
+
+def _server() -> Any:
+    """What forks the trials; Ctrl-C, which the terminal sends to it too, is the sweep's alone."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_PRELOADED)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return server
+
+
+class _Child(Host):
+    """A child process, and this end of the pipe to it."""
+
+    def __init__(self, server: Any, trial: Trial, work: Work, threads: int) -> None:
+        self.pipe, theirs = server.Pipe()
+        output = folder_of(trial.key, work.folder) / OUTPUT
+        arguments = (theirs, job(trial, work, threads), str(output.absolute()))
+        self._process = server.Process(target=_carry_out, args=arguments, daemon=True)
+        self._process.start()
+        self.process = self._process.pid
+        theirs.close()
+
+    def receive(self) -> str | None:
+        try:
+            return self.pipe.recv_bytes().decode() if self.pipe.poll() else None
+        except (EOFError, OSError):
+            self._process.join(_ORPHANED)
+            code = self._process.exitcode
+        if code is not None and code < 0:
+            raise Lost(f"its process was killed ({signal.Signals(-code).name})")
+        raise Lost(f"its process ended with status {code}")
+
+    def answer(self, stop: bool) -> None:
+        self._send({"stop": stop})
+
+    def save(self) -> None:
+        self._send({"save": True})
+
+    def _send(self, message: Any) -> None:
+        with contextlib.suppress(OSError):  # it is gone, as the next message will say
+            self.pipe.send_bytes(json.dumps(message).encode())
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
+
+
+def _await(hosts: Sequence[Host], seconds: float) -> Sequence[Host]:
+    pipes = {host.pipe: host for host in hosts if isinstance(host, _Child)}
+    return [pipes[pipe] for pipe in wait(list(pipes), seconds)]
+
+
+# ---------------------------------------------------------------------- in the child
+
+
+def _carry_out(pipe: Connection, text: str, output: str) -> None:
+    os.setsid()  # Ctrl-C is the sweep's, which then lets this save
+    Path(output).parent.mkdir(parents=True, exist_ok=True)
+    file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for stream in (1, 2):
+        os.dup2(file, stream)
+    answers: SimpleQueue[bool | None] = SimpleQueue()
+    threading.Thread(target=_hear, args=(pipe, answers), daemon=True).start()
+    pipe.send_bytes(b'{"began": true}')
+    try:
+        trial, work = begun(text)
+        with contextlib.closing(run_trial(trial, work)) as reports:
+            report = next(reports)
+            while True:
+                stop: bool | None = False
+                if report is not None:
+                    pipe.send_bytes(message_of(report).encode())
+                    if report.final:
+                        return
+                    stop = answers.get()
+                    if stop is None:
+                        sys.exit(PreemptedError.exit_status)
+                report = reports.send(stop)
+    except PreemptedError as error:
+        sys.exit(error.exit_status)
+    except Exception as error:
+        pipe.send_bytes(json.dumps({"error": f"{type(error).__name__}: {error}"}).encode())
+        raise
+
+
+def _hear(pipe: Connection, answers: SimpleQueue[bool | None]) -> None:
+    """Pass on answers; told to save, or left alone, let the trial end at its next boundary."""
+
+    def end() -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        answers.put(None)
+
+    try:
+        while True:
+            message = json.loads(pipe.recv_bytes())
+            if "stop" in message:
+                answers.put(message["stop"])
+            else:
+                end()
+    except (EOFError, OSError):
+        end()
+        time.sleep(_ORPHANED)
+        os._exit(PreemptedError.exit_status)

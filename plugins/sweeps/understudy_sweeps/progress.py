@@ -1,0 +1,83 @@
+"""How far a sweep is: a live line on a terminal, a line for each finished trial elsewhere."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as Bar
+
+from understudy_report.progress import clock
+from understudy_sweeps.journal import Journal
+
+
+class Progress:
+    """Trials done, running and failed, the best so far, and the time left.
+
+    The time left is from the speed of this process: the share of the outer loop that was done since
+    it began.
+    """
+
+    def __init__(self, trials: int) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        self._trials = trials  #: in all; 0 if that is not known
+        self._bar: Bar | None = None
+        self._task: Any = None
+        self._began: tuple[float, float | None] | None = None
+        self._told = ""
+
+    def __enter__(self) -> Progress:
+        if self._console.is_terminal:
+            self._bar = Bar(
+                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
+                console=self._console, transient=True,
+            )  # fmt: skip
+            self._bar.start()
+            self._task = self._bar.add_task("sweep", total=1.0, note="")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, journal: Journal, share: float | None, running: int) -> None:
+        now = time.monotonic()
+        if self._began is None:
+            self._began = (now, share)
+        text = describe(journal, self._trials, running)
+        left = time_left(now - self._began[0], self._began[1], share)
+        note = text if left is None else f"{text} · about {clock(left)} left"
+        if self._bar is not None:
+            self._bar.update(self._task, completed=share or 0.0, note=note)
+        elif text != self._told:
+            self._console.print(note, soft_wrap=True)
+        self._told = text
+
+
+def describe(journal: Journal, trials: int, running: int) -> str:
+    """Where the sweep stands, in words."""
+    finished = journal.finished
+    failed = sum(report.objective is None for report in finished.values())
+    done = f"{len(finished)} of {trials}" if trials else str(len(finished))
+    parts = [f"{done} done", f"{running} running"]
+    if failed:
+        parts.append(f"{failed} failed")
+    levels = {trial.key: trial.fidelity or 0.0 for trial in journal.asked}
+    found = [
+        (levels.get(r.key, 0.0), r.objective, r.key)
+        for r in finished.values()
+        if r.objective is not None
+    ]
+    if found:
+        _, objective, key = max(found)  # of the greatest fidelity
+        parts.append(f"best {objective:.3g} ({key})")
+    return " · ".join(parts)
+
+
+def time_left(elapsed: float, before: float | None, share: float | None) -> float | None:
+    """Seconds until the share is 1, if it went from `before` to `share` in `elapsed` seconds."""
+    if before is None or share is None or share <= before:
+        return None
+    return elapsed * (1.0 - share) / (share - before)

@@ -1,0 +1,120 @@
+"""What the trials of a sweep gave, read from its journal and their run folders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from understudy.records.runs import Run
+from understudy.running.trials import Report, Trial
+from understudy_report.values import Row, mapping, number, read_evaluation
+from understudy_sweeps.journal import Journal
+from understudy_sweeps.trial import folder_of
+
+#: Figures of every trial beside its measures.
+SUCCESS, OBJECTIVE, SAMPLES, SECONDS = "success_rate", "objective", "samples", "seconds"
+
+
+@dataclass(frozen=True)
+class Result:
+    """A trial that was asked for, and what is known of it."""
+
+    trial: Trial
+    report: Report | None  #: the final one
+    path: Path  #: its run folder
+    rows: Sequence[Row] = ()  #: its metrics
+    evaluation: Row = field(default_factory=dict)  #: its last one
+
+    @property
+    def ok(self) -> bool:
+        return self.report is not None and self.report.status == "ok"
+
+    @property
+    def state(self) -> str:
+        """Where it stands, in a word; or why it failed."""
+        if self.report is None:
+            return "unfinished"
+        return self.report.outcome or self.report.status
+
+    @property
+    def seconds(self) -> float | None:
+        """Of training, over all resumes."""
+        return next((s for row in self.rows[::-1] if (s := number(row.get("seconds")))), None)
+
+    def figure(self, name: str) -> float | None:
+        """``objective``, ``samples``, ``seconds``, or a measure; None where it has none."""
+        if self.report is None or not self.ok:
+            return None
+        found = {OBJECTIVE: self.report.objective, SAMPLES: self.report.cost, SECONDS: self.seconds}
+        return number(found.get(name, self.report.measures.get(name)))
+
+
+class Results:
+    """Reads what the journal names; what is finished once only."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._finished: dict[str, Result] = {}
+
+    def of(self, journal: Journal) -> list[Result]:
+        reports = journal.finished
+        return [self._one(trial, reports.get(trial.key)) for trial in journal.asked]
+
+    def _one(self, trial: Trial, report: Report | None) -> Result:
+        if trial.key in self._finished:
+            return self._finished[trial.key]
+        path = folder_of(trial.key, self._folder)
+        run = Run(path, {})
+        result = Result(trial, report, path, run.metrics(), read_evaluation(run))
+        if report is not None:
+            self._finished[trial.key] = result
+        return result
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The results of one variant."""
+
+    name: str
+    results: Sequence[Result]
+
+    def figures(self, name: str) -> dict[int, float]:
+        """By seed."""
+        found = {r.trial.seed or 0: r.figure(name) for r in self.results}
+        return {seed: value for seed, value in found.items() if value is not None}
+
+
+def variants_of(results: Sequence[Result]) -> list[Variant]:
+    """In the order in which they were asked for; empty if the sweep is no comparison of variants."""
+    names = dict.fromkeys(r.trial.variant for r in results if r.trial.variant)
+    return [Variant(n, [r for r in results if r.trial.variant == n]) for n in names]
+
+
+def measures_of(results: Sequence[Result]) -> list[str]:
+    """The names of all measures, success first."""
+    names = {name for r in results if r.report for name in r.report.measures}
+    return sorted(names, key=lambda name: (name != SUCCESS, name))
+
+
+def objective_of(results: Sequence[Result]) -> str:
+    """What the objective is."""
+    for result in results:
+        name = mapping(result.evaluation).get("objective")
+        if isinstance(name, Mapping) and isinstance(name.get("name"), str):
+            return name["name"]
+    return OBJECTIVE
+
+
+def final_fidelity(results: Sequence[Result]) -> float | None:
+    """The greatest fidelity of any finished trial, at which objectives are compared."""
+    return max(
+        (r.trial.fidelity for r in results if r.ok and r.trial.fidelity is not None), default=None
+    )
+
+
+def best_of(results: Sequence[Result]) -> Result | None:
+    """The finished trial of the greatest objective, among those of the greatest fidelity."""
+    fidelity = final_fidelity(results)
+    found = [r for r in results if r.trial.fidelity == fidelity and r.figure(OBJECTIVE) is not None]
+    return max(found, key=lambda r: r.figure(OBJECTIVE) or 0.0, default=None)

@@ -1,0 +1,275 @@
+"""Tables of results: as HTML, Markdown and text for people, and as CSV with every digit."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.running.evaluation import wilson_interval
+from understudy_report import words
+from understudy_report.markup import grid
+from understudy_report.values import interval, mapping, number
+from understudy_sweeps.intervals import Mean, mean_of, paired_difference
+from understudy_sweeps.results import (
+    OBJECTIVE,
+    SAMPLES,
+    SECONDS,
+    SUCCESS,
+    Result,
+    Variant,
+    final_fidelity,
+    measures_of,
+    objective_of,
+)
+
+_NOTHING = "–"
+#: Between which a figure can lie, so that its interval need not say more.
+_BOUNDS = {SUCCESS: (0.0, 1.0), SAMPLES: (0.0, math.inf), SECONDS: (0.0, math.inf)}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells for people; the first of a row is its name."""
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def html(self) -> str:
+        return f'<div class="wide">{grid(self.heads, self.rows)}</div>'
+
+    def markdown(self) -> str:
+        def line(cells: Sequence[str]) -> str:
+            return "| " + " | ".join(in_markdown(cell) for cell in cells) + " |"
+
+        return "\n".join([line(self.heads), line(["---"] * len(self.heads)), *map(line, self.rows)])
+
+    def text(self) -> str:
+        widths = [max(map(len, column)) for column in zip(self.heads, *self.rows, strict=True)]
+        lines = [self.heads, *self.rows]
+        return "\n".join(
+            "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+            for row in lines
+        )
+
+
+def in_markdown(cell: str) -> str:
+    """On one line, and nothing in it means anything: names and errors may come from strangers."""
+    for sign in "\\`*_[]<>|#":
+        cell = cell.replace(sign, f"\\{sign}")
+    return " ".join(cell.split())
+
+
+# ---------------------------------------------------------------------- numbers in words
+
+
+def shown(value: float | None, name: str = "") -> str:
+    """A figure of the kind `name`, in three digits."""
+    if value is None:
+        return _NOTHING
+    if name == SUCCESS:
+        return words.share(value)
+    return words.duration(value) if name == SECONDS else words.short(value)
+
+
+def shown_mean(mean: Mean | None, name: str = "", *, sign: bool = False) -> str:
+    """A mean and its interval."""
+    if mean is None:
+        return _NOTHING
+    if name in _BOUNDS and not sign:
+        mean = mean.clipped(*_BOUNDS[name])
+    scale = 100.0 if name == SUCCESS else 1.0
+
+    def figure(value: float) -> str:
+        if name == SECONDS:
+            return words.duration(value)
+        return ("+" if sign and value > 0 else "") + words.short(scale * value)
+
+    unit = {SUCCESS: " points" if sign else " %"}.get(name, "")
+    if mean.low is None or mean.high is None or (name == SAMPLES and mean.low == mean.high):
+        return figure(mean.value) + unit
+    return f"{figure(mean.value)}{unit} [{figure(mean.low)}, {figure(mean.high)}]"
+
+
+# ---------------------------------------------------------------------- of variants
+
+
+def compared(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> Table:
+    """A row for each variant: means over seeds, the paper's number, and what it differs by from the
+    first."""
+    results = [r for v in variants for r in v.results]
+    objective, first = objective_of(results), variants[0]
+    figures = [SUCCESS] if SUCCESS in measures_of(results) else []
+    figures += [] if objective in figures else [OBJECTIVE]
+    judged, published = figures[-1] if objective != SUCCESS else SUCCESS, mapping(paper)
+    values, of = mapping(published.get("values")), published.get("of", OBJECTIVE)
+    if of not in (*figures, SAMPLES) and values:
+        figures.append(str(of))
+    criterion = any(r.state == "criterion" for r in results)
+    heads = ["variant", "seeds"]
+    for name in (*figures, SAMPLES):
+        heads.append({SUCCESS: "success", OBJECTIVE: objective}.get(name, name))
+        if values and _same(name, of, objective):
+            heads.append("paper")
+    heads += ["reached the criterion"] if criterion else []
+    heads += ["training"]
+    heads += [f"against {first.name}"] if len(variants) > 1 else []
+    rows = []
+    for variant in variants:
+        done = [r for r in variant.results if r.ok]
+        failed = sum(r.report is not None and not r.ok for r in variant.results)
+        row = [variant.name, f"{len(done)}" + (f" ({failed} failed)" if failed else "")]
+        for name in (*figures, SAMPLES):
+            row.append(shown_mean(mean_of(list(variant.figures(name).values())), name))
+            if values and _same(name, of, objective):
+                row.append(shown(number(values.get(variant.name)), name))
+        if criterion:
+            row.append(f"{sum(r.state == 'criterion' for r in done)} of {len(done)}")
+        row.append(shown_mean(mean_of(list(variant.figures(SECONDS).values())), SECONDS))
+        if len(variants) > 1:
+            difference = paired_difference(first.figures(judged), variant.figures(judged))
+            row.append(_NOTHING if variant is first else shown_mean(difference, judged, sign=True))
+        rows.append(row)
+    return Table(heads, rows)
+
+
+def _same(name: str, of: Any, objective: str) -> bool:
+    """Whether the figure `name` is what the published numbers are `of`."""
+    return (
+        name == of
+        or (of == OBJECTIVE and name == objective)
+        or (name == OBJECTIVE and of == objective)
+    )
+
+
+def compared_csv(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> str:
+    """As :func:`compared` and all measures, every number in full."""
+    published, first = mapping(paper), variants[0]
+    names = [OBJECTIVE, SAMPLES, SECONDS, *measures_of([r for v in variants for r in v.results])]
+    rows = []
+    for variant in variants:
+        done = sum(r.ok for r in variant.results)
+        failed = sum(r.report is not None and not r.ok for r in variant.results)
+        row: dict[str, Any] = {"variant": variant.name, "seeds": done, "failed": failed}
+        for name in names:
+            row |= _columns(name, mean_of(list(variant.figures(name).values())))
+        difference = paired_difference(first.figures(OBJECTIVE), variant.figures(OBJECTIVE))
+        row |= _columns("objective_difference", None if variant is first else difference)
+        row["paper"] = mapping(published.get("values")).get(variant.name)
+        rows.append(row)
+    return _csv(rows)
+
+
+def _columns(name: str, mean: Mean | None) -> dict[str, float | None]:
+    return {
+        name: mean.value if mean else None,
+        f"{name}_low": mean.low if mean else None,
+        f"{name}_high": mean.high if mean else None,
+    }
+
+
+def all_measures(variants: Sequence[Variant]) -> Table:
+    """A row for each measure of the evaluations."""
+    names = measures_of([r for v in variants for r in v.results])
+    rows = [
+        [name, *(shown_mean(mean_of(list(v.figures(name).values())), name) for v in variants)]
+        for name in names
+    ]
+    return Table(["measure", *(v.name for v in variants)], rows)
+
+
+# ---------------------------------------------------------------------- of trials
+
+
+def trials(results: Sequence[Result]) -> Table:
+    """A row for each trial; the best come first if it is a search."""
+    searched = not any(r.trial.variant for r in results)
+    points = list(dict.fromkeys(name for r in results for name in r.trial.point))
+    levels = any(r.trial.fidelity is not None for r in results)
+    starts = any(r.trial.start for r in results)
+    success = SUCCESS in measures_of(results)
+    objective = objective_of(results)
+    heads = ["trial", "ended by", *([] if objective == SUCCESS else [objective])]
+    heads += ["success"] if success else []
+    heads += ["fidelity"] if levels else []
+    heads += [*points, *(["began from"] if starts else []), "samples", "training"]
+    if searched:
+        top = final_fidelity(results)
+        results = sorted(
+            results,
+            key=lambda r: (
+                r.figure(OBJECTIVE) is None,
+                r.trial.fidelity != top,
+                -(r.figure(OBJECTIVE) or 0.0),
+            ),
+        )
+    rows = []
+    for r in results:
+        row = [r.trial.key, r.state]
+        row += [] if objective == SUCCESS else [shown(r.figure(OBJECTIVE))]
+        row += [_episodes(r)] if success else []
+        row += [shown(r.trial.fidelity)] if levels else []
+        row += [shown(number(r.trial.point.get(name))) for name in points]
+        row += [began_from(r.trial.start)] if starts else []
+        rows.append([*row, shown(r.figure(SAMPLES)), shown(r.figure(SECONDS), SECONDS)])
+    return Table(heads, rows)
+
+
+def _episodes(result: Result) -> str:
+    """The success rate of one trial, with the 95 % interval over its episodes."""
+    rate = result.figure(SUCCESS)
+    if rate is None:
+        return _NOTHING
+    bounds = interval(mapping(result.evaluation).get("success_rate_95"))
+    if bounds is None:
+        bounds = wilson_interval(rate, int(number(mapping(result.evaluation).get("episodes")) or 0))
+    return f"{words.share(rate)} [{100 * bounds[0]:.0f}, {100 * bounds[1]:.0f}]"
+
+
+def began_from(start: Mapping[str, Any] | None) -> str:
+    return str(mapping(start).get("trial") or mapping(start).get("run") or _NOTHING)
+
+
+def trials_csv(results: Sequence[Result]) -> str:
+    """A row for each trial, in the order in which they were asked for, every number in full."""
+    points = list(dict.fromkeys(name for r in results for name in r.trial.point))
+    rows = []
+    for r in results:
+        figures = {name: r.figure(name) for name in (OBJECTIVE, SAMPLES, SECONDS)}
+        measures = {f"measure/{name}": r.figure(name) for name in measures_of(results)}
+        rows.append(
+            {
+                "trial": r.trial.key,
+                "variant": r.trial.variant,
+                "seed": r.trial.seed,
+                "status": r.report.status if r.report else "unfinished",
+                "outcome": r.report.outcome if r.report else "",
+                "fidelity": r.trial.fidelity,
+                "began_from": began_from(r.trial.start) if r.trial.start else "",
+                **{f"point/{name}": r.trial.point.get(name) for name in points},
+                **figures,
+                **measures,
+                "folder": r.path.name,
+            }
+        )
+    return _csv(rows)
+
+
+def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    if not rows:
+        return ""
+    file = io.StringIO()
+    writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows([{k: _cell(v) for k, v in row.items()} for row in rows])
+    return file.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """Text that a spreadsheet would take for a formula is kept text."""
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+        return f"'{value}"
+    return value

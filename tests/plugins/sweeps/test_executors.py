@@ -1,0 +1,142 @@
+"""Executors of this machine give the same results, whatever happens to their processes."""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import executors
+import pytest
+import torch
+from executors import ENDLESS, SMALL_STOP, iterations, make, work
+from worlds import child_environment
+
+from understudy.errors import ConfigError
+from understudy.records.runs import Run
+from understudy.running.trials import Executor, Trial, Work
+from understudy.setup.composition import load_experiment
+from understudy_sweeps.processes import OUTPUT
+from understudy_sweeps.trial import folder_of
+
+pytestmark = pytest.mark.timeout(200)
+Build = Callable[[Work], Executor]
+
+
+def built(name: str, **options: object) -> Build:
+    """With as many threads of torch as the tests' own process has."""
+    more = {} if name == "in_process" else {"threads": 1}
+    return functools.partial(make, name, **more, **options)
+
+
+BOTH = pytest.mark.parametrize(
+    "build", [built("in_process"), built("processes", workers=2)], ids=["in_process", "processes"]
+)
+
+
+def test_same_results(tmp_path: Path) -> None:
+    executors.check_same_results(built("processes", workers=2), tmp_path)
+
+
+@BOTH
+def test_a_failure_is_a_report(build: Build, tmp_path: Path) -> None:
+    executors.check_failure_is_a_report(build, tmp_path)
+
+
+@BOTH
+def test_resumes(build: Build, tmp_path: Path) -> None:
+    executors.check_resumes(build, tmp_path)
+
+
+def test_a_killed_process_is_replaced(tmp_path: Path) -> None:
+    executors.check_killed_worker_is_replaced(built("processes"), tmp_path)
+
+
+def test_gives_up(tmp_path: Path) -> None:
+    executors.check_gives_up(built("processes", retries=1), tmp_path)
+
+
+def test_time_limit(tmp_path: Path) -> None:
+    executors.check_time_limit(built("processes", retries=1, seconds=4), tmp_path)
+
+
+def test_a_process_that_hangs(tmp_path: Path) -> None:
+    executors.check_hanging(built("processes", seconds=10, grace=1), tmp_path)
+
+
+def test_what_a_trial_says_is_in_its_folder(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    executors.carry_out(built("processes")(work(tmp_path)), [Trial("a")])
+    text = (folder_of("a", tmp_path) / OUTPUT).read_text()
+    assert "Evaluation at 256 samples" in text
+    assert "Evaluation at" not in capfd.readouterr().err
+
+
+def test_a_defect_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A trial whose folder holds something else: no finding of the trial."""
+    path = folder_of("a", tmp_path)
+    path.mkdir(parents=True)
+    (path / "metrics.jsonl").mkdir()
+    (last,) = executors.carry_out(built("processes", retries=1)(work(tmp_path)), [Trial("a")])
+    assert last.status.startswith("failed 2 times: its process ended with status 1 (")
+    assert "metrics.jsonl" in last.status
+    assert "It goes on from its last checkpoint (try 2 of 2)" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("device", "workers"), [("cuda", 1), ("cpu", len(os.sched_getaffinity(0)))]
+)
+def test_workers_by_default(device: str, workers: int, tmp_path: Path) -> None:
+    """One on a GPU, which one training fills."""
+    assert make("processes", Work((), str(tmp_path), device)).free() == workers
+
+
+@pytest.mark.parametrize(
+    "option", ["workers=0", "seconds=0", "retries=-1", "grace=-1", "threads=0"]
+)
+def test_options_out_of_range(option: str) -> None:
+    with pytest.raises(ConfigError, match=rf"executor\.{option.partition('=')[0]}=.* not possible"):
+        load_experiment(["executor=processes", f"executor.{option}"])
+
+
+@pytest.mark.gpu
+def test_on_a_gpu(tmp_path: Path) -> None:
+    """In processes of their own; the sweep's own process never touches the device."""
+    given = Work((*SMALL_STOP, "device=cuda"), str(tmp_path), "cuda")
+    reports = executors.carry_out(make("processes", given), executors.TRIALS)
+    last = {r.key: r.status for r in reports if r.final}
+    assert last == {"a": "ok", "b": "ok", "c": "ok"}
+    assert not torch.cuda.is_initialized()
+
+
+def test_children_end_with_their_sweep(tmp_path: Path) -> None:
+    """Killed, it cannot tell them; they save, and the folder is free again."""
+    command = [sys.executable, "-m", "understudy.command.cli", "sweep", *SMALL_STOP, *ENDLESS]
+    command += ["outer_loop=grid", "executor=processes", "executor.workers=1"]
+    command += ["checkpoint.minutes=1000", f"run.dir={tmp_path}"]
+    sweep = subprocess.Popen(command, env=child_environment(), stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    try:
+        while len(iterations(tmp_path, "base/seed0")) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        sweep.send_signal(signal.SIGKILL)
+        sweep.wait()
+    folder = Run(folder_of("base/seed0", tmp_path), {})
+    for _ in range(200):
+        try:
+            folder.lock()
+            break
+        except Exception:
+            time.sleep(0.05)
+    folder.lock()
+    folder.unlock()
+    saved = sorted(p.stem for p in folder.checkpoints.glob("*.json"))
+    assert int(saved[-1]) == iterations(tmp_path, "base/seed0")[-1] >= 3

@@ -1,0 +1,154 @@
+"""The journal: on disk before anything follows from it, and whole whatever cuts it short."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from executors import carry_out, make, work
+from hypothesis import given
+from hypothesis import strategies as st
+
+from understudy.errors import ConfigError, RunError
+from understudy.records.runs import Run
+from understudy.running.trials import Report, Trial
+from understudy_sweeps import trial as module
+from understudy_sweeps.journal import Journal
+from understudy_sweeps.trial import folder_of, overrides_of, run_trial, written
+
+ASKED = Trial("a", ("x=1",), {"p": 0.1}, 0.5, {"trial": "z"}, "bank", "v", 3)
+TOLD = Report("a", "running", 0.1 + 0.2, {"m": 1e-9}, 128.0, "runs/a")
+
+
+def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
+    journal = Journal.open(tmp_path / "journal.jsonl")
+    journal.ask(ASKED)
+    journal.tell(TOLD)
+    again = Journal.open(journal.path)
+    assert again.events == [ASKED, TOLD]
+    assert (again.asked, again.finished) == ([ASKED], {})
+
+
+def test_it_is_on_the_disk_before_anything_follows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal.open(tmp_path / "journal.jsonl")
+    synced: list[int] = []
+    sync = os.fsync
+
+    def noted(file: int) -> None:
+        sync(file)
+        synced.append(os.fstat(file).st_size)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    journal.ask(ASKED)
+    journal.tell(TOLD)
+    assert len(synced) == 2
+    assert synced[-1] == journal.path.stat().st_size
+
+
+@given(cut=st.integers(0, 700))
+def test_cut_anywhere_it_goes_on(cut: int, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Whole rows stay, and what is written next does not run into the torn one."""
+    path = tmp_path_factory.mktemp("cut") / "journal.jsonl"
+    journal = Journal.open(path)
+    journal.ask(ASKED)
+    journal.tell(TOLD)
+    data = path.read_bytes()
+    path.write_bytes(data[:cut])
+    again = Journal.open(path)
+    assert again.events == journal.events[: data[:cut].count(b"\n")] or cut in (
+        data.index(b"\n"),  # complete but for the line's end
+        len(data) - 1,
+    )
+    again.tell(TOLD)
+    assert Journal.read(path).events == again.events
+
+
+def test_nothing_follows_from_what_could_not_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal.open(tmp_path / "journal.jsonl")
+
+    def full(file: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(RunError, match=r"journal\.jsonl could not be written: No space left"):
+        journal.ask(ASKED)
+    assert journal.events == []
+
+
+def test_a_key_is_asked_for_once(tmp_path: Path) -> None:
+    journal = Journal.open(tmp_path / "journal.jsonl")
+    journal.ask(ASKED)
+    with pytest.raises(ConfigError, match="asks for trial 'a' twice"):
+        journal.ask(Trial("a"))
+
+
+# ---------------------------------------------------------------------- what a trial is
+
+ANY_KEY = st.text(min_size=1, max_size=20).filter(lambda key: key.isprintable())
+
+
+@given(key=ANY_KEY)
+def test_a_trial_stays_in_the_folder(key: str) -> None:
+    sweep = Path("/somewhere/sweep")
+    found = Path(os.path.normpath(folder_of(key, sweep)))
+    assert found.parent == sweep
+    assert found.name not in ("..", ".", "")
+
+
+@given(one=ANY_KEY, other=ANY_KEY)
+def test_two_trials_have_two_folders(one: str, other: str) -> None:
+    assert (folder_of(one, "s") == folder_of(other, "s")) == (one == other)
+
+
+def test_a_trial_is_a_run_without_a_sweep(tmp_path: Path) -> None:
+    """So that it can be resumed and rendered where the outer loop or the executor is not installed."""
+    given = work(tmp_path, "outer_loop=grid", "executor=processes", "seed=7")
+    found = overrides_of(ASKED, given)
+    assert "outer_loop=null" in found
+    assert "executor=null" in found
+    assert [o for o in found if o.startswith("seed=")] == ["seed=3"]
+    assert {"x=1", "p=0.1", "difficulty=0.5", "start={trial:'z'}"} < set(found)
+
+
+@given(st.recursive(st.text(max_size=5), lambda inner: st.lists(inner, max_size=3), max_leaves=5))
+def test_plain_data_survives_the_command_line(value: Any) -> None:
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    if "\n" in str(value) or not str(value).isprintable():
+        return
+    (override,) = OverridesParser.create().parse_overrides([f"x={written(value)}"])
+
+    def plain(found: Any) -> Any:
+        return (
+            [plain(f) for f in found] if isinstance(found, list) else getattr(found, "text", found)
+        )
+
+    assert plain(override.value()) == value
+
+
+def test_it_waits_for_whoever_still_saves(tmp_path: Path) -> None:
+    """As a process does whose sweep was killed."""
+    held = Run(tmp_path / "a", {})
+    held.path.mkdir()
+    held.lock()
+    threading.Timer(0.5, held.unlock).start()
+    (*_, last) = carry_out(make("in_process", work(tmp_path)), [Trial("a")])
+    assert last.status == "ok"
+
+
+def test_it_does_not_wait_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what another process holds is no finding of the trial: the sweep ends."""
+    monkeypatch.setattr(module, "PATIENCE", 0.2)
+    held = Run(tmp_path / "a", {})
+    held.path.mkdir()
+    held.lock()
+    with pytest.raises(RunError, match="Another process is training in"):
+        next(run_trial(Trial("a"), work(tmp_path)))

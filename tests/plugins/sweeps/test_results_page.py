@@ -1,0 +1,292 @@
+"""What a sweep shows: its tables, and its page in a browser that has no network."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from understudy.command.cli import main
+from understudy.errors import RunError
+from understudy.running.trials import Report, Trial
+from understudy_sweeps import tables
+from understudy_sweeps.film import Tile, columns_of, make_film
+from understudy_sweeps.journal import Journal
+from understudy_sweeps.page import Page
+from understudy_sweeps.progress import describe, time_left
+from understudy_sweeps.results import Result, Results, best_of, variants_of
+from understudy_sweeps.trial import folder_of
+
+EVIL = "<img src=x onerror=document.title='taken'>"
+PAPER = {
+    "caption": "Table 3 of the paper",
+    "of": "objective",
+    "values": {"full": 0.9, "third": 0.1},
+}
+
+
+def add(
+    folder: Path,
+    journal: Journal,
+    trial: Trial,
+    objective: float | None = None,
+    samples: float = 100.0,
+    outcome: str = "budget",
+    **measures: float,
+) -> None:
+    """A trial as it would be in the folder: finished with `objective`, or failed."""
+    journal.ask(trial)
+    path = folder_of(trial.key, folder)
+    path.mkdir(parents=True)
+    rows = [
+        {"iteration": i, "samples": i * samples / 4, "seconds": 2.0 * i, "episode/return": i + 0.1}
+        for i in range(1, 5)
+    ]
+    rows[-1] |= {f"evaluation/{name}": value for name, value in measures.items()}
+    (path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    evaluation = {"objective": {"name": "reach", "value": objective}, "episodes": 64}
+    (path / "evaluation.json").write_text(json.dumps(evaluation))
+    if objective is None:
+        journal.tell(Report(trial.key, f"failed: {EVIL}", cost=samples))
+    else:
+        figures = {"reach": objective, **measures}
+        journal.tell(Report(trial.key, "ok", objective, figures, samples, str(path), outcome))
+
+
+@pytest.fixture
+def ablation(tmp_path: Path) -> tuple[Path, Journal]:
+    """Two variants: seeds 0, 1, 2, and seeds 0, 1 with a third that failed."""
+    journal = Journal(tmp_path / "journal.jsonl")
+    for seed, (full, bare) in enumerate([(0.8, 0.5), (0.9, 0.7), (0.7, None)]):
+        for name, objective in (("full", full), (EVIL, bare)):
+            trial = Trial(f"{name}/seed{seed}", variant=name, seed=seed)
+            outcome = "criterion" if name == "full" else "budget"
+            add(tmp_path, journal, trial, objective, 100 + seed, outcome, success_rate=0.25)
+    return tmp_path, journal
+
+
+def results_of(given: tuple[Path, Journal]) -> list[Result]:
+    return Results(given[0]).of(given[1])
+
+
+def column(table: tables.Table, name: str) -> list[str]:
+    return [row[list(table.heads).index(name)] for row in table.rows]
+
+
+def test_the_table_of_variants(ablation: tuple[Path, Journal]) -> None:
+    table = tables.compared(variants_of(results_of(ablation)), PAPER)
+    assert list(table.heads) == [
+        "variant", "seeds", "success", "reach", "paper", "samples", "reached the criterion",
+        "training", "against full",
+    ]  # fmt: skip
+    assert column(table, "variant") == ["full", EVIL]
+    assert column(table, "seeds") == ["3", "2 (1 failed)"]
+    # Means 0.8 and 0.6; s = 0.1 and 0.1414; reaches 4.3027 · 0.1 / √3 and 12.706 · 0.1.
+    assert column(table, "reach") == ["0.8 [0.552, 1.05]", "0.6 [-0.671, 1.87]"]
+    assert column(table, "paper") == ["0.9", "–"]
+    assert column(table, "reached the criterion") == ["3 of 3", "0 of 2"]
+    assert column(table, "samples")[1] == "100 [94.1, 107]"
+    # Differences -0.3 and -0.2 of the seeds that both have.
+    assert column(table, "against full") == ["–", "-0.25 [-0.885, +0.385]"]
+    assert column(table, "success") == ["25 % [25, 25]", "25 % [25, 25]"]
+
+
+def test_one_seed_has_no_interval(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal.jsonl")
+    add(tmp_path, journal, Trial("a/seed0", variant="a", seed=0), 0.5)
+    table = tables.compared(variants_of(Results(tmp_path).of(journal)), None)
+    assert column(table, "reach") == ["0.5"]
+    assert "paper" not in table.heads
+
+
+def test_numbers_of_the_paper_of_a_measure(ablation: tuple[Path, Journal]) -> None:
+    paper = {**PAPER, "of": "success_rate", "values": {"full": 0.94}}
+    table = tables.compared(variants_of(results_of(ablation)), paper)
+    assert table.heads[2:4] == ["success", "paper"]
+    assert column(table, "paper") == ["94 %", "–"]
+
+
+def test_csv_has_every_digit(ablation: tuple[Path, Journal]) -> None:
+    results = results_of(ablation)
+    first, second = csv.DictReader(io.StringIO(tables.compared_csv(variants_of(results), PAPER)))
+    assert float(first["objective_low"]) == pytest.approx(0.8 - 4.302653 * 0.1 / 3**0.5, abs=1e-6)
+    assert (first["paper"], second["paper"]) == ("0.9", "")
+    assert float(second["objective_difference"]) == pytest.approx(-0.25)
+    rows = list(csv.DictReader(io.StringIO(tables.trials_csv(results))))
+    assert [r["seed"] for r in rows] == ["0", "0", "1", "1", "2", "2"]
+    assert rows[-1]["status"].startswith("failed: ")
+
+
+def test_a_spreadsheet_gets_no_formula(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal.jsonl")
+    add(tmp_path, journal, Trial("=cmd()/seed0", variant="=cmd()", seed=0), 0.5)
+    results = Results(tmp_path).of(journal)
+    assert tables.trials_csv(results).splitlines()[1].startswith("'=cmd()")
+
+
+def test_markdown_is_only_text() -> None:
+    table = tables.Table(["a", "b"], [["x|y", "[z](http://e)\n<b>"]])
+    assert table.markdown().splitlines()[2] == "| x\\|y | \\[z\\](http://e) \\<b\\> |"
+
+
+@pytest.fixture
+def search(tmp_path: Path) -> tuple[Path, Journal]:
+    """Three trials; the one of low fidelity has the greatest objective."""
+    journal = Journal(tmp_path / "journal.jsonl")
+    points: list[Mapping[str, float]] = [{"a.b": 1.0}, {"a.b": 2.0}, {"a.b": 3.0}, {"a.b": 4.0}]
+    starts: list[Any] = [None, {"trial": "t0"}, {"trial": "t0"}, None]
+    for i, (objective, fidelity) in enumerate([(0.9, 0.2), (0.5, 1.0), (0.7, 1.0), (None, 1.0)]):
+        trial = Trial(f"t{i}", point=points[i], fidelity=fidelity, start=starts[i])
+        add(tmp_path, journal, trial, objective)
+    return tmp_path, journal
+
+
+def test_the_table_of_a_search(search: tuple[Path, Journal]) -> None:
+    """The best of the highest fidelity comes first, and what failed last."""
+    table = tables.trials(results_of(search))
+    assert column(table, "trial") == ["t2", "t1", "t0", "t3"]
+    assert column(table, "began from") == ["t0", "t0", "–", "–"]
+    assert column(table, "a.b") == ["3", "2", "1", "4"]
+    best = best_of(results_of(search))
+    assert best is not None
+    assert best.trial.key == "t2"
+
+
+def test_progress_in_words(search: tuple[Path, Journal]) -> None:
+    assert describe(search[1], 6, 2) == "4 of 6 done · 2 running · 1 failed · best 0.7 (t2)"
+    assert describe(Journal(search[0] / "other"), 0, 1) == "0 done · 1 running"
+
+
+def test_the_time_left() -> None:
+    assert time_left(60.0, 0.2, 0.5) == pytest.approx(100.0)
+    assert time_left(60.0, 0.5, 0.5) is None
+    assert time_left(60.0, None, None) is None
+
+
+@pytest.mark.parametrize("kind", ["ablation", "search"])
+def test_every_file_escapes_what_it_shows(kind: str, request: pytest.FixtureRequest) -> None:
+    folder, journal = request.getfixturevalue(kind)
+    page = Page(folder, EVIL, {**PAPER, "caption": EVIL})
+    page.write(journal, film=True)
+    html = (folder / "page.html").read_text()
+    assert "<img" not in html
+    assert "&lt;img src=x" in html
+    assert "<img" not in (folder / "page.md").read_text().replace("\\<img", "")
+    assert "There is no video: nothing was recorded of" in html
+
+
+def test_a_page_that_cannot_be_written_stops_nothing(
+    ablation: tuple[Path, Journal], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def full(path: Path, data: bytes) -> None:
+        raise RunError(f"{path} could not be written: the disk is full.")
+
+    monkeypatch.setattr("understudy_sweeps.page.write_atomically", full)
+    Page(ablation[0], "x").write(ablation[1])
+    assert "No page: " in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------------- the video
+
+
+def test_tiles_and_their_columns() -> None:
+    assert [columns_of(n) for n in range(1, 8)] == [1, 2, 3, 2, 3, 3, 3]
+
+
+def recorded(folder: Path, **arrays: Any) -> Tile:
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez(folder / "recording.npz", **arrays)
+    return Tile(folder.name, folder)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "sentence"),
+    [
+        ({"x": np.zeros(3)}, "is damaged"),
+        ({"control_dt": 0.1, "first_episode": 3}, "is empty"),
+        ({"control_dt": 0.0, "first_episode": 3, "x": np.zeros(3)}, "is empty"),
+        ({"control_dt": 0.1, "first_episode": 3, "x": np.array([{}, 1])}, "is damaged"),
+    ],
+)
+def test_recordings_of_strangers_are_data(
+    tmp_path: Path, arrays: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(RunError, match=f"the recording of a {sentence}"):
+        make_film(tmp_path / "film.mp4", [recorded(tmp_path / "a", **arrays)])
+    assert not (tmp_path / "film.mp4").exists()
+
+
+# ---------------------------------------------------------------------- in a browser
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+QUICK = (
+    "num_worlds=16", "learner.rollout_steps=8", "budget.samples=768", "evaluation.every_samples=256",
+    "evaluation.episodes=8", "evaluation.final_episodes=8", "evaluation.seconds=1.0",
+)  # fmt: skip
+
+
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no browser to look at the page with ({', '.join(BROWSERS)})")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def test_the_page_of_an_ablation(browser: Any, tmp_path: Path) -> None:
+    """Two variants, three seeds: table, curves and a video that plays, with no network at all."""
+    folder = tmp_path / "sweep"
+    paper = "+outer_loop.paper={caption: Table 3, values: {curriculum: 0.5}}"
+    command = ["sweep", "ablation=miniature/jumping", *QUICK, paper, f"run.dir={folder}"]
+    assert main(command) == 0
+    context = browser.new_context(offline=True, color_scheme="dark")
+    page, asked, errors = context.new_page(), [], []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda message: errors.append(message.text))
+    page.goto((folder / "page.html").as_uri())
+    assert page.title() == "miniature/jumping · understudy"
+    rows = page.locator("section").first.locator("tr")
+    texts = [rows.nth(i).inner_text().split("\t") for i in range(rows.count())]
+    assert texts[0][:2] == ["variant", "seeds"]
+    assert [row[:2] for row in texts[1:]] == [["curriculum", "3"], ["full_height", "3"]]
+    assert texts[1][texts[0].index("paper")] == "0.5"
+    assert page.locator("path.series-band").count() >= 8, "two variants in each chart"
+    colours = page.locator("path.series").evaluate_all(
+        "found => [...new Set(found.map(path => getComputedStyle(path).stroke))]"
+    )
+    assert len(colours) == 2
+    video = page.locator("video")
+    video.evaluate("video => video.play()")
+    size = video.evaluate("video => [video.videoWidth, video.videoHeight]")
+    assert size == [960, 270]
+    names = page.locator(".film span")
+    assert names.all_inner_texts() == ["curriculum", "full_height"]
+    first, second = (names.nth(i).bounding_box() for i in (0, 1))
+    assert second["x"] - first["x"] == pytest.approx(video.bounding_box()["width"] / 2, abs=3)
+    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+    assert errors == []
+    page.set_viewport_size({"width": 390, "height": 800})
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    assert wide <= 390, "a telephone shows it without scrolling sideways"
+
+
+def test_the_film_is_drawn_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = [
+        "sweep", "ablation=miniature/jumping", *QUICK, "outer_loop.seeds=[0]", f"run.dir={tmp_path}"
+    ]  # fmt: skip
+    assert main(command) == 0
+    film = (tmp_path / "film.mp4").stat().st_mtime_ns
+    assert main(command) == 0
+    assert (tmp_path / "film.mp4").stat().st_mtime_ns == film
+    assert "data:video/mp4" in (tmp_path / "page.html").read_text()
