@@ -17,7 +17,7 @@ from understudy.setup.composition import load_experiment
 pytestmark = pytest.mark.gpu
 
 SMALL = (
-    "experiment=deepmimic/walk_gpu", "num_worlds=256", "learner.batch_size=128",
+    "experiment=deepmimic/walk_gpu", "num_worlds=256", "learner.batch_size=256",
     "evaluation.episodes=16", "evaluation.final_episodes=16", "difficulty=0.1",
 )  # fmt: skip
 
