@@ -189,7 +189,7 @@ def main() -> None:
     device, on_gpu = options.device, options.device != "cpu"
     worlds = options.worlds or (1024 if on_gpu else 1)
     warnings.filterwarnings("ignore", category=DeprecationWarning)
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     record: dict[str, Any] = {
         "when": time.strftime("%Y-%m-%d"),
         "device": torch.cuda.get_device_name() if on_gpu else platform.processor() or "cpu",

@@ -110,9 +110,7 @@ class Features:
     fluids: bool
     springs: bool
     alike: bool  #: all particles have one radius, mass and material, which is no fluid
-    shared: (
-        int  #: particles that the working memory on a multiprocessor has room for; 0: none there
-    )
+    shared: int  #: particles that shared memory has room for; 0: working memory is not there
     threads: int  #: of a block
 
 
@@ -122,10 +120,10 @@ class Kernels:
     tools: Any  #: (system,), N
     predict: Any  #: (system,), (N, P), as all below
     find: Any
-    density: Any  #: (system, iteration)
-    solve: Any  #: (system, iteration)
-    finish: Any  #: (system, iterations)
-    viscosity: Any  #: (system, iterations)
+    density: Any  #: (system, first row to read), as all below
+    solve: Any
+    finish: Any
+    viscosity: Any
 
 
 @wp.func_native(
@@ -207,7 +205,6 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
     for shape in range(s.tools.shapes):
         at_before = s.tools.shape_position_before[world, shape]
         at = s.tools.shape_position[world, shape]
-        # no faster than the particle's motion and that of the shape's farthest point
         before = wp.quat_rotate_inv(s.tools.shape_rotation_before[world, shape], start - at_before)
         turn = s.tools.shape_rotation[world, shape]
         after = wp.quat_rotate_inv(turn, result - at)
@@ -518,7 +515,10 @@ def build_kernels(features: Features) -> Kernels:
         v = wp.vec3(0.0)
         if own[3] > 0.0 and s.inverse_mass[i] > 0.0:
             v = (x - start) / s.dt
-            if wp.length(v) < s.sleep:
+            still = wp.length(v) < s.sleep * s.dt * wp.length(s.gravity[world])
+            if wp.static(FLUIDS):
+                still = still and s.rest_density[s.material[i]] == 0.0
+            if still:
                 x = start
                 v = wp.vec3(0.0)
             s.position[world, i] = x
