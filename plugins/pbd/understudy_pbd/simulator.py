@@ -216,7 +216,7 @@ class ParticleSimulator(Simulator):
         s.tension = one_each([m.fluid.tension if m.fluid else 0.0 for m in materials])
         s.softening = one_each([_softening(m.fluid) for m in materials])
         table = model.table
-        s.has_table = int(table is not None)
+        s.sides = 0 if table is None else 5 if table.lower or table.upper else 1
         s.table_friction = table.friction if table else 0.0
         s.lower = wp.vec2(*((table and table.lower) or (-_OPEN, -_OPEN)))
         s.upper = wp.vec2(*((table and table.upper) or (_OPEN, _OPEN)))
