@@ -42,6 +42,12 @@ TINY = (
     "evaluation.seconds=0.2",
 )
 
+#: Parts whose batches are larger than such an iteration.
+SMALLER = {
+    f"learner=deepmimic/{name}_gpu": ("learner.batch_size=128",)
+    for name in ("released", "optimised_walk", "optimised_backflip")
+}
+
 
 def bundled() -> Plugins:
     """The plugins of this distribution, without others that are installed."""
@@ -81,7 +87,7 @@ def attempt(
     chosen = f"{'experiment' if experiment else 'task'}={task}"
     group = part.partition("=")[0]
     above = [item for item in ABOVE.get(task, ()) if not item.startswith(f"{group}.")]
-    overrides = replaced([chosen, *learns, *above, *TINY], [part, *given])
+    overrides = replaced([chosen, *learns, *above, *TINY], [part, *given, *SMALLER.get(part, ())])
     training = None
     try:
         overrides = [item.replace("RUNS", str(runs)) for item in overrides]

@@ -20,9 +20,10 @@ def segment_probabilities(returns: Tensor, *, uniform: float) -> Tensor:
 
     The scale v is (max w - min w) / 3; equal returns give the uniform distribution.
     """
-    spread = returns.max() - returns.min()
-    scale = torch.where(spread > 0, spread / 3, torch.ones_like(spread))
-    return (1 - uniform) * torch.softmax(-returns / scale, dim=0) + uniform / len(returns)
+    low = returns.min()
+    spread = returns.max() - low
+    scale = torch.where(spread > torch.finfo(spread.dtype).tiny, spread / 3, torch.ones_like(spread))
+    return (1 - uniform) * torch.softmax((low - returns) / scale, dim=0) + uniform / len(returns)
 
 
 class _Segments:

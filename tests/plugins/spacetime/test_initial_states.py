@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -67,6 +67,7 @@ def walked(
     st.lists(st.floats(-1e3, 1e3, width=32), min_size=1, max_size=30),
     st.floats(0.0, 1.0, width=32),
 )
+@example([0.0, 1e-45], 0.0)
 @settings(max_examples=60, deadline=None)
 def test_probabilities_are_probabilities_with_a_uniform_share(
     returns: list[float], uniform: float
