@@ -1,0 +1,223 @@
+"""Inverse kinematics of a figure that holds a tool (section 4.4, eq. 13 and 14).
+
+Each frame solves
+
+    min ‖q' − q‖  with  x_tool(q') = x̂_tool,  r_tool(q') = r̂_tool,  C_joint(q') ≥ 0
+
+from the frame before, q. mink does it: a quadratic program a step, whose equality constraint is the tool's
+pose and whose inequalities are the joints' ranges. `retarget`'s solver, which takes all frames at once,
+weighs goals against one another and moves the root; here the pose has to be met exactly, from a figure
+that stands, without its arm passing through the table.
+
+Beside the paper's constraints there are two that keep the motion continuous and the arm out of things: no
+joint turns faster than `speed` from one frame to the next, and the geoms `apart` do not touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mink
+import mujoco
+import numpy as np
+
+from understudy.options import check_range
+
+#: Steps of a frame, and those of the first one, which begins anywhere.
+STEPS, FIRST_STEPS = 15, 200
+#: m and rad: nearer to the tool's pose a frame is solved.
+CLOSE = 1e-6
+#: rad a step while the first pose is sought; where the tool is far, eq. 13 is linear no farther than that.
+STRIDE = 0.3
+#: How firmly the tool is drawn to where it should be while it cannot be there: 1/m and 1/rad, against 1/rad
+#: of the joints. A radian counts as 0.2 m.
+PULL, TURN = 300.0, 60.0
+#: Beginnings that are tried where the first frame cannot be reached from the figure's own.
+TRIES = 12
+
+
+@dataclass(frozen=True)
+class Options:
+    speed: float = 10.0  #: rad/s, the most of any joint from frame to frame
+    #: s, in which joints that need not move return to where they were at first; 0 is eq. 13 alone.
+    relax: float = 2.0
+    clearance: float = 0.005  #: m, between what is to stay apart
+
+    def __post_init__(self) -> None:
+        check_range(self, "speed", above=0)
+        check_range(self, "relax", "clearance", least=0)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """T frames."""
+
+    qpos: np.ndarray  #: (T, nq)
+    position_error: np.ndarray  #: (T,) m, from the tool's place
+    orientation_error: np.ndarray  #: (T,) rad, from the tool's orientation
+
+
+def follow(
+    model: mujoco.MjModel,
+    body: str,
+    positions: np.ndarray,
+    orientations: np.ndarray,
+    *,
+    dt: float,
+    start: np.ndarray,
+    still: Sequence[int],
+    apart: Sequence[tuple[Sequence[int], Sequence[int]]] = (),
+    options: Options = Options(),
+) -> Motion:
+    """The motion whose `body` is at `positions` (T, 3) m with `orientations` (T, 4), every `dt` s.
+
+    Args:
+        start: (nq,) the pose before the first frame, in which every joint is within its range.
+        still: degrees of freedom that do not move.
+        apart: pairs of groups of geoms that do not touch.
+
+    Frames that cannot be met are as near as they can be; the errors say how near.
+    """
+    solver = _Solver(model, body, start, still, apart, options)
+    targets = [
+        mink.SE3.from_rotation_and_translation(mink.SO3(turn / np.linalg.norm(turn)), place)
+        for place, turn in zip(positions, orientations, strict=True)
+    ]
+    poses, errors = [], []
+    for frame, target in enumerate(targets):
+        if frame == 0:
+            solver.begin(target)
+        else:
+            solver.advance(target, dt)
+        poses.append(solver.qpos)
+        errors.append(solver.error(target))
+    place, turn = np.array(errors).T
+    return Motion(np.array(poses), place, turn)
+
+
+class _Bounds(mink.Limit):
+    """Every degree of freedom stays within `most` rad of the pose `around`."""
+
+    def __init__(self, model: mujoco.MjModel, around: np.ndarray, most: float) -> None:
+        self._model, self._around, self._most = model, around, most
+
+    def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> mink.Constraint:
+        away = np.empty(self._model.nv)
+        mujoco.mj_differentiatePos(self._model, away, 1.0, self._around, configuration.q)
+        each = np.eye(self._model.nv)
+        room = np.concatenate([self._most - away, self._most + away])
+        return mink.Constraint(np.concatenate([each, -each]), np.maximum(room, 0.0))
+
+
+class _Solver:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        body: str,
+        start: np.ndarray,
+        still: Sequence[int],
+        apart: Sequence[tuple[Sequence[int], Sequence[int]]],
+        options: Options,
+    ) -> None:
+        self._model, self._start, self._options = model, start.copy(), options
+        self._configuration = mink.Configuration(model, start)
+        self._hold = mink.FrameTask(body, "body", position_cost=PULL, orientation_cost=TURN)
+        self._still = mink.DofFreezingTask(model, dof_indices=list(still))
+        self._limits: list[mink.Limit] = [mink.ConfigurationLimit(model, gain=1.0)]
+        if apart:
+            pairs = [(list(a), list(b)) for a, b in apart]
+            avoid = mink.CollisionAvoidanceLimit(
+                model,
+                pairs,
+                gain=0.5,
+                minimum_distance_from_collisions=options.clearance,
+                collision_detection_distance=options.clearance + 0.05,
+            )
+            self._limits.append(avoid)
+        self._hinges = [
+            (int(model.jnt_qposadr[joint]), *model.jnt_range[joint])
+            for joint in range(model.njnt)
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE and model.jnt_limited[joint]
+        ]
+
+    @property
+    def qpos(self) -> np.ndarray:
+        return self._configuration.q.copy()
+
+    def error(self, target: mink.SE3) -> tuple[float, float]:
+        """m and rad from the tool's pose."""
+        self._hold.set_target(target)
+        away = self._hold.compute_error(self._configuration)
+        return float(np.linalg.norm(away[:3])), float(np.linalg.norm(away[3:]))
+
+    def begin(self, target: mink.SE3) -> None:
+        """The first pose: from the start, or else from where chance leads."""
+        generator = np.random.default_rng(0)
+        found: list[tuple[float, float, np.ndarray]] = []
+        for attempt in range(TRIES):
+            guess = self._start.copy()
+            if attempt:
+                for address, low, high in self._hinges:
+                    here = guess[address] + 0.25 * (high - low) * generator.standard_normal()
+                    guess[address] = np.clip(here, low, high)
+            self._configuration.update(guess)
+            for _ in range(FIRST_STEPS):
+                around = _Bounds(self._model, self.qpos, STRIDE)
+                if self._step(target, [(self._start, 1.0)], around) < CLOSE:
+                    break
+            place, turn = self.error(target)
+            away = np.empty(self._model.nv)
+            mujoco.mj_differentiatePos(self._model, away, 1.0, self._start, self._configuration.q)
+            missed = PULL * place + TURN * turn if max(place, turn) > 1e-4 else 0.0
+            found.append((missed, float(np.linalg.norm(away)), self.qpos))
+            if missed == 0.0:
+                break
+        self._configuration.update(min(found, key=lambda f: f[:2])[2])
+
+    def advance(self, target: mink.SE3, dt: float) -> None:
+        """The next pose, `dt` s later."""
+        before, relax = self.qpos, self._options.relax
+        near = [(before, 1.0)]
+        if relax:
+            near.append((self._start, float(np.sqrt(dt / relax))))
+        around = _Bounds(self._model, before, self._options.speed * dt)
+        for _ in range(STEPS):
+            if self._step(target, near, around) < CLOSE and max(self.error(target)) < CLOSE:
+                break
+
+    def _step(
+        self, target: mink.SE3, near: Sequence[tuple[np.ndarray, float]], around: _Bounds
+    ) -> float:
+        """One quadratic program; returns the greatest turn, rad."""
+        self._hold.set_target(target)
+        tasks: list[mink.BaseTask] = []
+        for pose, cost in near:
+            task = mink.PostureTask(self._model, cost)
+            task.set_target(pose)
+            tasks.append(task)
+        limits = [*self._limits, around]
+        try:
+            step = mink.solve_ik(
+                self._configuration,
+                tasks,
+                1.0,
+                "daqp",
+                limits=limits,
+                constraints=[self._hold, self._still],
+            )
+        except mink.NoSolutionFound:  # eq. 14 has no solution so near: as near as can be
+            step = mink.solve_ik(
+                self._configuration,
+                [*tasks, self._hold],
+                1.0,
+                "daqp",
+                limits=limits,
+                constraints=[self._still],
+            )
+        self._configuration.integrate_inplace(step, 1.0)
+        inside = self.qpos
+        for address, low, high in self._hinges:  # which rounding may have left
+            inside[address] = np.clip(inside[address], low, high)
+        self._configuration.update(inside)
+        return float(np.abs(step).max())
