@@ -50,7 +50,9 @@ def understudy_register(register: Registrar) -> None:
             where = f"understudy_amorphous.{module}:{target}"
             register.component(kind, f"amorphous.{name}", where, summary)
     here = "understudy_amorphous"
-    register.component("character", "amorphous.cook", f"{here}.character:build_cook", "a cook, standing")
+    register.component(
+        "character", "amorphous.cook", f"{here}.character:build_cook", "a cook, standing"
+    )
     register.component(
         "command",
         "amorphous character",

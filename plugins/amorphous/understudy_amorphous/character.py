@@ -31,7 +31,7 @@ TOOL, TABLE = "tool", "table"
 _STEEL, _WOOD = (0.45, 0.50, 0.56, 1.0), (0.30, 0.20, 0.13, 1.0)
 _TOP, _BASE = (0.60, 0.47, 0.36, 1.0), (0.86, 0.86, 0.84, 1.0)
 #: m: half the table's width and depth, its thickness, and how far the figure's front is from its edge.
-_HALF, _THICKNESS, _OVERHANG = (0.32, 0.55), 0.03, 0.06
+_HALF, _THICKNESS, _OVERHANG = (0.30, 0.5), 0.03, 0.06
 
 
 def build_cook() -> mujoco.MjSpec:
@@ -62,10 +62,10 @@ class Grip:
 #: handle and the fist's axis half a right angle apart, as a pan is held.
 GRIPS: Mapping[str, Grip] = {
     "scraper": Grip(
-        scale=0.07,
-        tool=(0.0, 0.0, -0.111, 0.0, 0.0, 0.0),
-        table=(0.47, -0.10, 0.96),
-        facing=0.3,
+        scale=0.06,
+        tool=(0.0, 0.0, -0.103, 0.0, 0.0, 0.0),
+        table=(0.42, -0.10, 0.96),
+        facing=0.8,
         rod=(0.056, 0.055),
     ),
     "pan": Grip(
@@ -125,6 +125,7 @@ def figure(
     _add_tool(held, tool, grip, in_hand)
     _add_table(spec, grip)
     staging.stage(spec, Character(name, bare).joint_names[0])
+    spec.visual.map.shadowclip, spec.visual.quality.shadowsize = 3.0, 8192  # the table's, too
     return _figure(Character(name, _compiled(name, spec)))
 
 
@@ -147,14 +148,18 @@ def _hand(model: mujoco.MjModel, name: str, hand: str) -> tuple[int, np.ndarray,
     if hand in bodies:
         return model.body(hand).id, np.zeros(3), Rotation.identity()
     known = [n for n in (*sites, *bodies) if n]
-    raise ConfigError(f"{name} has no site or body '{hand}' to hold a tool.{suggestion(hand, known)}")
+    raise ConfigError(
+        f"{name} has no site or body '{hand}' to hold a tool.{suggestion(hand, known)}"
+    )
 
 
 def _add_tool(held: mujoco.MjsBody, tool: Tool, grip: Grip, in_hand: Rotation) -> None:
     for layer, shape in enumerate(tool.shapes):
         if isinstance(shape, Box):
             size = grip.scale * np.array(shape.half_extents)
-            size[size.argmin()] *= 1 - 0.02 * (layer % 8)  # of boxes with a common side one is in front
+            size[size.argmin()] *= 1 - 0.02 * (
+                layer % 8
+            )  # of boxes with a common side one is in front
             kind = mujoco.mjtGeom.mjGEOM_BOX
         elif isinstance(shape, Capsule):
             size = grip.scale * np.array([shape.radius, shape.half_length, 0.0])

@@ -64,18 +64,19 @@ def draw(
 
 
 def _camera(figure: Figure, qpos: np.ndarray) -> mujoco.MjvCamera:
-    """It sees the figure from its head to the table, and the whole way of the tool."""
+    """It sees the figure from the hips up, the table's top, and all ways of the tool."""
     model, data = figure.model, mujoco.MjData(figure.model)
+    shown = [b for b in figure.character.carrier if model.body_jntnum[b]]
     seen = []
     for pose in qpos[:: max(1, len(qpos) // 20)]:
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
-        seen.append(data.xpos[model.body(TOOL).id].copy())
-        seen += [data.xpos[b].copy() for b in figure.character.carrier if b != figure.character.root]
-    table = data.geom_xpos[model.geom(TABLE).id]
-    low, high = np.min([*seen, table], axis=0), np.max([*seen, table], axis=0)
+        seen.append(data.xpos[[*shown, model.body(TOOL).id]].copy())
+    seen.append(data.geom_xpos[[model.geom(TABLE).id]])
+    points = np.concatenate(seen)
+    low, high = points.min(axis=0), points.max(axis=0)
     camera = mujoco.MjvCamera()
     camera.lookat[:] = 0.5 * (low + high)
-    camera.distance = 1.9 * float(np.linalg.norm(high - low))
+    camera.distance = 1.35 * float(np.linalg.norm(high - low))
     camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
     return camera

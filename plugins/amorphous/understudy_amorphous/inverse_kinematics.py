@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import mink
 import mujoco
@@ -40,6 +41,9 @@ TRIES = 12
 @dataclass(frozen=True)
 class Options:
     speed: float = 10.0  #: rad/s, the most of any joint from frame to frame
+    #: What a turn of a joint costs in eq. 13: the same for all, or as much as the mass that it moves (root of
+    #: its share), so that the arm moves rather than the trunk.
+    cost: Literal["equal", "mass"] = "mass"
     #: s, in which joints that need not move return to where they were at first; 0 is eq. 13 alone.
     relax: float = 2.0
     clearance: float = 0.005  #: m, between what is to stay apart
@@ -102,12 +106,23 @@ class _Bounds(mink.Limit):
     def __init__(self, model: mujoco.MjModel, around: np.ndarray, most: float) -> None:
         self._model, self._around, self._most = model, around, most
 
-    def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> mink.Constraint:
+    def compute_qp_inequalities(
+        self, configuration: mink.Configuration, dt: float
+    ) -> mink.Constraint:
         away = np.empty(self._model.nv)
         mujoco.mj_differentiatePos(self._model, away, 1.0, self._around, configuration.q)
         each = np.eye(self._model.nv)
         room = np.concatenate([self._most - away, self._most + away])
         return mink.Constraint(np.concatenate([each, -each]), np.maximum(room, 0.0))
+
+
+def _carrying(model: mujoco.MjModel, body: str) -> np.ndarray:
+    """The degrees of freedom that move the body and have mass to move."""
+    chain = [model.body(body).id]
+    while chain[-1]:
+        chain.append(int(model.body_parentid[chain[-1]]))
+    moved = model.body_subtreemass[model.dof_bodyid] > 0
+    return np.flatnonzero(np.isin(model.dof_bodyid, chain) & moved)
 
 
 class _Solver:
@@ -135,6 +150,12 @@ class _Solver:
                 collision_detection_distance=options.clearance + 0.05,
             )
             self._limits.append(avoid)
+        #: (nv,) what a turn of each degree of freedom costs in eq. 13
+        self._cost = np.ones(model.nv)
+        if options.cost == "mass":
+            moved = model.body_subtreemass[model.dof_bodyid]
+            least = moved[_carrying(model, body)].min(initial=moved.max())
+            self._cost = np.sqrt(np.maximum(moved, least) / least)
         self._hinges = [
             (int(model.jnt_qposadr[joint]), *model.jnt_range[joint])
             for joint in range(model.njnt)
@@ -193,7 +214,7 @@ class _Solver:
         self._hold.set_target(target)
         tasks: list[mink.BaseTask] = []
         for pose, cost in near:
-            task = mink.PostureTask(self._model, cost)
+            task = mink.PostureTask(self._model, cost * self._cost)
             task.set_target(pose)
             tasks.append(task)
         limits = [*self._limits, around]
