@@ -58,8 +58,9 @@ class Grip:
         check_range(self, "scale", above=0)
 
 
-#: By tool. The fist is upright around a rod on the scraper, 5.5 cm above the blade, and so are the pan's
-#: handle and the fist's axis half a right angle apart, as a pan is held.
+#: By tool. The fist is upright around a rod on the scraper's blade; with the arm forward the scraper faces
+#: to the left, from where it can turn either way. The pan's handle lies across the palm, half a right angle
+#: from the fist's axis and from the figure's front.
 GRIPS: Mapping[str, Grip] = {
     "scraper": Grip(
         scale=0.06,
@@ -70,9 +71,9 @@ GRIPS: Mapping[str, Grip] = {
     ),
     "pan": Grip(
         scale=0.12,
-        tool=(0.1286, 0.0, 0.1541, 0.0, 0.25 * np.pi, np.pi),
-        table=(0.47, -0.10, 0.9),
-        facing=np.pi,
+        tool=(0.1504, 0.0127, 0.1324, -0.25 * np.pi, 0.25 * np.pi, np.pi),
+        table=(0.50, -0.05, 0.90),
+        facing=1.25 * np.pi,
     ),
 }
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from understudy.errors import UnderstudyError
-from understudy_amorphous.character import TABLE, TOOL, Figure, Placement
+from understudy_amorphous.character import TABLE, Figure, Placement
 from understudy_pbd.drawing import add_geom, particle_colours
 from understudy_pbd.scene import ParticleModel
 
@@ -64,19 +64,19 @@ def draw(
 
 
 def _camera(figure: Figure, qpos: np.ndarray) -> mujoco.MjvCamera:
-    """It sees the figure from the hips up, the table's top, and all ways of the tool."""
+    """It sees what moves of the figure, and the table, from the figure's left front."""
     model, data = figure.model, mujoco.MjData(figure.model)
-    shown = [b for b in figure.character.carrier if model.body_jntnum[b]]
-    seen = []
+    moving = [geom.id for geom in figure.character.shown if geom.joint != 0]
+    mujoco.mj_kinematics(model, data)
+    seen = [data.geom_xpos[[model.geom(TABLE).id]].copy()]
     for pose in qpos[:: max(1, len(qpos) // 20)]:
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
-        seen.append(data.xpos[[*shown, model.body(TOOL).id]].copy())
-    seen.append(data.geom_xpos[[model.geom(TABLE).id]])
+        seen.append(data.geom_xpos[moving].copy())
     points = np.concatenate(seen)
     low, high = points.min(axis=0), points.max(axis=0)
     camera = mujoco.MjvCamera()
     camera.lookat[:] = 0.5 * (low + high)
-    camera.distance = 1.35 * float(np.linalg.norm(high - low))
+    camera.distance = 1.15 * float(np.linalg.norm(high - low))
     camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
     return camera

@@ -29,7 +29,7 @@ from understudy.options import check_range
 STEPS, FIRST_STEPS = 15, 200
 #: m and rad: nearer to the tool's pose a frame is solved.
 CLOSE = 1e-6
-#: rad a step while the first pose is sought; where the tool is far, eq. 13 is linear no farther than that.
+#: rad a step of any joint: no farther is the tool's pose nearly linear in the joints.
 STRIDE = 0.3
 #: How firmly the tool is drawn to where it should be while it cannot be there: 1/m and 1/rad, against 1/rad
 #: of the joints. A radian counts as 0.2 m.
@@ -137,7 +137,7 @@ class _Solver:
     ) -> None:
         self._model, self._start, self._options = model, start.copy(), options
         self._configuration = mink.Configuration(model, start)
-        self._hold = mink.FrameTask(body, "body", position_cost=PULL, orientation_cost=TURN)
+        self._hold = mink.FrameTask(body, "body", PULL, TURN, lm_damping=0.01)
         self._still = mink.DofFreezingTask(model, dof_indices=list(still))
         self._limits: list[mink.Limit] = [mink.ConfigurationLimit(model, gain=1.0)]
         if apart:
@@ -184,8 +184,7 @@ class _Solver:
                     guess[address] = np.clip(here, low, high)
             self._configuration.update(guess)
             for _ in range(FIRST_STEPS):
-                around = _Bounds(self._model, self.qpos, STRIDE)
-                if self._step(target, [(self._start, 1.0)], around) < CLOSE:
+                if self._step(target, [(self._start, 1.0)]) < CLOSE:
                     break
             place, turn = self.error(target)
             away = np.empty(self._model.nv)
@@ -208,7 +207,7 @@ class _Solver:
                 break
 
     def _step(
-        self, target: mink.SE3, near: Sequence[tuple[np.ndarray, float]], around: _Bounds
+        self, target: mink.SE3, near: Sequence[tuple[np.ndarray, float]], *around: _Bounds
     ) -> float:
         """One quadratic program; returns the greatest turn, rad."""
         self._hold.set_target(target)
@@ -217,7 +216,7 @@ class _Solver:
             task = mink.PostureTask(self._model, cost * self._cost)
             task.set_target(pose)
             tasks.append(task)
-        limits = [*self._limits, around]
+        limits = [*self._limits, *around, _Bounds(self._model, self.qpos, STRIDE)]
         try:
             step = mink.solve_ik(
                 self._configuration,
