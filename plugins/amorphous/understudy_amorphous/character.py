@@ -29,6 +29,7 @@ from understudy_pbd.scene import Box, Capsule, Tool
 #: Names of the bodies that are added.
 TOOL, TABLE = "tool", "table"
 _STEEL, _WOOD = (0.45, 0.50, 0.56, 1.0), (0.30, 0.20, 0.13, 1.0)
+_MASS = 0.2  #: kg, the tool's
 _TOP, _BASE = (0.60, 0.47, 0.36, 1.0), (0.86, 0.86, 0.84, 1.0)
 #: m: half the table's width and depth, its thickness, and how far the figure's front is from its edge.
 _HALF, _THICKNESS, _OVERHANG = (0.30, 0.5), 0.03, 0.06
@@ -174,7 +175,7 @@ def _add_tool(held: mujoco.MjsBody, tool: Tool, grip: Grip, in_hand: Rotation) -
             quat=shape.orientation,
             contype=0,
             conaffinity=0,
-            mass=0,
+            mass=_MASS / len(tool.shapes),
             rgba=_STEEL,
         )
     if any(grip.rod):

@@ -15,6 +15,7 @@ joint turns faster than `speed` from one frame to the next, and the geoms `apart
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -25,15 +26,22 @@ import numpy as np
 
 from understudy.options import check_range
 
-#: Steps of a frame, and those of the first one, which begins anywhere.
-STEPS, FIRST_STEPS = 15, 200
+#: Steps of a frame; those of the first one, which begins anywhere; and those that end both, exactly at the
+#: tool though perhaps a little off eq. 13.
+STEPS, FIRST_STEPS, LAST_STEPS = 15, 80, 5
 #: m and rad: nearer to the tool's pose a frame is solved.
 CLOSE = 1e-6
 #: rad a step of any joint: no farther is the tool's pose nearly linear in the joints.
 STRIDE = 0.3
+#: m: what is nearer than that could touch after such a step.
+DETECTED = 0.3
+#: m a step by which what is nearer than the clearance parts.
+AWAY = 5e-4
 #: How firmly the tool is drawn to where it should be while it cannot be there: 1/m and 1/rad, against 1/rad
 #: of the joints. A radian counts as 0.2 m.
 PULL, TURN = 300.0, 60.0
+#: What a turn of a joint then costs, of what it costs else.
+LESS = 0.03
 #: Beginnings that are tried where the first frame cannot be reached from the figure's own.
 TRIES = 12
 
@@ -135,21 +143,19 @@ class _Solver:
         apart: Sequence[tuple[Sequence[int], Sequence[int]]],
         options: Options,
     ) -> None:
-        self._model, self._start, self._options = model, start.copy(), options
+        self._model, self._body = model, body
+        self._start, self._options = start.copy(), options
         self._configuration = mink.Configuration(model, start)
         self._hold = mink.FrameTask(body, "body", PULL, TURN, lm_damping=0.01)
         self._still = mink.DofFreezingTask(model, dof_indices=list(still))
-        self._limits: list[mink.Limit] = [mink.ConfigurationLimit(model, gain=1.0)]
-        if apart:
-            pairs = [(list(a), list(b)) for a, b in apart]
-            avoid = mink.CollisionAvoidanceLimit(
-                model,
-                pairs,
-                gain=0.5,
-                minimum_distance_from_collisions=options.clearance,
-                collision_detection_distance=options.clearance + 0.05,
-            )
-            self._limits.append(avoid)
+        self._avoid = mink.CollisionAvoidanceLimit(
+            model,
+            [(list(group), list(others)) for group, others in apart],
+            gain=0.5,
+            minimum_distance_from_collisions=options.clearance,
+            collision_detection_distance=DETECTED,
+        )
+        self._limits = [mink.ConfigurationLimit(model, gain=1.0), self._avoid]
         #: (nv,) what a turn of each degree of freedom costs in eq. 13
         self._cost = np.ones(model.nv)
         if options.cost == "mass":
@@ -168,9 +174,10 @@ class _Solver:
 
     def error(self, target: mink.SE3) -> tuple[float, float]:
         """m and rad from the tool's pose."""
-        self._hold.set_target(target)
-        away = self._hold.compute_error(self._configuration)
-        return float(np.linalg.norm(away[:3])), float(np.linalg.norm(away[3:]))
+        here = self._configuration.get_transform_frame_to_world(self._body, "body")
+        turned = (here.rotation().inverse() @ target.rotation()).log()
+        away = here.translation() - target.translation()
+        return float(np.linalg.norm(away)), float(np.linalg.norm(turned))
 
     def begin(self, target: mink.SE3) -> None:
         """The first pose: from the start, or else from where chance leads."""
@@ -183,9 +190,12 @@ class _Solver:
                     here = guess[address] + 0.25 * (high - low) * generator.standard_normal()
                     guess[address] = np.clip(here, low, high)
             self._configuration.update(guess)
+            if attempt and self._touching():  # which no step would mend
+                continue
             for _ in range(FIRST_STEPS):
                 if self._step(target, [(self._start, 1.0)]) < CLOSE:
                     break
+            self._settle(target)
             place, turn = self.error(target)
             away = np.empty(self._model.nv)
             mujoco.mj_differentiatePos(self._model, away, 1.0, self._start, self._configuration.q)
@@ -194,6 +204,13 @@ class _Solver:
             if missed == 0.0:
                 break
         self._configuration.update(min(found, key=lambda f: f[:2])[2])
+
+    def _touching(self) -> bool:
+        data = self._configuration.data
+        return any(
+            mujoco.mj_geomDistance(self._model, data, a, b, 0.1, np.zeros(6)) < 0.0
+            for a, b in self._avoid.geom_id_pairs
+        )
 
     def advance(self, target: mink.SE3, dt: float) -> None:
         """The next pose, `dt` s later."""
@@ -204,40 +221,55 @@ class _Solver:
         around = _Bounds(self._model, before, self._options.speed * dt)
         for _ in range(STEPS):
             if self._step(target, near, around) < CLOSE and max(self.error(target)) < CLOSE:
-                break
+                return
+        self._settle(target, around)
+
+    def _settle(self, target: mink.SE3, *around: _Bounds) -> None:
+        """Go to the nearest pose from here."""
+        for _ in range(LAST_STEPS):
+            if max(self.error(target)) < CLOSE:
+                return
+            self._step(target, [(self.qpos, 1.0)], *around)
 
     def _step(
         self, target: mink.SE3, near: Sequence[tuple[np.ndarray, float]], *around: _Bounds
     ) -> float:
         """One quadratic program; returns the greatest turn, rad."""
         self._hold.set_target(target)
-        tasks: list[mink.BaseTask] = []
-        for pose, cost in near:
-            task = mink.PostureTask(self._model, cost * self._cost)
-            task.set_target(pose)
-            tasks.append(task)
         limits = [*self._limits, *around, _Bounds(self._model, self.qpos, STRIDE)]
-        try:
-            step = mink.solve_ik(
-                self._configuration,
-                tasks,
-                1.0,
-                "daqp",
-                limits=limits,
-                constraints=[self._hold, self._still],
-            )
-        except mink.NoSolutionFound:  # eq. 14 has no solution so near: as near as can be
-            step = mink.solve_ik(
-                self._configuration,
-                [*tasks, self._hold],
-                1.0,
-                "daqp",
-                limits=limits,
-                constraints=[self._still],
-            )
+        drawn = [*self._postures(near, LESS), self._hold]
+        step = np.zeros(self._model.nv)
+        # Eq. 14; where that has no solution so near, as near as can be, and at last without parting.
+        for tasks, constraints, away in (
+            (self._postures(near), [self._hold, self._still], AWAY),
+            (drawn, [self._still], AWAY),
+            (drawn, [self._still], 0.0),
+        ):
+            self._avoid.bound_relaxation = -away
+            with contextlib.suppress(mink.NoSolutionFound):
+                step = mink.solve_ik(
+                    self._configuration,
+                    tasks,
+                    1.0,
+                    "daqp",
+                    limits=limits,
+                    constraints=constraints,
+                )
+                break
         self._configuration.integrate_inplace(step, 1.0)
         inside = self.qpos
         for address, low, high in self._hinges:  # which rounding may have left
             inside[address] = np.clip(inside[address], low, high)
         self._configuration.update(inside)
         return float(np.abs(step).max())
+
+    def _postures(
+        self, near: Sequence[tuple[np.ndarray, float]], share: float = 1.0
+    ) -> list[mink.BaseTask]:
+        """What draws the joints to the poses `near`, each with its weight."""
+        tasks: list[mink.BaseTask] = []
+        for pose, weight in near:
+            task = mink.PostureTask(self._model, share * weight * self._cost)
+            task.set_target(pose)
+            tasks.append(task)
+        return tasks
