@@ -42,8 +42,9 @@ AWAY = 5e-4
 PULL, TURN = 300.0, 60.0
 #: What a turn of a joint then costs, of what it costs else.
 LESS = 0.03
-#: Beginnings that are tried where the first frame cannot be reached from the figure's own.
-TRIES = 12
+#: Beginnings that are tried where the first frame cannot be reached from the figure's own, and how far off
+#: they are, rad.
+TRIES, ASTRAY = 12, 0.7
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,8 @@ class _Solver:
         self._start, self._options = start.copy(), options
         self._configuration = mink.Configuration(model, start)
         self._hold = mink.FrameTask(body, "body", PULL, TURN, lm_damping=0.01)
-        self._still = mink.DofFreezingTask(model, dof_indices=list(still))
+        self._fixed = list(still)
+        self._still = mink.DofFreezingTask(model, dof_indices=self._fixed)
         self._avoid = mink.CollisionAvoidanceLimit(
             model,
             [(list(group), list(others)) for group, others in apart],
@@ -186,9 +188,10 @@ class _Solver:
         for attempt in range(TRIES):
             guess = self._start.copy()
             if attempt:
-                for address, low, high in self._hinges:
-                    here = guess[address] + 0.25 * (high - low) * generator.standard_normal()
-                    guess[address] = np.clip(here, low, high)
+                away = ASTRAY * generator.standard_normal(self._model.nv)
+                away[self._fixed] = 0.0
+                mujoco.mj_integratePos(self._model, guess, away, 1.0)
+                guess = self._inside(guess)
             self._configuration.update(guess)
             if attempt and self._touching():  # which no step would mend
                 continue
@@ -257,11 +260,15 @@ class _Solver:
                 )
                 break
         self._configuration.integrate_inplace(step, 1.0)
-        inside = self.qpos
-        for address, low, high in self._hinges:  # which rounding may have left
-            inside[address] = np.clip(inside[address], low, high)
-        self._configuration.update(inside)
+        self._configuration.update(self._inside(self.qpos))  # which rounding may have left
         return float(np.abs(step).max())
+
+    def _inside(self, qpos: np.ndarray) -> np.ndarray:
+        """``qpos`` (nq,) with hinges beyond their ranges at the ends of these."""
+        result = qpos.copy()
+        for address, low, high in self._hinges:
+            result[address] = np.clip(result[address], low, high)
+        return result
 
     def _postures(
         self, near: Sequence[tuple[np.ndarray, float]], share: float = 1.0
