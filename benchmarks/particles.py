@@ -67,7 +67,7 @@ class Side:
     places: Callable[[], np.ndarray]  #: (N, 216, 3), m
 
 
-def ours(device: str, worlds: int, traversal: Any) -> Side:
+def ours(device: str, worlds: int, traversal: Any, threads: int) -> Side:
     context = Context(
         seed=0,
         device=torch.device(device),
@@ -76,7 +76,7 @@ def ours(device: str, worlds: int, traversal: Any) -> Side:
         substeps=SUBSTEPS,
         scene=Grains(),
     )
-    options = ParticleSimulator.Options(iterations=ITERATIONS, traversal=traversal)
+    options = ParticleSimulator.Options(iterations=ITERATIONS, traversal=traversal, threads=threads)
     simulator = ParticleSimulator(options, context)
     control = torch.zeros(worlds, 6, device=device)
     control[:, 2] = HALF_EXTENTS[2]
@@ -184,12 +184,13 @@ def main() -> None:
     parser.add_argument("--periods", type=int, default=20, help="control periods of a measurement")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--traversal", choices=("block", "launches"), default="block")
+    parser.add_argument("--threads", type=int, default=256, help="of a block, at most")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     device, on_gpu = options.device, options.device != "cpu"
     worlds = options.worlds or (1024 if on_gpu else 1)
     warnings.filterwarnings("ignore", category=DeprecationWarning)
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     record: dict[str, Any] = {
         "when": time.strftime("%Y-%m-%d"),
         "device": torch.cuda.get_device_name() if on_gpu else platform.processor() or "cpu",
@@ -199,9 +200,10 @@ def main() -> None:
         "iterations": ITERATIONS,
         "substeps": SUBSTEPS,
         "traversal": options.traversal,
+        "threads": options.threads,
         "versions": {**versions(), "newton": _version("newton")},
     }
-    sides = {"pbd": ours(device, worlds, options.traversal)}
+    sides = {"pbd": ours(device, worlds, options.traversal, options.threads)}
     try:
         sides["newton"] = newtons(device, worlds)
     except ImportError as error:

@@ -65,13 +65,13 @@ class Clusters(Curriculum):
 
     Episodes that end are judged together, ``episodes`` or more at a time, by their mean return, or by
     the share of them that end with the farthest particle ``within`` (m) of the goal. Where that
-    reaches ``threshold``, there is one cluster more, and only episodes that end later count. The paper
-    judges single rollouts by a total reward that it does not give; of thousands of worlds a lucky one
+    reaches ``threshold``, there is one cluster more, and only episodes that began with it count. The
+    paper judges single rollouts by a total reward that it does not give; of thousands of worlds a lucky one
     would always be above it. In an evaluation there are ``most``.
     """
 
     provides: Mapping[str, Shape] = {"clusters": (), "episode_limit": ()}
-    records = ("farthest_distance",)
+    records = ("farthest_distance", "clusters")
 
     @dataclass(frozen=True)
     class Options:
@@ -106,7 +106,8 @@ class Clusters(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self.options
-        ended = rollout.terminated | rollout.truncated
+        of_this_stage = rollout.records["clusters"] == self.clusters
+        ended = (rollout.terminated | rollout.truncated) & of_this_stage
         near = (rollout.records["farthest_distance"] <= options.within).float()
         score = near if options.by == "distance" else rollout.episode_returns
         sums = torch.stack([ended.double().sum(), torch.where(ended, score, 0.0).double().sum()])

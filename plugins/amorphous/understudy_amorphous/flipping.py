@@ -93,7 +93,7 @@ class Turned(Memory):
     @dataclass(frozen=True)
     class Options:
         low: float = 0.3  #: m, the greatest clearance of material that lies in the pan
-        slow: float = 1.0  #: m/s, the greatest speed of its centre of mass relative to the pan
+        slow: float = 2.5  #: m/s, the greatest speed of its centre of mass relative to the pan
         near: float = 0.9  #: m, the greatest distance of its centre of mass from the pan's middle
 
         def __post_init__(self) -> None:

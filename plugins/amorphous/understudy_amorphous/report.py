@@ -19,8 +19,8 @@ from understudy_report.section import ReportSection
 
 #: Moments that are shown, evenly over the first episode.
 MOMENTS = 6
-#: Pixels of the page for one cell of a map.
-ZOOM = 5
+#: Pixels of the page for the side of a map.
+SIDE = 160
 
 
 class MapsSection(ReportSection):
@@ -61,7 +61,7 @@ def _rows(options: MaterialMaps.Options, tracks: Mapping[str, np.ndarray]) -> st
         images = maps[:, channel]
         low, high = min(0.0, float(images.min())), max(float(images.max()), 1e-6)
         pictures = "".join(
-            f'<figure><img alt="{escape(name)} at {at:.1f} s" width="{ZOOM * len(image)}" '
+            f'<figure><img alt="{escape(name)} at {at:.1f} s" width="{SIDE}" '
             f'style="image-rendering:pixelated" src="{_address((image - low) / (high - low))}">'
             f"<figcaption>{at:.1f} s</figcaption></figure>"
             for image, at in zip(images, seconds, strict=True)

@@ -39,19 +39,19 @@ class Substance:
     contact: float = 1.0
     #: Where it is elastic: how far apart particles are tied, as a share of their distance at rest.
     ties: float | None = None
-    #: Share of a tie's error that an iteration corrects; with 1, many ties of one particle overshoot.
-    stiffness: float = 0.7
+    #: Share of a tie's error that a sub-step corrects.
+    stiffness: float = 0.9
     plasticity: Plasticity | None = None
     colour: tuple[float, float, float] = (0.93, 0.89, 0.80)  #: of pictures: rice
 
 
 def _granular(distance: float) -> Substance:
-    return Substance(Material(friction=0.5))
+    return Substance(Material(friction=1.0))
 
 
 def _viscous(distance: float) -> Substance:
     fluid = Fluid(rest_density=DENSITY, smoothing=2.0 * distance, viscosity=0.3)
-    return Substance(Material(friction=0.2, fluid=fluid), colour=(0.85, 0.56, 0.20))
+    return Substance(Material(friction=1.0, fluid=fluid), colour=(0.85, 0.56, 0.20))
 
 
 def _viscoplastic(distance: float) -> Substance:
@@ -152,7 +152,7 @@ class AmorphousScene(ParticleScene):
             materials=(substance.material,),
             springs=springs,
             tools=(TOOLS[options.tool](),),
-            table=Table(friction=0.4),
+            table=Table(friction=0.8),
             rules=rules,
             colours=self._colours(len(positions)),
         )

@@ -23,7 +23,7 @@ class Plasticity:
     split: float = 2.2  #: d_b, of the particles' distance at rest: farther ones come apart
     compress: float = 0.8  #: r_c: a spring that is shorter than this share takes its new length
     stretch: float = 1.15  #: r_s: one that is longer than this share does, too
-    stiffness: float = 0.6  #: share of an error that an iteration of the solver corrects
+    stiffness: float = 0.9  #: share of an error that a sub-step corrects
 
     def __post_init__(self) -> None:
         check_range(self, "merge", "compress", above=0)

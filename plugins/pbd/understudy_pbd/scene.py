@@ -82,8 +82,7 @@ class Capsule:
 @dataclass(frozen=True)
 class Grid:
     """Any shape, as signed distances (m, negative inside) at the points of a grid in its tool's
-    frame; between points they are linear. Outside the grid nothing touches it, so leave a margin of
-    two particle radii."""
+    frame; between points they are linear. It goes on for two particle radii around the shape."""
 
     distances: np.ndarray  #: (X, Y, Z)
     spacing: float  #: m, between points
@@ -184,7 +183,7 @@ class ParticleScene(Scene):
 
     @abstractmethod
     def model(self) -> ParticleModel:
-        """The scene, the same at each call."""
+        """The scene, the same at each call; but its rules, which belong to one simulator, anew."""
 
     def describe(self) -> dict[str, Any]:
         model = self.model()

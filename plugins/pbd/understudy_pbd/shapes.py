@@ -168,16 +168,15 @@ def grid_distance(
     spacing: float,
     p: wp.vec3,
 ) -> wp.vec4:
-    """Outward normal and signed distance, linear between the grid's points."""
-    x = p[0] / spacing
-    y = p[1] / spacing
-    z = p[2] / spacing
+    """Outward normal and signed distance, linear between the grid's points; beyond them, where nothing
+    is touched, no more than the distance."""
+    x = wp.clamp(p[0] / spacing, 0.0, float(points[0]) - 1.001)
+    y = wp.clamp(p[1] / spacing, 0.0, float(points[1]) - 1.001)
+    z = wp.clamp(p[2] / spacing, 0.0, float(points[2]) - 1.001)
+    beyond = wp.length(p - spacing * wp.vec3(x, y, z))
     i = int(wp.floor(x))
     j = int(wp.floor(y))
     k = int(wp.floor(z))
-    inside = i >= 0 and j >= 0 and k >= 0
-    if not inside or i >= points[0] - 1 or j >= points[1] - 1 or k >= points[2] - 1:
-        return wp.vec4(0.0, 0.0, 1.0, FAR)
     fx = x - float(i)
     fy = y - float(j)
     fz = z - float(k)
@@ -201,7 +200,10 @@ def grid_distance(
     gy = wp.lerp(v01 - v00, v11 - v10, fx)
     gz = wp.lerp(wp.lerp(v001 - v000, v011 - v010, fy), wp.lerp(v101 - v100, v111 - v110, fy), fx)
     n = wp.normalize(wp.vec3(v1 - v0, gy, gz))
-    return wp.vec4(n[0], n[1], n[2], wp.lerp(v0, v1, fx))
+    distance = wp.lerp(v0, v1, fx)
+    if beyond > 0.01 * spacing:
+        distance = wp.max(beyond, distance - beyond)
+    return wp.vec4(n[0], n[1], n[2], distance)
 
 
 @wp.func

@@ -9,21 +9,14 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+import warp as wp
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
-from understudy_pbd.scene import ParticleModel, ParticleScene
-
-try:
-    import warp as wp
-except ImportError as error:
-    raise ImportError(
-        f"simulator 'pbd' needs Warp ({error}): pip install 'understudy[gpu]'"
-    ) from error
-
 from understudy_pbd.rules import Particles
+from understudy_pbd.scene import ParticleModel, ParticleScene
 from understudy_pbd.shapes import build_tools
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
 
@@ -59,7 +52,9 @@ class ParticleSimulator(Simulator):
         iterations: int = 8  #: of a sub-step
         #: ω of Macklin et al. 2014, section 4.2; under 2 a sum of averaged corrections converges
         relaxation: float = 1.5
-        sleep: float = 0.0  #: m/s; slower particles stay where they are (section 4.5)
+        #: Of the speed that gravity gives in a sub-step: slower particles, unless of a fluid, stay where
+        #: they are (section 4.5), so that heaps do not creep. At 1 nothing would begin to fall.
+        sleep: float = 0.1
         neighbours: int | None = None  #: M, the most that a particle has; null: what can fit
         #: `block` keeps a world on one multiprocessor; `launches` has a kernel for each phase
         traversal: Literal["block", "launches"] = "block"
@@ -69,7 +64,7 @@ class ParticleSimulator(Simulator):
             check_range(self, "iterations", "threads", least=1)
             check_range(self, "threads", most=1024)
             check_range(self, "relaxation", above=0, most=1.99)
-            check_range(self, "sleep", least=0)
+            check_range(self, "sleep", least=0, most=0.9)
             if self.neighbours is not None:
                 check_range(self, "neighbours", least=1)
 
@@ -130,6 +125,7 @@ class ParticleSimulator(Simulator):
         with wp.ScopedDevice(wp.device_from_torch(self._device)):
             for rule in model.rules:
                 rule.build(self._particles)
+            wp.synchronize_device()  # torch's streams wait for nobody
         kept = {
             f"rule_{number}_{name}": view
             for number, rule in enumerate(model.rules)
@@ -145,7 +141,10 @@ class ParticleSimulator(Simulator):
         for name in ("tool_velocity", "tool_angular_velocity", "particle_velocity", *kept):
             if name in self._initial:
                 self._initial[name].zero_()
-        self._control = wp.to_torch(system.control)
+        # torch makes no view of an array without elements on a GPU
+        self._control = (
+            wp.to_torch(system.control) if t else torch.zeros(self._n, 0, device=self._device)
+        )
         self._overflow = wp.to_torch(system.overflow)
         self._graphs: dict[Hashable, Any] = {}
         self._outer: list[Any] = []
@@ -217,7 +216,7 @@ class ParticleSimulator(Simulator):
         s.tension = one_each([m.fluid.tension if m.fluid else 0.0 for m in materials])
         s.softening = one_each([_softening(m.fluid) for m in materials])
         table = model.table
-        s.has_table = int(table is not None)
+        s.sides = 0 if table is None else 5 if table.lower or table.upper else 1
         s.table_friction = table.friction if table else 0.0
         s.lower = wp.vec2(*((table and table.lower) or (-_OPEN, -_OPEN)))
         s.upper = wp.vec2(*((table and table.upper) or (_OPEN, _OPEN)))
@@ -397,7 +396,8 @@ class ParticleSimulator(Simulator):
         if worlds is None:
             worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
         for name in self._varied:
-            _put(self._known[name], worlds, snapshot[name])
+            if name in snapshot:
+                _put(self._known[name], worlds, snapshot[name])
         for name, view in self._state.items():
             _put(view, worlds, snapshot[name])
 

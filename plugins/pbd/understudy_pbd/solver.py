@@ -42,6 +42,8 @@ ROWS = 3
 SHARED_PARTICLES = 1024
 #: Nearer than this particles have no direction from each other, m.
 _NEAR = wp.constant(1e-9)
+#: How often a particle is pushed out of tools and table that push it into each other.
+_WEDGED = wp.constant(4)
 #: Particles of fluids touch at this share of the sum of their radii: nearer than the density
 #: constraint ever has them in a body of fluid, but where a sheet is thin it does not hold.
 _FLUID_CONTACT = wp.constant(0.7)
@@ -80,7 +82,7 @@ class System:
     tension: wp.array(dtype=float)
     softening: wp.array(dtype=float)  # of the density constraint, (Q,)
     # table
-    has_table: int
+    sides: int  # 0: no table, 1: the table, 5: and walls
     table_friction: float
     lower: wp.vec2
     upper: wp.vec2
@@ -110,9 +112,7 @@ class Features:
     fluids: bool
     springs: bool
     alike: bool  #: all particles have one radius, mass and material, which is no fluid
-    shared: (
-        int  #: particles that the working memory on a multiprocessor has room for; 0: none there
-    )
+    shared: int  #: particles that shared memory has room for; 0: working memory is not there
     threads: int  #: of a block
 
 
@@ -122,10 +122,10 @@ class Kernels:
     tools: Any  #: (system,), N
     predict: Any  #: (system,), (N, P), as all below
     find: Any
-    density: Any  #: (system, iteration)
-    solve: Any  #: (system, iteration)
-    finish: Any  #: (system, iterations)
-    viscosity: Any  #: (system, iterations)
+    density: Any  #: (system, first row to read), as all below
+    solve: Any
+    finish: Any
+    viscosity: Any
 
 
 @wp.func_native(
@@ -207,7 +207,6 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
     for shape in range(s.tools.shapes):
         at_before = s.tools.shape_position_before[world, shape]
         at = s.tools.shape_position[world, shape]
-        # no faster than the particle's motion and that of the shape's farthest point
         before = wp.quat_rotate_inv(s.tools.shape_rotation_before[world, shape], start - at_before)
         turn = s.tools.shape_rotation[world, shape]
         after = wp.quat_rotate_inv(turn, result - at)
@@ -251,15 +250,15 @@ def count_substep(s: System, world: int):
 
 @wp.func
 def wall(s: System, side: int, x: wp.vec3) -> wp.vec4:
-    """Normal of one of four walls, or of the table (the last), and the distance of x from it."""
+    """Normal of the table (0) or of one of four walls, and the distance of x from it."""
     result = wp.vec4(0.0, 0.0, 1.0, x[2])
-    if side == 0:
+    if side == 1:
         result = wp.vec4(1.0, 0.0, 0.0, x[0] - s.lower[0])
-    elif side == 1:
-        result = wp.vec4(-1.0, 0.0, 0.0, s.upper[0] - x[0])
     elif side == 2:
-        result = wp.vec4(0.0, 1.0, 0.0, x[1] - s.lower[1])
+        result = wp.vec4(-1.0, 0.0, 0.0, s.upper[0] - x[0])
     elif side == 3:
+        result = wp.vec4(0.0, 1.0, 0.0, x[1] - s.lower[1])
+    elif side == 4:
         result = wp.vec4(0.0, -1.0, 0.0, s.upper[1] - x[1])
     return result
 
@@ -268,7 +267,7 @@ def wall(s: System, side: int, x: wp.vec3) -> wp.vec4:
 def wall_gradient(s: System, x: wp.vec3, h: float) -> wp.vec3:
     """Of the share of the rest density that table and walls leave out around x, 1/m."""
     result = wp.vec3(0.0)
-    for side in range(5):
+    for side in range(s.sides):
         plane = wall(s, side, x)
         if plane[3] < h:
             result += missing_slope(plane[3], h) * xyz(plane)
@@ -277,41 +276,53 @@ def wall_gradient(s: System, x: wp.vec3, h: float) -> wp.vec3:
 
 @wp.func
 def outside(s: System, world: int, i: int, start: wp.vec3, moved: wp.vec3) -> wp.vec3:
-    """`moved` out of tools, walls and table, whole and not averaged: nobody pushes these back."""
+    """`moved` out of tools, walls and table, whole and not averaged: nobody pushes these back.
+
+    What is pushed from one into the other, as in the wedge between a tool and the table, is pushed
+    some times more, then without friction, or it would jam where nothing can give way.
+    """
     x = moved
     radius = s.radius[i]
     material = s.material[i]
     mu = s.friction[world, material]
     ratio = s.static_ratio[material]
-    for shape in range(s.tools.shapes):
-        at = s.tools.shape_position[world, shape]
-        turn = s.tools.shape_rotation[world, shape]
-        away = x - (at + wp.quat_rotate(turn, s.tools.centre[shape]))
-        near = s.tools.bound[shape] + radius
-        if wp.dot(away, away) < near * near:
-            found = shape_distance(s.tools, world, shape, x)
-            depth = radius - found[3]
-            if depth > 0.0:
-                n = xyz(found)
-                # where that point of the tool was when the sub-step began
-                local = wp.quat_rotate_inv(turn, x - at)
-                carried = s.tools.shape_position_before[world, shape] + wp.quat_rotate(
-                    s.tools.shape_rotation_before[world, shape], local
-                )
-                slip = (x - start) - (x - carried)
-                slip = slip - wp.dot(slip, n) * n
-                dynamic = 0.5 * (mu + s.tools.friction[shape])
-                x = x + depth * n - friction(slip, depth, ratio * dynamic, dynamic)
-    if s.has_table != 0:
-        dynamic = 0.5 * (mu + s.table_friction)
-        for side in range(5):
-            plane = wall(s, side, x)
+    rubs = float(1.0)
+    for _again in range(_WEDGED):
+        pushed = int(0)
+        for shape in range(s.tools.shapes):
+            at = s.tools.shape_position[world, shape]
+            turn = s.tools.shape_rotation[world, shape]
+            away = x - (at + wp.quat_rotate(turn, s.tools.centre[shape]))
+            near = s.tools.bound[shape] + radius
+            if wp.dot(away, away) < near * near:
+                found = shape_distance(s.tools, world, shape, x)
+                depth = radius - found[3]
+                if depth > 0.0:
+                    pushed += 1
+                    n = xyz(found)
+                    # where that point of the tool was when the sub-step began
+                    local = wp.quat_rotate_inv(turn, x - at)
+                    carried = s.tools.shape_position_before[world, shape] + wp.quat_rotate(
+                        s.tools.shape_rotation_before[world, shape], local
+                    )
+                    slip = carried - start
+                    slip = slip - wp.dot(slip, n) * n
+                    dynamic = 0.5 * (mu + s.tools.friction[shape])
+                    rub = friction(slip, depth, ratio * dynamic, dynamic)
+                    x = x + depth * n - rubs * rub
+        for k in range(s.sides):  # the table last
+            plane = wall(s, s.sides - 1 - k, x)
             depth = radius - plane[3]
             if depth > 0.0:
+                pushed += 1
                 n = xyz(plane)
                 slip = x - start
                 slip = slip - wp.dot(slip, n) * n
-                x = x + depth * n - friction(slip, depth, ratio * dynamic, dynamic)
+                dynamic = 0.5 * (mu + s.table_friction)
+                x = x + depth * n - rubs * friction(slip, depth, ratio * dynamic, dynamic)
+        if pushed < 2:
+            break
+        rubs = 0.0
     return x
 
 
@@ -405,11 +416,10 @@ def build_kernels(features: Features) -> Kernels:
                         g = (other / rest * density_slope(r, h) / r) * apart
                         gradient += g
                         squares += s.inverse_mass[j] * wp.dot(g, g)
-            if s.has_table != 0:  # the fluid goes on behind a wall
-                for side in range(5):
-                    plane = wall(s, side, x)
-                    rho += rest * missing_density(plane[3], h)
-                gradient += wall_gradient(s, x, h)
+            for side in range(s.sides):  # the fluid goes on behind a wall
+                plane = wall(s, side, x)
+                rho += rest * missing_density(plane[3], h)
+            gradient += wall_gradient(s, x, h)
             c = rho / rest - 1.0
             if c < 0.0:
                 c = c * s.tension[s.material[i]]
@@ -490,7 +500,7 @@ def build_kernels(features: Features) -> Kernels:
                     delta += (share * wp.min(own[3], other[3])) * change
                     active += 1.0
             if wp.static(FLUIDS):
-                if rest > 0.0 and s.has_table != 0:
+                if rest > 0.0:
                     flow += begin[3] * w * wall_gradient(s, x, s.smoothing)
             if wp.static(SPRINGS):
                 for k in range(s.slots):
@@ -518,7 +528,10 @@ def build_kernels(features: Features) -> Kernels:
         v = wp.vec3(0.0)
         if own[3] > 0.0 and s.inverse_mass[i] > 0.0:
             v = (x - start) / s.dt
-            if wp.length(v) < s.sleep:
+            still = wp.length(v) < s.sleep * s.dt * wp.length(s.gravity[world])
+            if wp.static(FLUIDS):
+                still = still and s.rest_density[s.material[i]] == 0.0
+            if still:
                 x = start
                 v = wp.vec3(0.0)
             s.position[world, i] = x

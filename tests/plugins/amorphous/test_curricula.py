@@ -32,13 +32,15 @@ def curriculum(*, evaluating: bool = False, **options: Any) -> Clusters:
     )
 
 
-def rollout(distances: list[float], returns: float = 0.0, ended: bool = True) -> Rollout:
+def rollout(
+    distances: list[float], returns: float = 0.0, ended: bool = True, clusters: float = 1.0
+) -> Rollout:
     """One step of four worlds whose episodes end with the farthest particle so far away."""
     row = torch.zeros(1, 4)
     false = torch.zeros(1, 4, dtype=torch.bool)
     return Rollout(
         {}, {}, row.unsqueeze(2), row, row, false, false | ended, false, row, row + returns,
-        {"farthest_distance": torch.tensor([distances])},
+        {"farthest_distance": torch.tensor([distances]), "clusters": row + clusters},
     )  # fmt: skip
 
 
@@ -48,8 +50,10 @@ def test_a_cluster_more_whenever_enough_episodes_gather_them() -> None:
     found = part.update(rollout([1.0, 1.2, 1.3, 2.0]))
     assert found == {"clusters": 2, "distance": 0.75, "mark/2 clusters": 1.0}
     assert part.begin(WorldStreams(0, "x", 4, CPU))["clusters"].tolist() == [2.0] * 4
+    part.update(rollout([0.5] * 4))
+    assert part.clusters == 2, "episodes that began with one cluster say nothing of two"
     for _ in range(5):
-        part.update(rollout([0.5] * 4))
+        part.update(rollout([0.5] * 4, clusters=part.clusters))
     assert part.clusters == 4, "and no more than four"
 
 

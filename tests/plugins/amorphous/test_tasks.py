@@ -79,8 +79,9 @@ def test_a_scraper_pushes_its_cluster_towards_the_goal() -> None:
     """The tool behind a cluster, driven at the goal: the farthest particle comes nearer, and the
     reward says so."""
     env = environment(
-        "experiment=amorphous/gather_small", "num_worlds=1", "initial_states.distance=[1.2,1.2]"
-    )
+        "experiment=amorphous/gather_small", "num_worlds=1", "scene.blocks=1", "curriculum.most=1",
+        "initial_states.distance=[1.2,1.2]",
+    )  # fmt: skip
     centre = env.table["particle_position"].mean(dim=1)[0]
     angle = math.atan2(float(centre[1]), float(centre[0]))
     state = {name: env.table[name].clone() for name in env.parts.simulator.state_fields}

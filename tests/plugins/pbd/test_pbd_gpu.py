@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
-
-pytest.importorskip("warp", reason="Warp is not installed (pip install 'understudy[gpu]')")
-
 from granular import MASS, RADIUS, control, disturbed, lattice, run, simulator
 from particle_models import MODELS, everything, grains
+from torch import Tensor
 
 from understudy.testing import check_simulator
 from understudy_pbd.scene import Fluid, Material, ParticleModel, Table

@@ -9,18 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
-
-pytest.importorskip("warp", reason="Warp is not installed (pip install 'understudy[gpu]')")
-
 import warp as wp
 from granular import MASS, RADIUS, Scene, control, run, simulator
 from particle_models import BLOCK, MODELS, SCRAPER, everything, grains
+from torch import Tensor
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.task import Simulator
 from understudy.testing import check_simulator
-from understudy_pbd.scene import ParticleModel, Springs
+from understudy_pbd.scene import Fluid, Material, ParticleModel, Springs
 from understudy_pbd.simulator import ParticleSimulator
 from understudy_pbd.solver import Features, build_kernels
 
@@ -112,6 +109,19 @@ def test_a_particle_without_mass_stays() -> None:
     x = run(simulator(ParticleModel(BLOCK, RADIUS, mass), 1), 20)
     assert torch.allclose(x[0, 13], torch.tensor(BLOCK[13]).float())
     assert x[0, :, 2].min() > 0.9 * RADIUS
+
+
+@pytest.mark.parametrize("fluid", [None, Fluid(1000.0, 4 * RADIUS)])
+def test_particles_in_one_place_come_apart(fluid: Fluid | None) -> None:
+    found = simulator(
+        ParticleModel(
+            np.full((27, 3), 0.05), RADIUS, 0.008, materials=(Material(0.4, fluid=fluid),)
+        )
+    )
+    x = run(found, 10)[0]
+    assert not found.failed().any()
+    apart = torch.cdist(x, x) + torch.eye(27)
+    assert apart.min() > 1.2 * RADIUS
 
 
 def test_a_world_that_is_not_finite_fails_alone() -> None:
