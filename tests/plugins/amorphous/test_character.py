@@ -272,7 +272,13 @@ def test_limits_met_counts_frames() -> None:
 
 # ------------------------------------------------------------------ the command
 
-OVERRIDES = ["experiment=amorphous/gather_small"]
+#: With sixteen particles.
+OVERRIDES = [
+    "experiment=amorphous/gather_small",
+    "scene.blocks=1",
+    "scene.block=[4,4,1]",
+    "curriculum.most=1",
+]
 
 
 @pytest.fixture
