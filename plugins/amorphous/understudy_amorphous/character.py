@@ -104,7 +104,7 @@ def figure(
         turning: whether the tool turns in the hand, about the hand's z axis.
 
     Raises:
-        ConfigError: no such character or hand, or a tool that cannot be shown.
+        ConfigError: no such character or hand, a hand that no joint moves, or a tool that cannot be shown.
         FileError: the model does not compile.
     """
     name, spec = character_spec(named, registry)
@@ -221,22 +221,25 @@ def _figure(character: Character) -> Figure:
     chain = [model.body(TOOL).id]
     while model.body_parentid[chain[-1]] not in (0, character.root):
         chain.append(int(model.body_parentid[chain[-1]]))
-    root = character.root_address
     free = model.jnt_dofadr[model.body_jntadr[character.root]]
-    jointed = [b for b in chain if model.body_jntnum[b]]
+    jointed = [b for b in chain[1:] if model.body_jntnum[b]]
+    if not jointed:
+        raise ConfigError(
+            f"{character.name} has no joint between its root and the hand; give --hand a site or body "
+            "at the end of an arm."
+        )
     geoms = {b: tuple(np.flatnonzero(model.geom_bodyid == b).tolist()) for b in range(model.nbody)}
 
     def of(bodies: Sequence[int]) -> tuple[int, ...]:
         return tuple(g for b in bodies for g in geoms[b] if model.geom_contype[g])
 
-    # what is nearer to the hand than the joint before last, against the trunk; all of it, the table
+    # hand and forearm against what is not the upper arm; all of the arm, and what it is on, the table
     cut = chain.index(jointed[min(2, len(jointed) - 1)])
     trunk = [*chain[cut + 1 :], character.root]
     apart = [
         (of(chain), (model.geom(TABLE).id,)),
         (of(chain[:cut]), of(trunk)),
     ]
-    assert root == model.jnt_qposadr[model.body_jntadr[character.root]]
     names = [
         model.joint(int(model.body_jntadr[b]) + k).name
         for b in reversed(chain)

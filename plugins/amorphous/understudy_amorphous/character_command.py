@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import shlex
+import sys
 import typing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 import torch
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError, FileError, PluginError
+from understudy.errors import ConfigError, FileError, PluginError, UnderstudyError
 from understudy.options import make_options
 from understudy.records import runs
 from understudy.records.runs import Run
@@ -132,8 +133,11 @@ class HoldTool(Command):
 
             video = path.with_suffix(".mp4")
             frames = draw(held, motion.qpos, particles, recorded.tracks, placement)
-            write_video(video, frames, 1.0 / recorded.dt)
-            written += f" and {video}"
+            try:
+                write_video(video, frames, 1.0 / recorded.dt)
+                written += f" and {video}"
+            except UnderstudyError as error:  # the clip is there all the same
+                print(f"No video: {error}", file=sys.stderr)
         print(report(held, motion, recorded.dt))
         print(f"Written: {written}, {clip.num_frames} frames, {clip.duration:.2f} s.")
         if path.suffix.lower() in (".npz", ".csv", ".bvh"):

@@ -389,6 +389,7 @@ def test_turning_in_the_hand_is_an_option(
     ("arguments", "reason"),
     [
         (["--hand", "right_gripp"], "Did you mean 'right_grip'"),
+        (["--hand", "root"], "no joint between"),
         (["--character", "amorphous.cok"], "Did you mean 'amorphous.cook'"),
         (["--relax", "-1"], "relax"),
         (["cook.fbx", "--no-video"], "no format is written to '.fbx'"),
