@@ -233,11 +233,11 @@ def _figure(character: Character) -> Figure:
     def of(bodies: Sequence[int]) -> tuple[int, ...]:
         return tuple(g for b in bodies for g in geoms[b] if model.geom_contype[g])
 
-    # hand and forearm against what is not the upper arm; all of the arm, and what it is on, the table
+    # hand and forearm against what is not the upper arm; whatever moves, the other arm too, the table
     cut = chain.index(jointed[min(2, len(jointed) - 1)])
     trunk = [*chain[cut + 1 :], character.root]
     apart = [
-        (of(chain), (model.geom(TABLE).id,)),
+        (of([b for b, row in character.carrier.items() if row]), (model.geom(TABLE).id,)),
         (of(chain[:cut]), of(trunk)),
     ]
     names = [
