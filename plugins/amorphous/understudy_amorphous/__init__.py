@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "mujoco", "pbd", "ppo", "report", "sweeps")
+REQUIRES = ("basics", "characters", "motion", "mujoco", "pbd", "ppo", "report", "sweeps")
 
 #: By module and kind: the component's name less ``amorphous.``, its class or function, and what it is.
 _PARTS = {
@@ -49,6 +49,16 @@ def understudy_register(register: Registrar) -> None:
         for name, (target, summary) in parts.items():
             where = f"understudy_amorphous.{module}:{target}"
             register.component(kind, f"amorphous.{name}", where, summary)
+    here = "understudy_amorphous"
+    register.component(
+        "character", "amorphous.cook", f"{here}.character:build_cook", "a cook, standing"
+    )
+    register.component(
+        "command",
+        "amorphous character",
+        f"{here}.character_command:HoldTool",
+        "a figure whose hand moves the tool of a finished run",
+    )
     for name, summary in {
         "gather": "a scraper gathers clusters of a material at a goal",
         "spread": "a scraper spreads a pile over a table",

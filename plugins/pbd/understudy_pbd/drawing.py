@@ -50,7 +50,7 @@ def draw(
     positions = tracks["particle_position"]
     count = len(model.positions)
     radius = np.broadcast_to(np.asarray(model.radius, float), count)
-    colours = _colours(model, count)
+    colours = particle_colours(model, count)
     # the camera sees where most of the particles ever are
     low, high = (np.quantile(positions.reshape(-1, 3), q, axis=0) for q in (0.02, 0.98))
     centre, size = 0.5 * (low + high), float(np.linalg.norm(high - low)) + 8 * float(radius.max())
@@ -78,7 +78,7 @@ def draw(
                 if there is None or there[i]:
                     sphere = (float(radius[i]), 0.0, 0.0)
                     kind = mujoco.mjtGeom.mjGEOM_SPHERE
-                    _add(drawn, kind, sphere, here[i], np.eye(3), colours[i])
+                    add_geom(drawn, kind, sphere, here[i], np.eye(3), colours[i])
             if "tool_position" in tracks and "tool_orientation" in tracks:
                 at = tracks["tool_position"][frame].reshape(-1, 3)
                 turned = tracks["tool_orientation"][frame].reshape(-1, 4)
@@ -89,7 +89,7 @@ def draw(
         renderer.close()
 
 
-def _colours(model: ParticleModel, count: int) -> np.ndarray:
+def particle_colours(model: ParticleModel, count: int) -> np.ndarray:
     """(P, 4); a little lighter and darker from particle to particle, so that one sees grains."""
     if model.colours is not None:
         rgb = np.asarray(model.colours, float)
@@ -108,19 +108,19 @@ def _add_shape(drawn: Any, layer: int, shape: Shape, at: np.ndarray, turned: np.
         half = (0.5 * shape.spacing,) * 3
         for index in inside:
             point = at + tool @ (np.asarray(shape.origin) + index * shape.spacing)
-            _add(drawn, mujoco.mjtGeom.mjGEOM_BOX, half, point, tool, _TOOL)
+            add_geom(drawn, mujoco.mjtGeom.mjGEOM_BOX, half, point, tool, _TOOL)
         return
     point, turn = at + tool @ np.asarray(shape.position), tool @ _matrix(shape.orientation)
     if isinstance(shape, Box):
         half = np.array(shape.half_extents)
         half[half.argmin()] *= 1 - 0.02 * (layer % 8)
-        _add(drawn, mujoco.mjtGeom.mjGEOM_BOX, half, point, turn, _TOOL)
+        add_geom(drawn, mujoco.mjtGeom.mjGEOM_BOX, half, point, turn, _TOOL)
     elif isinstance(shape, Capsule):
         size = (shape.radius, shape.half_length, shape.half_length)
-        _add(drawn, mujoco.mjtGeom.mjGEOM_CAPSULE, size, point, turn, _TOOL)
+        add_geom(drawn, mujoco.mjtGeom.mjGEOM_CAPSULE, size, point, turn, _TOOL)
 
 
-def _add(
+def add_geom(
     drawn: Any, kind: Any, size: Any, at: np.ndarray, turn: np.ndarray, colour: np.ndarray
 ) -> None:
     """One more geom of the scene, while there is room."""
