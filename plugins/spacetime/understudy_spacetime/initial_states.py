@@ -22,7 +22,9 @@ def segment_probabilities(returns: Tensor, *, uniform: float) -> Tensor:
     """
     low = returns.min()
     spread = returns.max() - low
-    scale = torch.where(spread > torch.finfo(spread.dtype).tiny, spread / 3, torch.ones_like(spread))
+    scale = torch.where(
+        spread > torch.finfo(spread.dtype).tiny, spread / 3, torch.ones_like(spread)
+    )
     return (1 - uniform) * torch.softmax((low - returns) / scale, dim=0) + uniform / len(returns)
 
 
