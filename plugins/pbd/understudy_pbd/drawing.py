@@ -68,7 +68,7 @@ def draw(
         raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
     camera = mujoco.MjvCamera()
     camera.lookat[:] = centre
-    camera.distance, camera.elevation, camera.azimuth = 1.6 * size, -28.0, 130.0
+    camera.distance, camera.elevation, camera.azimuth = 1.2 * size, -28.0, 130.0
     try:
         for frame, here in enumerate(positions):
             renderer.update_scene(data, camera)
