@@ -207,9 +207,11 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 
 
 def compare(
-    names: Sequence[str], methods: Sequence[str], seeds: int, jobs: int, save: bool
+    names: Sequence[str], methods: Sequence[str], seeds: Sequence[int], jobs: int, save: bool
 ) -> None:
-    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    one_thread: dict[str, str] = dict.fromkeys(
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
+    )
     os.environ.update(one_thread)  # of the processes to come
     work = [(f, m, s) for f in names for m in methods for s in seeds]
     work.sort(key=lambda job: -FUNCTIONS[job[0]].budget)  # the long ones first

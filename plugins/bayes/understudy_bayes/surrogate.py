@@ -159,6 +159,8 @@ class Surrogate:
 class _Line(Mean):
     """m(x, z) = constant + slope z."""
 
+    slope: torch.nn.Parameter
+
     def __init__(self, deviation: float) -> None:
         super().__init__()
         self.constant = ConstantMean()
@@ -166,7 +168,9 @@ class _Line(Mean):
         self.register_prior("slope_prior", NormalPrior(0.0, deviation), "slope")
 
     def forward(self, x: Tensor) -> Tensor:
-        return self.constant(x) + self.slope * x[..., -1]
+        constant = self.constant(x)
+        assert isinstance(constant, Tensor)
+        return constant + self.slope * x[..., -1]
 
 
 def _joined(x: Tensor, z: Tensor) -> Tensor:

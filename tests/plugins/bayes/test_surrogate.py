@@ -20,7 +20,7 @@ OPTIONS = SurrogateOptions()
 
 
 def data(x: Tensor, y: Tensor, z: Tensor | float = 1.0) -> Data:
-    z = torch.full((len(x),), z, dtype=torch.float64) if isinstance(z, float) else z
+    z = z if isinstance(z, Tensor) else torch.full((len(x),), z, dtype=torch.float64)
     return Data(x.double(), z, y.double(), torch.ones(len(x), dtype=torch.float64))
 
 
