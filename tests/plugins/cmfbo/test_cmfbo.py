@@ -155,6 +155,15 @@ def test_the_step_is_the_fidelitys_length_scale() -> None:
     )
 
 
+def test_what_is_chosen_of_the_model_leaves_the_rest() -> None:
+    """A kernel alone keeps this search's prior on l_z and its mean."""
+    given = {"parameters": {"a.x": {"low": 0.0, "high": 1.0}}, "trials": 3}
+    for surrogate, expected in [({"kernel": "matern"}, (1.0, 1.0)), ({"slope": 0.0}, (1.0, 0.0))]:
+        options = make_options(CMFBO.Options, {**given, "surrogate": surrogate}, "o")
+        found = CMFBO(options)._surrogate
+        assert (found.fidelity_scale, found.slope) == expected
+
+
 def test_difficulty_from_and_to() -> None:
     given = {
         "parameters": {"a.x": {"low": -1.0, "high": 1.0}},
@@ -183,6 +192,8 @@ def test_errors_name_the_option() -> None:
     good = {"parameters": {"a.x": {"low": 0.0, "high": 1.0}}, "trials": 3}
     for bad, message in [
         ({"epsilon": 0.0}, r"o\.epsilon=0\.0 is not possible"),
+        ({"reserve": 1.5}, r"o\.reserve=1\.5 is not possible"),
+        ({"surrogate": {"slope": -1.0}}, r"o\.surrogate\.slope=-1\.0 is not possible"),
         ({"parts": []}, "parts must not be empty"),
         ({"parts": ["legs"]}, "'legs' is not possible"),
         ({"fidelity": {"high": 1.5}}, r"o\.fidelity\.high|o\.fidelity\.low"),
