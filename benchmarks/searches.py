@@ -15,6 +15,7 @@ import math
 import os
 import platform
 import statistics
+import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -206,14 +207,19 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 
 
 def compare(
-    names: Sequence[str], methods: Sequence[str], seeds: int, jobs: int, save: bool
+    names: Sequence[str], methods: Sequence[str], seeds: Sequence[int], jobs: int, save: bool
 ) -> None:
-    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    one_thread: dict[str, str] = dict.fromkeys(
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
+    )
     os.environ.update(one_thread)  # of the processes to come
     work = [(f, m, s) for f in names for m in methods for s in seeds]
     work.sort(key=lambda job: -FUNCTIONS[job[0]].budget)  # the long ones first
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        results = dict(zip(work, pool.map(one, work), strict=True))
+        results = {}
+        for job, result in zip(work, pool.map(one, work), strict=True):
+            results[job] = result
+            print(*job, *(f"{r:.4f}" for r in result[0]), file=sys.stderr, flush=True)
     for name in names:
         found = {m: [results[name, m, s] for s in seeds] for m in methods}
         last = {m: [r[0][-1] for r in found[m]] for m in methods}
@@ -223,6 +229,7 @@ def compare(
             mean, half = interval(last[m])
             rows[m] = {
                 "regret": mean,
+                "by_seed": last[m],
                 "interval": half,
                 "median": statistics.median(last[m]),
                 "log10": interval([math.log10(max(r, 1e-6)) for r in last[m]]),

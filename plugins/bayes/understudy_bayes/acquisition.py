@@ -26,10 +26,12 @@ def upper_bound(model: Surrogate, weight: float, z: float = 1.0, of: float = 1.0
     """a(x) = μ(x, z) + β^½ σ(x, of), with β = `weight` (eq. 6.3; UCB where both are the same)."""
 
     def value(x: Tensor) -> Tensor:
-        mean, deviation = model.posterior(x, _everywhere(x, z))
-        if of != z:
-            _, deviation = model.posterior(x, _everywhere(x, of))
-        return mean + math.sqrt(weight) * deviation
+        if of == z:
+            mean, deviation = model.posterior(x, _everywhere(x, z))
+            return mean + math.sqrt(weight) * deviation
+        both = torch.cat([_everywhere(x, z), _everywhere(x, of)])
+        mean, deviation = model.posterior(x.repeat(2, 1), both)
+        return mean[: len(x)] + math.sqrt(weight) * deviation[len(x) :]
 
     return value
 

@@ -74,6 +74,7 @@ class BOCA(OuterLoop):
 
     def tell(self, report: Report) -> None:
         self._book.tell(report)
+        self.share = self._book.done
 
     def summary(self) -> list[dict[str, Any]]:
         return self._book.summary()

@@ -99,14 +99,26 @@ class Book:
 
         A trial that still runs is counted at the mean cost of those that are finished.
         """
+        return self.spent(number) >= 1
+
+    def spent(self, number: int) -> float:
+        """Which share of ``trials`` or ``budget``, the larger one, is gone before trial `number`."""
         options = self.options
-        if options.trials is not None and number >= options.trials:
-            return True
+        share = 0.0 if options.trials is None else number / options.trials
         if options.budget is None:
-            return False
+            return share
         costs = [report.cost for report in self.reports.values()]
         ahead = len(self.pending) * statistics.fmean(costs) if costs else 0.0
-        return sum(costs) + ahead >= options.budget
+        return max(share, (sum(costs) + ahead) / options.budget)
+
+    @property
+    def done(self) -> float:
+        """Which share of the search is finished, for whoever waits for it."""
+        options, finished = self.options, self.reports.values()
+        share = 0.0 if options.trials is None else len(finished) / options.trials
+        if options.budget is not None:
+            share = max(share, sum(report.cost for report in finished) / options.budget)
+        return min(1.0, share)
 
     @property
     def pending(self) -> list[Trial]:
@@ -184,8 +196,10 @@ class Book:
     def summary(self) -> list[dict[str, Any]]:
         """A row for each trial. ``best`` is the highest y of a whole trial up to it; ``found`` marks
         the search's answer, and the highest y of all where that is another one (algorithm 4 as
-        printed, which compares values of different fidelities)."""
+        printed, which compares values of different fidelities); the latter says when there is no
+        answer."""
         answer, highest = self.best(), self.best(whole=False)
+        of_all = "highest y" if answer else "highest y; no trial at full fidelity, so no answer"
         rows, best = [], None
         for key, trial in self.trials.items():
             report = self.reports.get(key)
@@ -203,7 +217,7 @@ class Book:
                     "y": y,
                     "samples": None if report is None else report.cost,
                     "best": best,
-                    "found": "answer" if key == answer else "highest y" if key == highest else "",
+                    "found": "answer" if key == answer else of_all if key == highest else "",
                 }
             )
         return rows

@@ -8,8 +8,9 @@ try:
     from botorch.models.utils.gpytorch_modules import get_covar_module_with_dim_scaled_prior
     from gpytorch.constraints import GreaterThan
     from gpytorch.kernels import Kernel, ProductKernel, RBFKernel
+    from gpytorch.means import ConstantMean, Mean
     from gpytorch.mlls import ExactMarginalLogLikelihood
-    from gpytorch.priors import LogNormalPrior
+    from gpytorch.priors import LogNormalPrior, NormalPrior
 except ImportError as error:
     raise ImportError(
         "searches with a model need BoTorch: pip install 'understudy[bayes]'"
@@ -17,11 +18,14 @@ except ImportError as error:
 
 __all__ = [
     "BotorchWarning",
+    "ConstantMean",
     "ExactMarginalLogLikelihood",
     "GreaterThan",
     "Kernel",
     "LogNormalPrior",
+    "Mean",
     "ModelFittingError",
+    "NormalPrior",
     "ProductKernel",
     "RBFKernel",
     "SingleTaskGP",

@@ -33,6 +33,7 @@ class RandomSearch(OuterLoop):
 
     def tell(self, report: Report) -> None:
         self._book.tell(report)
+        self.share = self._book.done
 
     def summary(self) -> list[dict[str, Any]]:
         return self._book.summary()

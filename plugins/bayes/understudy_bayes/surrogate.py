@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import torch
@@ -15,11 +15,14 @@ from understudy.options import check_range
 from understudy_bayes.book import Book, Data
 from understudy_bayes.libraries import (
     BotorchWarning,
+    ConstantMean,
     ExactMarginalLogLikelihood,
     GreaterThan,
     Kernel,
     LogNormalPrior,
+    Mean,
     ModelFittingError,
+    NormalPrior,
     ProductKernel,
     RBFKernel,
     SingleTaskGP,
@@ -34,16 +37,30 @@ class SurrogateOptions:
     a location that grows with √d; noise is log-normal of location -4, at least 1e-4 of y's variance."""
 
     kernel: Literal["se", "matern"] = "se"  #: squared exponential (eq. 6.2), or Matérn 5/2
-    #: Mode and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z.
-    fidelity_scale: float = 0.3
+    #: Mode and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z; null is
+    #: the search's own mode.
+    fidelity_scale: float | None = None
     fidelity_spread: float = 0.75
+    #: Standard deviation, in y's, of the normal prior on the slope in z of the Gaussian process's mean,
+    #: which takes a shift between fidelities that all points share; 0 is no slope, null the search's own.
+    slope: float | None = None
 
     def __post_init__(self) -> None:
         check_range(self, "fidelity_scale", "fidelity_spread", above=0)
+        check_range(self, "slope", least=0)
+
+    def otherwise(self, fidelity_scale: float, slope: float) -> SurrogateOptions:
+        """With these where nothing was chosen."""
+        return replace(
+            self,
+            fidelity_scale=fidelity_scale if self.fidelity_scale is None else self.fidelity_scale,
+            slope=slope if self.slope is None else self.slope,
+        )
 
 
 class Surrogate:
-    """k((x, z), (x', z')) = k(x, x') k_SE(z, z') (eq. 6.2), fitted to `data`.
+    """k((x, z), (x', z')) = k(x, x') k_SE(z, z') (eq. 6.2) about a constant mean, or one that is a line in
+    z, fitted to `data`.
 
     Length scales of x are one per dimension. y is standardised to mean 0 and variance 1; all that is
     returned is in these units, in which the prior's variance is 1 (``scale`` is one such unit in
@@ -59,6 +76,9 @@ class Surrogate:
         self._space = get_covar_module_with_dim_scaled_prior(
             self._d, use_rbf_kernel=options.kernel == "se", active_dims=tuple(range(self._d))
         )
+        options = options.otherwise(fidelity_scale=0.3, slope=0.0)
+        assert options.fidelity_scale is not None
+        assert options.slope is not None
         location = math.log(options.fidelity_scale) + options.fidelity_spread**2
         prior = LogNormalPrior(location, options.fidelity_spread)
         self._fidelity = RBFKernel(
@@ -74,7 +94,11 @@ class Surrogate:
         with warnings.catch_warnings(), random.private_rng(seed, "surrogate"):
             warnings.simplefilter("ignore", BotorchWarning)
             self._model = SingleTaskGP(
-                self._x, self._y.unsqueeze(1), covar_module=self._kernel, outcome_transform=None
+                self._x,
+                self._y.unsqueeze(1),
+                covar_module=self._kernel,
+                mean_module=_Line(options.slope) if options.slope > 0 else None,
+                outcome_transform=None,
             )
             self._fit()
         self._model.eval()
@@ -130,6 +154,23 @@ class Surrogate:
         """Standard deviation of the noise."""
         variance: Any = self._model.likelihood.noise
         return float(variance.detach().sqrt())
+
+
+class _Line(Mean):
+    """m(x, z) = constant + slope z."""
+
+    slope: torch.nn.Parameter
+
+    def __init__(self, deviation: float) -> None:
+        super().__init__()
+        self.constant = ConstantMean()
+        self.register_parameter("slope", torch.nn.Parameter(torch.zeros(())))
+        self.register_prior("slope_prior", NormalPrior(0.0, deviation), "slope")
+
+    def forward(self, x: Tensor) -> Tensor:
+        constant = self.constant(x)
+        assert isinstance(constant, Tensor)
+        return constant + self.slope * x[..., -1]
 
 
 def _joined(x: Tensor, z: Tensor) -> Tensor:

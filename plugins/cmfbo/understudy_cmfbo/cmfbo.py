@@ -14,7 +14,7 @@ from understudy.options import check_range
 from understudy.running.trials import OuterLoop, Report, Trial
 from understudy.setup.config import Part
 from understudy_bayes import draws
-from understudy_bayes.acquisition import beta, climb, upper_bound
+from understudy_bayes.acquisition import beta, climb, highest, upper_bound
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.starts import maximise
@@ -40,6 +40,9 @@ class CMFBO(OuterLoop):
         #: ε: how well y must be known at one fidelity before the next is asked about, a standard
         #: deviation as a share of the range of all y seen; half the noise's is always enough.
         epsilon: float = 0.02
+        #: What share of the search's end is for full difficulty, whatever ε says: only trials there can
+        #: be the answer. 0 is algorithm 4 as printed.
+        reserve: float = 0.25
         #: Whether trials above z_min begin with the nearest earlier one's policy (section 6.3.3) …
         transfer: bool = True
         #: … and with which parts of it.
@@ -49,6 +52,7 @@ class CMFBO(OuterLoop):
         def __post_init__(self) -> None:
             super().__post_init__()
             check_range(self, "epsilon", above=0)
+            check_range(self, "reserve", least=0, most=1)
             if self.transfer and not self.parts:
                 raise ValueError(
                     "parts must not be empty: name what to transfer, or transfer=false."
@@ -56,6 +60,7 @@ class CMFBO(OuterLoop):
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         self._options, self._book, self._seed = options, Book(options, options.fidelity), seed
+        self._surrogate = options.surrogate.otherwise(fidelity_scale=1.0, slope=1.0)
 
     def ask(self, number: int) -> Trial | None:
         """Algorithm 4, one iteration; the Gaussian process is fitted anew to all that was told."""
@@ -64,10 +69,11 @@ class CMFBO(OuterLoop):
             return None
         if number < options.initial:
             return book.ask(number, draws.spread(self._seed, number, len(book.space)), Z_MIN)
-        model = fitted(book, options.surrogate, random.derive_seed(self._seed, f"fit/{number}"))
+        model = fitted(book, self._surrogate, random.derive_seed(self._seed, f"fit/{number}"))
         if model is None:
             return None
-        x, z = self._progress(model, number)
+        last = book.spent(number) >= 1 - options.reserve
+        x, z = self._finish(model, number) if last else self._progress(model, number)
         return book.ask(number, x.tolist(), z, self._nearest(model, x, z))
 
     def _progress(self, model: Surrogate, number: int) -> tuple[Tensor, float]:
@@ -81,6 +87,12 @@ class CMFBO(OuterLoop):
             z = min(z + model.fidelity_scale, Z_MAX)
             x = climb(upper_bound(model, weight, z, of=Z_MAX), x.unsqueeze(0))
         return x, z
+
+    def _finish(self, model: Surrogate, number: int) -> tuple[Tensor, float]:
+        """(x_t, z_max), x_t by L-BFGS from the trials that promise most there."""
+        expected = upper_bound(model, 0.0, Z_MAX)
+        bound = upper_bound(model, beta(len(self._book.space), number + 1), Z_MAX)
+        return climb(bound, highest(expected, self._book.data().x, 4)), Z_MAX
 
     def _nearest(self, model: Surrogate, x: Tensor, z: float) -> Mapping[str, Any] | None:
         """The policy to begin with: that of the earlier trial most correlated with (x, z)."""
@@ -96,6 +108,7 @@ class CMFBO(OuterLoop):
 
     def tell(self, report: Report) -> None:
         self._book.tell(report)
+        self.share = self._book.done
 
     def summary(self) -> list[dict[str, Any]]:
         return self._book.summary()

@@ -151,3 +151,14 @@ def test_one_trial_that_began_is_enough() -> None:
 def test_impossible_options_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         book(**options)
+
+
+def test_the_share_that_is_done_counts_what_is_finished() -> None:
+    b = book(trials=8, budget=1000.0)
+    for number in range(3):
+        b.ask(number, [0.1 * number, 0.5], 0.0)
+    shares = [b.done]
+    for number, cost in enumerate((100.0, 300.0, 900.0)):
+        tell(b, number, 1.0, cost=cost)
+        shares.append(b.done)
+    assert shares == pytest.approx([0.0, 1 / 8, 0.4, 1.0])

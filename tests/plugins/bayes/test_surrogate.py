@@ -20,7 +20,7 @@ OPTIONS = SurrogateOptions()
 
 
 def data(x: Tensor, y: Tensor, z: Tensor | float = 1.0) -> Data:
-    z = torch.full((len(x),), z, dtype=torch.float64) if isinstance(z, float) else z
+    z = z if isinstance(z, Tensor) else torch.full((len(x),), z, dtype=torch.float64)
     return Data(x.double(), z, y.double(), torch.ones(len(x), dtype=torch.float64))
 
 
@@ -81,6 +81,26 @@ def test_fidelities_that_agree_share_what_they_know() -> None:
     same = Surrogate(OPTIONS, data(x, torch.sin(6 * x[:, 0]), z))
     other = Surrogate(OPTIONS, data(x, torch.sin(6 * x[:, 0] + 9 * z), z))
     assert same.fidelity_scale > 2 * other.fidelity_scale
+
+
+def test_a_shift_that_all_points_share_does_not_shorten_the_fidelitys_scale() -> None:
+    """The mean's line in z takes it; without one, l_z does."""
+    x = draws.many(0, 0, 1, 24)
+    z = (torch.arange(24) % 3).double() / 2
+    shifted = data(x, torch.sin(6 * x[:, 0]) + 3 * z, z)
+    flat, line = Surrogate(OPTIONS, shifted), Surrogate(SurrogateOptions(slope=1.0), shifted)
+    assert line.fidelity_scale > 3 * flat.fidelity_scale
+    x = draws.many(1, 1, 1, 8)
+    mean, _ = at(line, x, 0.75)  # a fidelity that it has not seen
+    truth = torch.sin(6 * x[:, 0]) + 3 * 0.75
+    assert mean == pytest.approx((truth - shifted.y.mean()) / line.scale, abs=0.05)
+
+
+def test_a_slope_that_nothing_shows_is_none() -> None:
+    """With one fidelity seen, others are expected to be as high."""
+    line, flat = Surrogate(SurrogateOptions(slope=1.0), smooth()), Surrogate(OPTIONS, smooth())
+    x = draws.many(1, 1, 2, 8)
+    assert at(line, x)[0] == pytest.approx(at(flat, x)[0], abs=5e-3)
 
 
 def test_what_still_runs_is_taken_as_expected() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from typing import Any
 
@@ -108,8 +109,39 @@ def test_what_is_transferred_is_an_option() -> None:
 
 @pytest.mark.parametrize(("epsilon", "expected"), [(1e-9, 0.0), (1e9, 1.0)])
 def test_epsilon_decides_when_a_task_is_known_well_enough(epsilon: float, expected: float) -> None:
-    told = carry_on(make(epsilon=epsilon, trials=8), valley)
+    told = carry_on(make(epsilon=epsilon, trials=8, reserve=0.0), valley)
     assert [t.fidelity for t in trials(told)[5:]] == [expected] * 3
+
+
+@pytest.mark.parametrize("limit", [{"trials": 12}, {"trials": None, "budget": 200.0}])
+def test_what_is_left_in_the_end_is_for_the_task_itself(limit: dict[str, Any]) -> None:
+    """However little is known at z_min, so that a search does not end without an answer."""
+    loop = make(epsilon=1e-9, reserve=0.25, **limit)
+    fidelities = [t.fidelity for t in trials(carry_on(loop, valley))]
+    whole = fidelities.count(1.0)
+    assert whole > 0
+    assert fidelities == [0.0] * (len(fidelities) - whole) + [1.0] * whole
+    rows = loop.summary()
+    spent = [0.0, *itertools.accumulate(row["samples"] for row in rows)]
+    for number, fidelity in enumerate(fidelities):
+        share = number / 12 if "budget" not in limit else spent[number] / 200
+        assert (fidelity == 1.0) == (share >= 0.75)
+    assert sum(row["found"] == "answer" for row in rows) == 1
+
+
+def test_the_last_trials_begin_where_easy_ones_were_good() -> None:
+    """Five whole trials suffice after a search that never got past z_min."""
+    loop = make(epsilon=1e-9, trials=20)
+    carry_on(loop, valley)
+    answer = next(row for row in loop.summary() if row["found"] == "answer")
+    assert answer["y"] > -0.1
+
+
+def test_a_search_that_ends_before_the_task_itself_says_so() -> None:
+    loop = make(epsilon=1e-9, trials=7, reserve=0.0)
+    carry_on(loop, valley)
+    marks = [row["found"] for row in loop.summary() if row["found"]]
+    assert marks == ["highest y; no trial at full fidelity, so no answer"]
 
 
 def test_the_step_is_the_fidelitys_length_scale() -> None:
@@ -121,6 +153,15 @@ def test_the_step_is_the_fidelitys_length_scale() -> None:
     assert all(
         f == pytest.approx(min(0.3 * round(f / 0.3), 1.0), abs=0.01) or f == 1.0 for f in above
     )
+
+
+def test_what_is_chosen_of_the_model_leaves_the_rest() -> None:
+    """A kernel alone keeps this search's prior on l_z and its mean."""
+    given = {"parameters": {"a.x": {"low": 0.0, "high": 1.0}}, "trials": 3}
+    for surrogate, expected in [({"kernel": "matern"}, (1.0, 1.0)), ({"slope": 0.0}, (1.0, 0.0))]:
+        options = make_options(CMFBO.Options, {**given, "surrogate": surrogate}, "o")
+        found = CMFBO(options)._surrogate
+        assert (found.fidelity_scale, found.slope) == expected
 
 
 def test_difficulty_from_and_to() -> None:
@@ -151,6 +192,8 @@ def test_errors_name_the_option() -> None:
     good = {"parameters": {"a.x": {"low": 0.0, "high": 1.0}}, "trials": 3}
     for bad, message in [
         ({"epsilon": 0.0}, r"o\.epsilon=0\.0 is not possible"),
+        ({"reserve": 1.5}, r"o\.reserve=1\.5 is not possible"),
+        ({"surrogate": {"slope": -1.0}}, r"o\.surrogate\.slope=-1\.0 is not possible"),
         ({"parts": []}, "parts must not be empty"),
         ({"parts": ["legs"]}, "'legs' is not possible"),
         ({"fidelity": {"high": 1.5}}, r"o\.fidelity\.high|o\.fidelity\.low"),
