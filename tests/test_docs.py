@@ -43,7 +43,7 @@ COMMANDS = [
 @pytest.mark.parametrize("overrides", COMMANDS, ids=" ".join)
 def test_commands_compose(overrides: list[str]) -> None:
     if "simulator=mujoco_warp" in overrides:
-        pytest.importorskip("warp", reason="MuJoCo Warp is not installed")
+        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     load_experiment(overrides, installed())
 
 
