@@ -21,7 +21,9 @@ from arena import arena, states
 from repeatable import repeatable  # noqa: F401 - a fixture
 from torch import Tensor
 
-pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
+pytest.importorskip(
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+)
 
 from understudy.errors import ConfigError
 from understudy.running.recorded import Recorded

@@ -14,7 +14,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
+pytest.importorskip(
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+)
 
 from understudy.running.environment import Environment, Step
 from understudy.setup.building import build_environment

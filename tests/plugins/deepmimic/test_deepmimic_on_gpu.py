@@ -7,7 +7,9 @@ import warnings
 import pytest
 import torch
 
-pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
+pytest.importorskip(
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+)
 
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training

@@ -5,7 +5,9 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')")
+pytest.importorskip(
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+)
 
 from understudy_mujoco_warp.simulator import contact_capacity
 
