@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from understudy.setup.composition import load_experiment
+from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, installed, load
 from understudy.testing import check_plugin
 
@@ -42,8 +42,8 @@ COMMANDS = [
 
 @pytest.mark.parametrize("overrides", COMMANDS, ids=" ".join)
 def test_commands_compose(overrides: list[str]) -> None:
-    if "simulator=mujoco_warp" in overrides:
-        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
+    if compose_raw(overrides)["simulator"]["name"] == "mujoco_warp":
+        pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
     load_experiment(overrides, installed())
 
 

@@ -22,7 +22,7 @@ from repeatable import repeatable  # noqa: F401 - a fixture
 from torch import Tensor
 
 pytest.importorskip(
-    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from understudy.errors import ConfigError

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 pytest.importorskip(
-    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from understudy.running.reinforcement import Reinforcement

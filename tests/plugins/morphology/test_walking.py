@@ -199,7 +199,7 @@ def test_both_simulators_agree(plugins: Plugins, scales: tuple[str, ...]) -> Non
     """Ten decisions with full help, in float64 and in float32."""
     if "mujoco_warp" not in plugins.registry.names("simulator"):
         pytest.skip("the plugin mujoco_warp is not among those in use")
-    pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
+    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
     seen = []
     for simulator in ("mujoco", "mujoco_warp"):
         env = environment(
