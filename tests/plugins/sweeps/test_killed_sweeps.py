@@ -113,14 +113,17 @@ def test_killed_at_random_moments(
     trials end, and with it what a search asks for, is up to the machine."""
     straight, folder, search = tmp_path / "straight", tmp_path / "killed", list(SEARCH)
     if count == 10:
-        search.append("budget.samples=8192")
+        search.append("budget.samples=16384")
+    began = time.monotonic()
     assert main(["sweep", *search, f"run.dir={straight}"]) == 0
+    share = (time.monotonic() - began) / count  # so that it is still running at the last kill
     command = ["sweep", *search, f"executor={executor}", f"run.dir={folder}"]
     if executor == "processes":
         command += ["executor.workers=1", "executor.threads=1"]
     moments = random.Random(count)
     for _ in range(count):
-        assert kills(start(*command), moments.uniform(0.6, 2.5)), "it ended before it was killed"
+        seconds = 0.5 + moments.uniform(0.0, share)
+        assert kills(start(*command), seconds), "it ended before it was killed"
     assert main(command) == 0
     check_as_never_killed(folder, straight)
 
