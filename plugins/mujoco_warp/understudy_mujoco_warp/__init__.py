@@ -5,7 +5,7 @@ from pathlib import Path
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
-REQUIRES = ("mujoco",)
+REQUIRES = ("mujoco", "warp_torch")
 
 
 @hookimpl

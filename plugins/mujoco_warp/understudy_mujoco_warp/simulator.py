@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gc
-import os
-import shutil
-import tempfile
-import warnings
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +17,7 @@ from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import Stage, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
+from understudy_warp_torch.kernels import Kernels, put_rows
 
 try:
     import mujoco_warp as mjw
@@ -63,33 +59,6 @@ _PLACES = {"body_pos", "body_quat", "geom_pos", "geom_quat"}
 #: Contacts begin where the distance of two geoms is less than the sum of their margins, so a geom
 #: with this one, in metres, touches nothing. (Warp has no contype for each world.)
 _SWITCHED, _FAR = "geom_margin", -1e8
-
-
-def start_warp() -> None:
-    """Initialise Warp, with a kernel cache that can be written.
-
-    Where the usual folder (``$WARP_CACHE_PATH``, or the user's cache) cannot be written, what it
-    holds is copied to a temporary one, so that a read-only but warm cache keeps its use.
-    """
-    wp.config.quiet = True
-    try:
-        wp.init()
-        folder = wp.config.kernel_cache_dir
-        if folder is not None and os.access(folder, os.W_OK):
-            return
-        reason = f"{folder} cannot be written"
-    except OSError as error:
-        folder, reason = None, str(error)
-    temporary = tempfile.mkdtemp(prefix="understudy-kernels-")
-    if folder is not None and os.path.isdir(folder):
-        shutil.copytree(folder, temporary, dirs_exist_ok=True)
-    wp.config.kernel_cache_dir = temporary
-    wp.init()
-    warnings.warn(
-        f"No kernel cache to write ({reason}); using {temporary}, so the next start compiles again. "
-        "Set WARP_CACHE_PATH to a folder that can be written.",
-        stacklevel=2,
-    )
 
 
 def contact_capacity(model: mujoco.MjModel) -> int:
@@ -141,17 +110,15 @@ class MujocoWarpSimulator(Simulator):
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")
         self.model = scene.compiled(context)
-        self._device = context.device
-        if self._device.type == "cuda" and self._device.index is None:  # Warp wants it said
-            self._device = torch.device("cuda", torch.cuda.current_device())
         self._n = context.num_worlds
         self._substeps = context.substeps
         contacts = options.contacts or contact_capacity(self.model)
         limits = int(self.model.jnt_limited.sum())
         constraints = options.constraints or 4 * contacts + limits  # pyramids have 4 edges
+        self._kernels = Kernels(context.device)
+        self._device = self._kernels.device
         self._refuse_too_large(context.num_worlds, constraints)
-        start_warp()
-        with self._on_device():
+        with self._kernels.scope():
             try:
                 self._m = self._put_model({})
                 self._d = mjw.make_data(
@@ -190,9 +157,6 @@ class MujocoWarpSimulator(Simulator):
         )
         self._overflows = torch.zeros((), dtype=torch.int64, device=self._device)
         self._stage = Stage.KINEMATICS
-        self._graphs: dict[Hashable, Any] = {}
-        self._outer: list[Any] = []
-        self._streams: dict[int, Any] = {}
         self._settle()
 
     def _put_model(self, batch: Mapping[str, int]) -> Any:
@@ -219,52 +183,8 @@ class MujocoWarpSimulator(Simulator):
                 f"{free / 2**30:.0f} GiB are free. About {fit} worlds fit."
             )
 
-    # ------------------------------------------------------------------ Warp and torch together
-
-    def _on_device(self) -> Any:
-        return wp.ScopedDevice(wp.device_from_torch(self._device))
-
-    def _on_stream(self) -> Any:
-        """Let Warp use torch's stream, so that both libraries' kernels keep their order."""
-        stream = torch.cuda.current_stream(self._device)
-        if stream.cuda_stream not in self._streams:
-            self._streams[stream.cuda_stream] = wp.stream_from_torch(stream)
-        # Warp's own stream has nothing that this one would have to wait for
-        return wp.ScopedStream(self._streams[stream.cuda_stream], sync_enter=False)
-
     def _run(self, key: Hashable, work: Callable[[], None]) -> None:
-        """Do `work`, a sequence of Warp's kernels that is the same whenever `key` is."""
-        if self._device.type != "cuda":
-            with self._on_device():
-                work()
-        elif torch.cuda.is_current_stream_capturing():
-            with (
-                self._on_stream(),
-                wp.ScopedCapture(
-                    external=True, force_module_load=False, capture_mode=wp.CaptureMode.GLOBAL
-                ) as capture,
-            ):
-                work()
-            self._outer.append(capture.graph)  # keeps the kernels' code loaded
-        else:
-            if key not in self._graphs:
-                self._graphs[key] = self._record(work)
-            with self._on_stream():
-                wp.capture_launch(self._graphs[key])
-
-    def _record(self, work: Callable[[], None]) -> Any:
-        """The CUDA graph of `work`. Kernels must be compiled before, so it is done once in vain."""
-        before = {name: view.clone() for name, view in self._state.items()}
-        overflow = self._overflow.clone()
-        with self._on_stream():
-            work()
-        for name, value in before.items():
-            self._state[name].copy_(value)
-        self._overflow.copy_(overflow)
-        gc.collect()  # another recording that is freed during this one would end it
-        with self._on_device(), wp.ScopedCapture() as capture:
-            work()
-        return capture.graph
+        self._kernels.run(key, work, (*self._state.values(), self._overflow))
 
     def _advance(self, substeps: int) -> None:
         options = self._m.opt
@@ -309,7 +229,7 @@ class MujocoWarpSimulator(Simulator):
         groups = self._groups(p.name for p in picked)
         derived = {name for group, names in _DERIVED.items() if groups & group for name in names}
         batched = (fields | derived) - {"gravity", *MOCAP}
-        with self._on_device():
+        with self._kernels.scope():
             self._m = self._put_model(dict.fromkeys(batched, self._n))
             if "gravity" in fields:
                 gravity = np.tile(self.model.opt.gravity, (self._n, 1))
@@ -317,7 +237,7 @@ class MujocoWarpSimulator(Simulator):
             if fields & _PLACES:
                 nowhere = wp.full(self.model.nbody, -1, dtype=int)
                 self._unwelded = dataclasses.replace(self._m, body_weldid=nowhere)
-        self._graphs.clear()
+        self._kernels.forget()
         for parameter in picked:
             self._varied[parameter.name] = self._memory(parameter)
             if parameter.field == "active":
@@ -350,7 +270,7 @@ class MujocoWarpSimulator(Simulator):
         """Write those that `values` has; returns the groups of constants to be computed anew."""
         given = [name for name in self._varied if name in values]
         for name in given:
-            _put(self._varied[name], worlds, values[name])
+            put_rows(self._varied[name], worlds, values[name])
         if self._switches:
             self._margins.copy_(self._model_margins)
             for switch in self._switches:
@@ -364,14 +284,16 @@ class MujocoWarpSimulator(Simulator):
         field = self._readable.get(name)
         if field is not None and field.stage > self._stage:
             self._stage = field.stage
-            self._graphs.clear()
+            self._kernels.forget()
             self._settle()
         return self._views[name]
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         groups = self._set_parameters(worlds, state)
         for name, view in self._state.items():
-            _put(view, worlds, state[name] if name in self.state_fields else self._initial[name])
+            put_rows(
+                view, worlds, state[name] if name in self.state_fields else self._initial[name]
+            )
         self._settle(groups)
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
@@ -395,15 +317,9 @@ class MujocoWarpSimulator(Simulator):
             worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
         groups = self._set_parameters(worlds, snapshot)
         for name, view in self._state.items():
-            _put(view, worlds, snapshot[name])
+            put_rows(view, worlds, snapshot[name])
         self._settle(groups)
 
     def report(self) -> dict[str, int]:
         count = int(self._overflows)
         return {"contact_or_constraint_overflows": count} if count else {}
-
-
-def _put(view: Tensor, worlds: Tensor, values: Tensor) -> None:
-    """Write the rows of `values` (N or 1, …) where `worlds` (N,) is true, in place."""
-    rows = worlds.view(-1, *([1] * (view.dim() - 1)))
-    torch.where(rows, values.to(view.device, view.dtype), view, out=view)

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on: pictures are drawn with the renderer that `mujoco` has chosen.
-REQUIRES = ("mujoco",)
+REQUIRES = ("mujoco", "warp_torch")
 
 
 @hookimpl

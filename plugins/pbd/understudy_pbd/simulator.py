@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -20,6 +19,7 @@ from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
 from understudy_pbd.shapes import build_tools
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
+from understudy_warp_torch.kernels import Kernels, put_rows
 
 #: Beyond this a position, or a velocity, is one of a simulation that diverged.
 _LIMIT = 1e6
@@ -73,14 +73,11 @@ class ParticleSimulator(Simulator):
         scene = context.need_scene(ParticleScene, "simulator 'pbd'")
         self.model = model = scene.model()
         self._options = options
-        self._device = context.device
-        if self._device.type == "cuda" and self._device.index is None:  # Warp wants it said
-            self._device = torch.device("cuda", torch.cuda.current_device())
+        self._warp = Kernels(context.device)
+        self._device = self._warp.device
         self._n, self._substeps = context.num_worlds, context.substeps
         self._dt = context.control_dt / context.substeps
-        wp.config.log_level = wp.LOG_WARNING
-        wp.init()
-        with wp.ScopedDevice(wp.device_from_torch(self._device)):
+        with self._warp.scope():
             self._system, features = self._build(model)
             self._kernels = build_kernels(features)
         self._features = features
@@ -123,7 +120,7 @@ class ParticleSimulator(Simulator):
         }
         self._varied: tuple[str, ...] = ()
         self._particles = self._seen_by_rules()
-        with wp.ScopedDevice(wp.device_from_torch(self._device)):
+        with self._warp.scope():
             for rule in model.rules:
                 rule.build(self._particles)
             wp.synchronize_device()  # torch's streams wait for nobody
@@ -147,9 +144,6 @@ class ParticleSimulator(Simulator):
             wp.to_torch(system.control) if t else torch.zeros(self._n, 0, device=self._device)
         )
         self._overflow = wp.to_torch(system.overflow)
-        self._graphs: dict[Hashable, Any] = {}
-        self._outer: list[Any] = []
-        self._streams: dict[int, Any] = {}
 
     def _build(self, model: ParticleModel) -> tuple[Any, Features]:
         """The system on Warp's present device, and what its kernels have to know."""
@@ -272,53 +266,6 @@ class ParticleSimulator(Simulator):
             substep=s.substep,
         )
 
-    # ------------------------------------------------------------------ Warp and torch together
-
-    def _on_stream(self) -> Any:
-        """Let Warp use torch's stream, so that both libraries' kernels keep their order."""
-        stream = torch.cuda.current_stream(self._device)
-        if stream.cuda_stream not in self._streams:
-            self._streams[stream.cuda_stream] = wp.stream_from_torch(stream)
-        # Warp's own stream has nothing that this one would have to wait for
-        return wp.ScopedStream(self._streams[stream.cuda_stream], sync_enter=False)
-
-    def _run(self, key: Hashable, work: Callable[[], None]) -> None:
-        """Do `work`, a sequence of Warp's kernels that is the same whenever `key` is."""
-        if self._device.type != "cuda":
-            with wp.ScopedDevice("cpu"):
-                work()
-        elif torch.cuda.is_current_stream_capturing():
-            with (
-                self._on_stream(),
-                wp.ScopedCapture(
-                    external=True, force_module_load=False, capture_mode=wp.CaptureMode.GLOBAL
-                ) as capture,
-            ):
-                work()
-            self._outer.append(capture.graph)  # keeps the kernels' code loaded
-        else:
-            if key not in self._graphs:
-                self._graphs[key] = self._record(work)
-            with self._on_stream():
-                wp.capture_launch(self._graphs[key])
-
-    def _record(self, work: Callable[[], None]) -> Any:
-        """The CUDA graph of `work`. Kernels must be compiled before, so it is done once in vain."""
-        before = {name: view.clone() for name, view in self._state.items()}
-        overflow = self._overflow.clone()
-        with self._on_stream():
-            work()
-        for name, value in before.items():
-            self._state[name].copy_(value)
-        self._overflow.copy_(overflow)
-        gc.collect()  # another recording that is freed during this one would end it
-        with (
-            wp.ScopedDevice(wp.device_from_torch(self._device)),
-            wp.ScopedCapture() as capture,
-        ):
-            work()
-        return capture.graph
-
     def _advance(self, count: int) -> None:
         """`count` sub-steps; rules are asked between them."""
         rules = self.model.rules
@@ -374,14 +321,17 @@ class ParticleSimulator(Simulator):
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         for name in self._varied:
             if name in state:
-                _put(self._known[name], worlds, state[name])
+                put_rows(self._known[name], worlds, state[name])
         for name, view in self._state.items():
-            _put(view, worlds, state[name] if name in self.state_fields else self._initial[name])
+            put_rows(
+                view, worlds, state[name] if name in self.state_fields else self._initial[name]
+            )
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         count = self._substeps if substeps is None else substeps
         self._control.copy_(control)
-        self._run(count, lambda: self._advance(count))
+        changed = (*self._state.values(), self._overflow)
+        self._warp.run(count, lambda: self._advance(count), changed)
 
     def failed(self) -> Tensor:
         sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
@@ -398,19 +348,13 @@ class ParticleSimulator(Simulator):
             worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
         for name in self._varied:
             if name in snapshot:
-                _put(self._known[name], worlds, snapshot[name])
+                put_rows(self._known[name], worlds, snapshot[name])
         for name, view in self._state.items():
-            _put(view, worlds, snapshot[name])
+            put_rows(view, worlds, snapshot[name])
 
     def report(self) -> dict[str, int]:
         count = int(self._overflow.sum())
         return {"neighbour_overflows": count} if count else {}
-
-
-def _put(view: Tensor, worlds: Tensor, values: Tensor) -> None:
-    """Write the rows of `values` (N or 1, …) where `worlds` (N,) is true, in place."""
-    rows = worlds.view(-1, *([1] * (view.dim() - 1)))
-    torch.where(rows, values.to(view.device, view.dtype), view, out=view)
 
 
 def _each(value: Any, count: int, name: str) -> np.ndarray:
