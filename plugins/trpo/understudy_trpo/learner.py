@@ -158,7 +158,7 @@ class TRPO(Learner):
                 loss.backward()
                 loss = averages.average_gradients(self._critic, loss.detach().view(1))
                 sound = self._sound(loss)
-                optimisers.step(self._optimiser, sound)
+                optimisers.step(self._optimiser, (~sound).float())
                 losses = losses + torch.where(sound, loss[0], 0.0)
                 sound_steps = sound_steps + sound.to(losses.dtype)
                 steps += 1
