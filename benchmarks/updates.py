@@ -14,6 +14,7 @@ Prints a JSON line for each case and appends it, with the hardware, to ``docs/be
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import platform
@@ -114,7 +115,7 @@ def peer_of(
     def network(outputs: int) -> nn.Sequential:
         sizes = [options.observation, *options.hidden]
         layers: list[nn.Module] = []
-        for inputs, units in zip(sizes, sizes[1:], strict=False):
+        for inputs, units in itertools.pairwise(sizes):
             layers += [nn.Linear(inputs, units), nn.ReLU()]
         return nn.Sequential(*layers, nn.Linear(sizes[-1], outputs)).to(device)
 
@@ -155,8 +156,10 @@ def peer_of(
             nn.utils.clip_grad_norm_(net.parameters(), chosen.max_gradient_norm)
             optimiser.step()
 
-    run: Callable[[list[Tensor]], None] = lambda parts: step(*parts)  # noqa: E731
-    if captured:
+    def run(parts: list[Tensor]) -> None:
+        step(*parts)
+
+    def replaying() -> Callable[[list[Tensor]], None]:
         inputs = [part[: options.batch].clone() for part in data]
         side = torch.cuda.Stream()
         side.wait_stream(torch.cuda.current_stream())
@@ -168,17 +171,21 @@ def peer_of(
         with torch.cuda.graph(graph):
             step(*inputs)
 
-        def run(parts: list[Tensor]) -> None:
+        def replay(parts: list[Tensor]) -> None:
             for fixed, part in zip(inputs, parts, strict=True):
                 fixed.copy_(part)
             graph.replay()
+
+        return replay
+
+    chosen_run = replaying() if captured else run
 
     def update() -> None:
         for _ in range(options.epochs):
             order = torch.randperm(SAMPLES, device=device)
             for rows in order.split(options.batch):
                 if len(rows) == options.batch:
-                    run([part[rows] for part in data])
+                    chosen_run([part[rows] for part in data])
 
     return update
 

@@ -169,8 +169,8 @@ class DiagonalGaussian(Distribution):
         away = squared_difference(other.mean, self.mean) / other.std.square()
         return 0.5 * (away + (ratio - 1.0 - ratio.log())).sum(-1)
 
-    def detach(self) -> DiagonalGaussian:
-        return DiagonalGaussian(self.mean.detach(), self.std.detach())
+    def map(self, change: Callable[[Tensor], Tensor]) -> DiagonalGaussian:
+        return DiagonalGaussian(change(self.mean), change(self.std))
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,8 @@ class Categorical(Distribution):
         log = self.logits.log_softmax(-1)
         return (log.exp() * (log - other.logits.log_softmax(-1))).sum(-1)
 
-    def detach(self) -> Categorical:
-        return Categorical(self.logits.detach())
+    def map(self, change: Callable[[Tensor], Tensor]) -> Categorical:
+        return Categorical(change(self.logits))
 
 
 @dataclass(frozen=True)
@@ -228,8 +228,8 @@ class Joint(Distribution):
         pairs = zip(self.parts, other.parts, strict=True)
         return _total(part.divergence(theirs) for part, theirs in pairs)
 
-    def detach(self) -> Joint:
-        return Joint(tuple(part.detach() for part in self.parts), self.widths)
+    def map(self, change: Callable[[Tensor], Tensor]) -> Joint:
+        return Joint(tuple(part.map(change) for part in self.parts), self.widths)
 
 
 def _total(values: Iterable[Tensor]) -> Tensor:

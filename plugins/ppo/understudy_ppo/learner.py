@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import copy
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -14,7 +14,7 @@ from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
-from understudy.task import Context, Learner, Policy, Rollout, State
+from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
 from understudy_basics import averages, optimisers
 from understudy_basics.nn import Precision, set_precision
 from understudy_basics.returns import digest, explained_variance, observations_of
@@ -32,6 +32,8 @@ STEPS_A_GRAPH = 32
 #: The row of a minibatch: entropy, KL divergence, clipped share, the losses of actor and critic, the
 #: norms of their gradients, and 1.
 LOSSES_AND_NORMS, NORMS, COUNT = slice(3, 7), slice(5, 7), 7
+
+_OLD = "old/"
 
 
 class Losses(NamedTuple):
@@ -125,8 +127,6 @@ class PPO(Learner):
         penalty = options.kl_penalty
         self._coefficient = penalty.coefficient if penalty is not None else 0.0
         self._coefficient_on_device = torch.tensor(self._coefficient, device=device)
-        #: The policy as it collected, where the loss compares with it.
-        self._collecting = copy.deepcopy(policy) if penalty is not None else None
         self._generator = generator(context.seed, "ppo", device)
         #: () optimiser steps in a row that were not finite.
         self._bad_steps = torch.zeros((), dtype=torch.int64, device=device)
@@ -167,8 +167,8 @@ class PPO(Learner):
         )
         if options.advantage_clip is not None:
             batch["advantages"].clamp_(-options.advantage_clip, options.advantage_clip)
-        if self._collecting is not None:
-            self._collecting.load_state_dict(self.policy.state_dict())
+        if options.kl_penalty is not None:
+            batch |= self._parameters(batch)
         self._sums.zero_()
         with self._beside.sharing():
             for _ in range(options.epochs):
@@ -188,6 +188,14 @@ class PPO(Learner):
             "actor_learning_rate": self._adapt_rate(kl),
             "skipped_steps": options.epochs * self._steps - taken,
         } | self._adapt_penalty(batch)
+
+    @torch.no_grad()
+    def _parameters(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Of the distributions that the policy collected with: ``old/0`` (B, K), ``old/1``, …"""
+        found: list[Tensor] = []
+        self.policy.distribution(observations_of(batch)).map(lambda p: found.append(p) or p)
+        samples = batch["returns"].shape[0]
+        return {f"{_OLD}{i}": p.expand(samples, p.shape[-1]) for i, p in enumerate(found)}
 
     def _shuffled(self, batch: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
         """One epoch's runs of minibatches: the batch in a random order, what is left over left out."""
@@ -209,7 +217,7 @@ class PPO(Learner):
 
     def losses(self, minibatch: Mapping[str, Tensor]) -> Losses:
         """Of a minibatch such as a fault dump holds: ``observations/…``, ``actions``,
-        ``log_probs``, ``returns``, ``advantages``."""
+        ``log_probs``, ``returns``, ``advantages``, and ``old/…`` with a KL penalty."""
         actor, entropy, ratio = self._actor_loss(minibatch)
         return Losses(actor, self._value_loss(minibatch), entropy, ratio)
 
@@ -221,10 +229,9 @@ class PPO(Learner):
         loss = -clipped_surrogate(ratio, minibatch["advantages"], options.clip)
         if options.entropy_weight:
             loss = loss - options.entropy_weight * entropy
-        if self._collecting is not None:
-            with torch.no_grad():
-                old = self._collecting.distribution(seen)
-            loss = loss + self._coefficient_on_device * old.divergence(distribution).mean()
+        if options.kl_penalty is not None:
+            divergence = _collecting(minibatch, distribution).divergence(distribution)
+            loss = loss + self._coefficient_on_device * divergence.mean()
         return loss, entropy, ratio
 
     def _value_loss(self, minibatch: Mapping[str, Tensor]) -> Tensor:
@@ -295,11 +302,10 @@ class PPO(Learner):
     def _adapt_penalty(self, batch: Mapping[str, Tensor]) -> dict[str, float]:
         """Adapt β to the divergence that the update made; returns both as metrics."""
         penalty = self.options.kl_penalty
-        if penalty is None or self._collecting is None:
+        if penalty is None:
             return {}
-        seen = observations_of(batch)
-        old, new = self._collecting.distribution(seen), self.policy.distribution(seen)
-        divergence = float(averages.mean(old.divergence(new).mean()))
+        new = self.policy.distribution(observations_of(batch))
+        divergence = float(averages.mean(_collecting(batch, new).divergence(new).mean()))
         used, (least, most) = self._coefficient, COEFFICIENT_RANGE
         self._coefficient = min(max(penalty.adapted(used, divergence), least), most)
         self._coefficient_on_device.fill_(self._coefficient)
@@ -324,6 +330,12 @@ class PPO(Learner):
         self._bad_steps.copy_(state["bad_steps"])
         self._generator.set_state(state["generator"].cpu())
         self._capture()
+
+
+def _collecting(batch: Mapping[str, Tensor], like: Distribution) -> Distribution:
+    """The distributions, of the same kind as `like`, that the samples were collected with."""
+    parameters = (batch[f"{_OLD}{i}"] for i in itertools.count())
+    return like.map(lambda _: next(parameters))
 
 
 def _norm(gradient: Tensor, norm: Tensor) -> None:
