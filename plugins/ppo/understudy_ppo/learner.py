@@ -140,7 +140,8 @@ class PPO(Learner):
         optimisers.gradient_views(self._critic, self._critic_gradient)
         self._row[COUNT] = 1.0
         self._sums, self._nothing = torch.zeros_like(self._row), torch.zeros((), device=device)
-        self._beside = SideBySide(device)
+        #: Actor and critic; within the actor's, gradients and statistics.
+        self._beside, self._aside = SideBySide(device), SideBySide(device)
         self._capture()
 
     def _capture(self) -> None:
@@ -247,13 +248,19 @@ class PPO(Learner):
 
     def _differentiate_actor(self, minibatch: Mapping[str, Tensor]) -> None:
         loss, entropy, ratio = self._actor_loss(minibatch)
-        optimisers.differentiate(loss, self._actor, self._actor_gradient)
-        with torch.no_grad():
-            away = ratio - 1
-            kl = (away - ratio.log()).mean()  # Schulman's k3 estimator
-            clip = self.options.clip if self.options.clip is not None else torch.inf
-            outside = (away.abs() > clip).to(kl.dtype).mean()
-            torch.stack([entropy, kl, outside, loss], out=self._row[:4])
+        self._aside(
+            lambda: optimisers.differentiate(loss, self._actor, self._actor_gradient),
+            lambda: self._note(loss, entropy, ratio),
+        )
+
+    @torch.no_grad()
+    def _note(self, loss: Tensor, entropy: Tensor, ratio: Tensor) -> None:
+        """The actor's part of the row."""
+        away = ratio - 1
+        kl = (away - ratio.log()).mean()  # Schulman's k3 estimator
+        clip = self.options.clip if self.options.clip is not None else torch.inf
+        outside = (away.abs() > clip).to(kl.dtype).mean()
+        torch.stack([entropy, kl, outside, loss], out=self._row[:4])
 
     def _differentiate_critic(self, minibatch: Mapping[str, Tensor]) -> None:
         loss = self._value_loss(minibatch)
@@ -269,7 +276,8 @@ class PPO(Learner):
             lambda: _norm(self._actor_gradient, norms[0]),
             lambda: _norm(self._critic_gradient, norms[1]),
         )
-        sound = self._row[LOSSES_AND_NORMS].abs().max() < torch.inf  # false for NaN
+        largest = torch.linalg.vector_norm(self._row[LOSSES_AND_NORMS], ord=torch.inf)
+        sound = largest < torch.inf  # false for NaN
         unsound = sound.logical_not()
         skip, over = unsound.float(), (norms / self.options.max_gradient_norm).clamp(min=1.0)
         self._beside(
