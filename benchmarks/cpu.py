@@ -23,9 +23,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import understudy_mujoco  # isort: skip  # noqa: F401 - before torch, to tell its threads how to wait
 import numpy as np
 import torch
 from mujoco.batch import Batch
+from sb3_speed import Peer
 
 from understudy.records.runs import versions
 from understudy.running.collector import Collector
@@ -102,37 +104,20 @@ def environment_against_batch(rounds: int, steps: int, overrides: list[str]) -> 
 
 def end_to_end_against_sb3(rounds: int, seconds: float, overrides: list[str]) -> dict[str, Any]:
     """Ratio of samples/s, collecting and learning, to Stable-Baselines3's PPO on Humanoid-v5."""
-    import gymnasium
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import DummyVecEnv
-
     training = Training(load_experiment(["experiment=spacetime/walk", *overrides])).prepare()
     training.iterate()
     hidden = list(training.experiment.need("policy").options.feedback.hidden)  # pyright: ignore
-    peer_environment = DummyVecEnv([lambda: gymnasium.make("Humanoid-v5")] * 2)
-    peer = PPO(
-        "MlpPolicy",
-        peer_environment,
-        n_steps=1024,
-        batch_size=256,
-        n_epochs=5,
-        policy_kwargs={"net_arch": hidden, "activation_fn": torch.nn.ReLU},
-        device="cpu",
-    )
-    peer.learn(2048)
+    peer = Peer(hidden, 2048, 256)
+    peer.samples_per_second(0.0)
     ours, theirs = [], []
     for _ in range(rounds):
         began, samples = time.perf_counter(), training.progress.samples
         while time.perf_counter() - began < seconds:
             training.iterate()
         ours.append((training.progress.samples - samples) / (time.perf_counter() - began))
-        began = time.perf_counter()
-        before = peer.num_timesteps
-        while time.perf_counter() - began < seconds:
-            peer.learn(2048, reset_num_timesteps=False)
-        theirs.append((peer.num_timesteps - before) / (time.perf_counter() - began))
+        theirs.append(peer.samples_per_second(seconds))
     training.close()
-    peer_environment.close()
+    peer.close()
     ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
     work = training.experiment.need("learner").options
     return {
@@ -160,19 +145,16 @@ def update_alone(rounds: int) -> dict[str, Any]:
     result: dict[str, Any] = {"hidden": HIDDEN, "epochs": UPDATE_EPOCHS}
     for batch in (256, 4096):
         samples = max(2048, batch)
-        sides = {
-            "float32": _our_update(samples, batch, "float32"),
-            "bfloat16": _our_update(samples, batch, "bfloat16"),
-            "peer": _peer_update(samples, batch),
-        }
+        ours = {p: _our_update(samples, batch, p) for p in ("float32", "bfloat16")}
+        peer = Peer(HIDDEN, samples, batch)
+        sides = {**ours, "peer": peer.update_seconds}
         times: dict[str, list[float]] = {name: [] for name in sides}
         for update in sides.values():
             update()
         for _ in range(rounds):
             for name, update in sides.items():
-                began = time.perf_counter()
-                update()
-                times[name].append(time.perf_counter() - began)
+                times[name].append(update())
+        peer.close()
         for name, taken in times.items():
             rate = samples * UPDATE_EPOCHS / statistics.median(taken)
             result[f"batch_{batch}_{name}_per_second"] = rate
@@ -182,7 +164,8 @@ def update_alone(rounds: int) -> dict[str, Any]:
     return result
 
 
-def _our_update(samples: int, batch: int, precision: Any) -> Callable[[], Any]:
+def _our_update(samples: int, batch: int, precision: Any) -> Callable[[], float]:
+    """What makes an update and returns its seconds."""
     worlds = 256
     steps = samples // worlds
     context = Context(
@@ -223,25 +206,13 @@ def _our_update(samples: int, batch: int, precision: Any) -> Callable[[], Any]:
         episode_returns=zero,
         records={},
     )
-    return lambda: learner.update(rollout)
 
+    def update() -> float:
+        began = time.perf_counter()
+        learner.update(rollout)
+        return time.perf_counter() - began
 
-def _peer_update(samples: int, batch: int) -> Callable[[], Any]:
-    import gymnasium
-    from stable_baselines3 import PPO as PeerPPO
-    from stable_baselines3.common.vec_env import DummyVecEnv
-
-    peer = PeerPPO(
-        "MlpPolicy",
-        DummyVecEnv([lambda: gymnasium.make("Humanoid-v5")] * 2),
-        n_steps=samples // 2,
-        batch_size=batch,
-        n_epochs=UPDATE_EPOCHS,
-        policy_kwargs={"net_arch": list(HIDDEN), "activation_fn": torch.nn.ReLU},
-        device="cpu",
-    )
-    peer.learn(samples)
-    return peer.train
+    return update
 
 
 def main() -> None:

@@ -25,7 +25,16 @@ def _choose_renderer() -> None:
             os.environ["MUJOCO_GL"] = "disable"
 
 
+def _wait_asleep() -> None:
+    """OpenMP reads it when torch is imported, which is later than plugins are.
+
+    The threads that helped with a network would spin for some ten ms on cores that the simulator needs.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
 _choose_renderer()
+_wait_asleep()
 
 
 @hookimpl

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,12 @@ class MujocoScene(Scene):
         """The same with what is only there to be seen."""
         return self.spec()
 
-    def compiled(self, context: Context, disable: int = 0) -> mujoco.MjModel:
+    def compiled(
+        self,
+        context: Context,
+        disable: int = 0,
+        compile: Callable[[mujoco.MjSpec], mujoco.MjModel] = mujoco.MjSpec.compile,
+    ) -> mujoco.MjModel:
         """The model at the task's physics rate, with the engine's flags `disable` switched off.
 
         Raises
@@ -48,7 +54,7 @@ class MujocoScene(Scene):
         spec.option.timestep = context.control_dt / context.substeps
         spec.option.disableflags |= disable
         try:
-            return spec.compile()
+            return compile(spec)
         except (ValueError, mujoco.FatalError) as error:
             reason = str(error).splitlines()[0]
             raise FileError(f"The scene's model does not compile: {reason}") from error

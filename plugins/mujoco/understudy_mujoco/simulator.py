@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -16,6 +17,7 @@ from understudy.options import check_range
 from understudy.records.runs import cores
 from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import Stage, readable
+from understudy_mujoco.lean import NEED_ALL, lean, read_no_clock
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 
@@ -62,9 +64,10 @@ class MujocoSimulator(Simulator):
                 "or choose simulator=mujoco_warp."
             )
         scene = context.need_scene(MujocoScene, "simulator 'mujoco'")
-        self.model = scene.compiled(context, int(mujoco.mjtDisableBit.mjDSBL_AUTORESET))
-        threads = options.threads or cores()
-        self.batch = Batch(self.model, context.num_worlds, threads)
+        flags, threads = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET), options.threads or cores()
+        read_no_clock()
+        self._whole = partial(scene.compiled, context, flags)
+        self._start(scene.compiled(context, flags, lean), context.num_worlds, threads)
         self.control_size = self.model.nu
         self._substeps = context.substeps
         self._readable = readable(self.model)
@@ -74,12 +77,16 @@ class MujocoSimulator(Simulator):
         self._varied: dict[str, np.ndarray] = {}  # (N, …), the engine's own memory
         self._switches: list[Parameter] = []
         self._derives = False
-        self._views = {name: self.batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
         self._stage = Stage.VELOCITY
-        self._rows = self.batch.state
         #: (kinds,) since the start; the engine's own counters begin anew with their world.
         self._counts = np.zeros(len(_WARNINGS), dtype=np.int64)
         self._broken = np.zeros(context.num_worlds, dtype=bool)
+
+    def _start(self, model: mujoco.MjModel, worlds: int, threads: int) -> None:
+        self.model = model
+        self.batch = Batch(model, worlds, threads)
+        self._views = {name: self.batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
+        self._rows = self.batch.state
 
     def _warnings(self) -> np.ndarray:
         """(N, kinds), how often each of the engine's warnings was raised."""
@@ -99,6 +106,8 @@ class MujocoSimulator(Simulator):
 
     def vary(self, names: Sequence[str]) -> None:
         picked = chosen(self._known, names, "simulator 'mujoco'")
+        if any(parameter.field in NEED_ALL for parameter in picked):
+            self._start(self._whole(), self.batch.nsim, self.batch.nthread)
         for parameter in picked:
             if parameter.field == "active":
                 self._varied[parameter.name] = np.ones(self.batch.nsim)
