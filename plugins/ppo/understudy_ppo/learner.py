@@ -272,11 +272,12 @@ class PPO(Learner):
     def _apply(self, _: Mapping[str, Tensor]) -> None:
         """One optimiser step; if losses or gradients are not finite, nothing changes but the count."""
         norms = self._row[NORMS]
+        norm = torch.linalg.vector_norm
         self._beside(
-            lambda: _norm(self._actor_gradient, norms[0]),
-            lambda: _norm(self._critic_gradient, norms[1]),
+            lambda: norm(self._actor_gradient, out=norms[0]),
+            lambda: norm(self._critic_gradient, out=norms[1]),
         )
-        largest = torch.linalg.vector_norm(self._row[LOSSES_AND_NORMS], ord=torch.inf)
+        largest = norm(self._row[LOSSES_AND_NORMS], ord=torch.inf)
         sound = largest < torch.inf  # false for NaN
         unsound = sound.logical_not()
         skip, over = unsound.float(), (norms / self.options.max_gradient_norm).clamp(min=1.0)
@@ -344,10 +345,6 @@ def _collecting(batch: Mapping[str, Tensor], like: Distribution) -> Distribution
     """The distributions, of the same kind as `like`, that the samples were collected with."""
     parameters = (batch[f"{_OLD}{i}"] for i in itertools.count())
     return like.map(lambda _: next(parameters))
-
-
-def _norm(gradient: Tensor, norm: Tensor) -> None:
-    torch.linalg.vector_norm(gradient, out=norm)
 
 
 def _parts(batch: Mapping[str, Tensor], size: int) -> Iterator[dict[str, Tensor]]:

@@ -39,7 +39,7 @@ class SideBySide:
                 self._pool = None
                 torch.set_num_threads(threads)
 
-    def __call__(self, first: Callable[[], None], second: Callable[[], None]) -> None:
+    def __call__(self, first: Callable[[], object], second: Callable[[], object]) -> None:
         if self._stream is not None:
             here = torch.cuda.current_stream()
             self._stream.wait_stream(here)
