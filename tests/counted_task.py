@@ -169,8 +169,8 @@ class Certain(Distribution):
     def divergence(self, other: Any) -> Tensor:
         return torch.zeros(self.mean.shape[:-1])
 
-    def detach(self) -> Certain:
-        return Certain(self.mean.detach())
+    def map(self, change: Callable[[Tensor], Tensor]) -> Certain:
+        return Certain(change(self.mean))
 
 
 class Steady(Policy):

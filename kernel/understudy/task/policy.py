@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from torch import Tensor, nn
@@ -37,8 +37,8 @@ class Distribution(ABC):
         E_self[log self - log other]."""
 
     @abstractmethod
-    def detach(self) -> Distribution:
-        """The same without gradients."""
+    def map(self, change: Callable[[Tensor], Tensor]) -> Distribution:
+        """The same with `change` of each parameter (…, K), or (K,) if it is one for all."""
 
 
 class Policy(nn.Module, ABC):

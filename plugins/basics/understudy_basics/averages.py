@@ -27,6 +27,13 @@ def moments(value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return count, mean, distributed.total((value - mean).square().sum(0)) / count
 
 
+def average(values: Tensor) -> None:
+    """Average `values` over processes, in place."""
+    if distributed.size() > 1:
+        dist.all_reduce(values)
+        values /= distributed.size()
+
+
 def average_gradients(parameters: Sequence[nn.Parameter], values: Tensor) -> Tensor:
     """Average the gradients of `parameters` in place; returns `values` (K,) averaged with them."""
     if distributed.size() == 1:

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -97,6 +97,8 @@ class RunningNormaliser(nn.Module):
     mean: Tensor
     variance: Tensor
     count: Tensor
+    _centre: Tensor
+    _scale: Tensor
 
     def __init__(self, size: int, *, clip: float = 5.0, horizon: float = 1e8) -> None:
         super().__init__()
@@ -104,6 +106,18 @@ class RunningNormaliser(nn.Module):
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("_centre", torch.zeros(size), persistent=False)
+        self.register_buffer("_scale", torch.ones(size), persistent=False)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """What each pass needs of the statistics, in its number format."""
+        self._centre.copy_(self.mean)
+        self._scale.copy_(torch.rsqrt(self.variance + 1e-4))
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        super()._load_from_state_dict(*args, **kwargs)
+        self._prepare()
 
     @torch.no_grad()
     def observe(self, x: Tensor) -> None:
@@ -117,10 +131,15 @@ class RunningNormaliser(nn.Module):
         )
         self.mean.add_(delta * share)
         self.count.copy_(total.clamp(max=self.horizon))
+        self._prepare()
 
     def forward(self, x: Tensor) -> Tensor:
-        mean, scale = self.mean.float(), torch.rsqrt(self.variance + 1e-4).float()
-        return ((x - mean) * scale).clamp(-self.clip, self.clip)
+        return ((x - self._centre) * self._scale).clamp(-self.clip, self.clip)
+
+
+def squared_difference(a: Tensor, b: Tensor) -> Tensor:
+    """(a - b)², which torch differentiates with one operation instead of four."""
+    return nn.functional.mse_loss(a, b, reduction="none")
 
 
 @dataclass(frozen=True)
@@ -137,9 +156,9 @@ class DiagonalGaussian(Distribution):
         return self.mean
 
     def log_prob(self, action: Tensor) -> Tensor:
-        z = (action - self.mean) / self.std
-        constant = self.std.log().sum(-1) + 0.5 * math.log(2 * math.pi) * self.std.shape[-1]
-        return -0.5 * z.square().sum(-1) - constant
+        z_squared = squared_difference(self.mean, action) / self.std.square()
+        peak = -0.5 * math.log(2 * math.pi) * self.std.shape[-1] - self.std.log().sum(-1)
+        return torch.add(peak, z_squared.sum(-1), alpha=-0.5)
 
     def entropy(self) -> Tensor:
         constant = 0.5 * (1.0 + math.log(2 * math.pi))
@@ -147,11 +166,11 @@ class DiagonalGaussian(Distribution):
 
     def divergence(self, other: DiagonalGaussian) -> Tensor:
         ratio = (self.std / other.std).square()
-        away = ((self.mean - other.mean) / other.std).square()
-        return 0.5 * (ratio + away - 1.0 - ratio.log()).sum(-1)
+        away = squared_difference(other.mean, self.mean) / other.std.square()
+        return 0.5 * (away + (ratio - 1.0 - ratio.log())).sum(-1)
 
-    def detach(self) -> DiagonalGaussian:
-        return DiagonalGaussian(self.mean.detach(), self.std.detach())
+    def map(self, change: Callable[[Tensor], Tensor]) -> DiagonalGaussian:
+        return DiagonalGaussian(change(self.mean), change(self.std))
 
 
 @dataclass(frozen=True)
@@ -179,8 +198,8 @@ class Categorical(Distribution):
         log = self.logits.log_softmax(-1)
         return (log.exp() * (log - other.logits.log_softmax(-1))).sum(-1)
 
-    def detach(self) -> Categorical:
-        return Categorical(self.logits.detach())
+    def map(self, change: Callable[[Tensor], Tensor]) -> Categorical:
+        return Categorical(change(self.logits))
 
 
 @dataclass(frozen=True)
@@ -209,8 +228,8 @@ class Joint(Distribution):
         pairs = zip(self.parts, other.parts, strict=True)
         return _total(part.divergence(theirs) for part, theirs in pairs)
 
-    def detach(self) -> Joint:
-        return Joint(tuple(part.detach() for part in self.parts), self.widths)
+    def map(self, change: Callable[[Tensor], Tensor]) -> Joint:
+        return Joint(tuple(part.map(change) for part in self.parts), self.widths)
 
 
 def _total(values: Iterable[Tensor]) -> Tensor:

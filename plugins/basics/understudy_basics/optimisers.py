@@ -32,12 +32,27 @@ def sgd(
     return optimiser
 
 
-def step(optimiser: Optimizer, sound: Tensor) -> None:
-    """One step if `sound` () bool; otherwise weights and moments stay as they were.
+def gradient_views(parameters: Sequence[nn.Parameter], flat: Tensor) -> None:
+    """Make the gradients of `parameters` views of `flat` (P,), so that one operation does for all."""
+    sizes = [p.numel() for p in parameters]
+    for p, piece in zip(parameters, flat.split(sizes), strict=True):
+        p.grad = piece.view_as(p)
 
-    The skip happens on the device, so a GPU is not waited for.
+
+def differentiate(loss: Tensor, parameters: Sequence[nn.Parameter], flat: Tensor) -> None:
+    """Write the gradient of `loss` () with respect to `parameters` into `flat` (P,)."""
+    gradients = torch.autograd.grad(loss, parameters, materialize_grads=True)
+    torch.cat([g.flatten() for g in gradients], out=flat)
+
+
+def step(optimiser: Optimizer, unsound: Tensor, divisor: Tensor | None = None) -> None:
+    """One step with the gradients over `divisor` (); where `unsound` () is 1.0 instead of 0.0, weights
+    and moments stay as they were.
+
+    Both happen within the optimiser's own kernel, and a GPU is not waited for.
     """
-    optimiser.found_inf = (~sound).float()  # pyright: ignore[reportAttributeAccessIssue]
+    optimiser.found_inf = unsound  # pyright: ignore[reportAttributeAccessIssue]
+    optimiser.grad_scale = divisor  # pyright: ignore[reportAttributeAccessIssue]
     optimiser.step()
 
 

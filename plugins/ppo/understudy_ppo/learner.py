@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import copy
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -14,7 +14,7 @@ from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
-from understudy.task import Context, Learner, Policy, Rollout, State
+from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
 from understudy_basics import averages, optimisers
 from understudy_basics.nn import Precision, set_precision
 from understudy_basics.returns import digest, explained_variance, observations_of
@@ -26,6 +26,14 @@ from understudy_ppo.threads import SideBySide
 RATE_STEP, RATE_RANGE = 1.5, (1e-6, 1e-2)
 #: Limits of the KL penalty's coefficient, so that a long stay on one side can be undone.
 COEFFICIENT_RANGE = (1e-4, 1e4)
+#: Most optimiser steps that one CUDA graph holds: beyond, recording costs more than launching saves.
+STEPS_A_GRAPH = 32
+
+#: The row of a minibatch: entropy, KL divergence, clipped share, the losses of actor and critic, the
+#: norms of their gradients, and 1.
+LOSSES_AND_NORMS, NORMS, COUNT = slice(3, 7), slice(5, 7), 7
+
+_OLD = "old/"
 
 
 class Losses(NamedTuple):
@@ -119,24 +127,35 @@ class PPO(Learner):
         penalty = options.kl_penalty
         self._coefficient = penalty.coefficient if penalty is not None else 0.0
         self._coefficient_on_device = torch.tensor(self._coefficient, device=device)
-        #: The policy as it collected, where the loss compares with it.
-        self._collecting = copy.deepcopy(policy) if penalty is not None else None
         self._generator = generator(context.seed, "ppo", device)
         #: () optimiser steps in a row that were not finite.
         self._bad_steps = torch.zeros((), dtype=torch.int64, device=device)
-        #: (6,) a minibatch's losses, entropy, KL divergence, clipped share, and 1; sums of sound ones.
-        self._row, self._sums = torch.zeros(2, 6, device=device)
-        self._row[-1] = 1.0
-        #: (2,) the norms of the actor's and the critic's gradient.
-        self._norms = torch.zeros(2, device=device)
-        self._beside = SideBySide(device)
+        sizes = [sum(p.numel() for p in network) for network in (self._actor, self._critic)]
+        room = [-(-size // 4) * 4 for size in sizes]  # 16 bytes: what kernels load at once
+        #: What a minibatch makes: the gradients of actor and critic, and its row of statistics.
+        self._made = torch.zeros(sum(room) + 8, device=device)
+        actor, critic, self._row = self._made.split([*room, 8])
+        self._actor_gradient, self._critic_gradient = actor[: sizes[0]], critic[: sizes[1]]
+        optimisers.gradient_views(self._actor, self._actor_gradient)
+        optimisers.gradient_views(self._critic, self._critic_gradient)
+        self._row[COUNT] = 1.0
+        self._sums, self._nothing = torch.zeros_like(self._row), torch.zeros((), device=device)
+        #: Actor and critic; within the actor's, gradients and statistics.
+        self._beside, self._aside = SideBySide(device), SideBySide(device)
         self._capture()
 
     def _capture(self) -> None:
-        """Forget recorded steps: they hold the addresses of the optimisers' state."""
-        device = self._row.device
-        self._captured_differentiate = Captured(self._differentiate, device)
-        self._captured_apply = Captured(lambda _: self._apply(), device)
+        """Forget recorded steps: they hold the addresses of the optimisers' state.
+
+        A graph holds as much as lies between two averages over processes: half a step, or, in one
+        process, a run of whole steps.
+        """
+        device, alone = self._row.device, distributed.size() == 1
+        most = min(self._steps, STEPS_A_GRAPH)
+        self._run_length = next(n for n in range(most, 0, -1) if self._steps % n == 0)
+        self._steps_of = Captured(self._run, device) if alone else self._run
+        self._gradients_of = self._differentiate if alone else Captured(self._differentiate, device)
+        self._optimise = self._apply if alone else Captured(self._apply, device)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self.options
@@ -149,15 +168,16 @@ class PPO(Learner):
         )
         if options.advantage_clip is not None:
             batch["advantages"].clamp_(-options.advantage_clip, options.advantage_clip)
-        if self._collecting is not None:
-            self._collecting.load_state_dict(self.policy.state_dict())
+        if options.kl_penalty is not None:
+            batch |= self._parameters(batch)
         self._sums.zero_()
         with self._beside.sharing():
             for _ in range(options.epochs):
-                for minibatch in self._shuffled(batch):
-                    self._step(minibatch)
-        *totals, taken = self._sums.tolist()  # the update's one wait for the device
-        actor_loss, value_loss, entropy, kl, outside = (x / max(1.0, taken) for x in totals)
+                for run in self._shuffled(batch):
+                    self._steps_of(run)
+        totals = self._sums.tolist()  # the update's one wait for the device
+        taken = totals[COUNT]
+        entropy, kl, outside, actor_loss, value_loss, *_ = (x / max(1.0, taken) for x in totals)
         optimisers.refuse_hopeless(int(self._bad_steps), options.patience)
         return {
             "actor_loss": actor_loss,
@@ -170,26 +190,35 @@ class PPO(Learner):
             "skipped_steps": options.epochs * self._steps - taken,
         } | self._adapt_penalty(batch)
 
+    @torch.no_grad()
+    def _parameters(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Of the distributions that the policy collected with: ``old/0`` (B, K), ``old/1``, …"""
+        found: list[Tensor] = []
+        self.policy.distribution(observations_of(batch)).map(lambda p: found.append(p) or p)
+        samples = batch["returns"].shape[0]
+        return {f"{_OLD}{i}": p.expand(samples, p.shape[-1]) for i, p in enumerate(found)}
+
     def _shuffled(self, batch: Mapping[str, Tensor]) -> Iterator[dict[str, Tensor]]:
-        """One epoch's minibatches: views of the batch in a random order, what is left over left out."""
+        """One epoch's runs of minibatches: the batch in a random order, what is left over left out."""
         samples, device = batch["returns"].shape[0], batch["returns"].device
         order = torch.randperm(samples, generator=self._generator, device=device)
         order = order[: self._steps * self._batch_size]
-        shuffled = {name: value[order].split(self._batch_size) for name, value in batch.items()}
-        for i in range(self._steps):
-            yield {name: parts[i] for name, parts in shuffled.items()}
+        shuffled = {name: value[order] for name, value in batch.items()}
+        return _parts(shuffled, self._run_length * self._batch_size)
+
+    def _run(self, run: Mapping[str, Tensor]) -> None:
+        for minibatch in _parts(run, self._batch_size):
+            self._step(minibatch)
 
     def _step(self, minibatch: Mapping[str, Tensor]) -> None:
-        self._captured_differentiate(minibatch)
-        if distributed.size() > 1:
-            parameters = [*self._actor, *self._critic]
-            self._row.copy_(averages.average_gradients(parameters, self._row))
-        self._captured_apply({})
+        self._gradients_of(minibatch)
+        averages.average(self._made)
+        self._optimise({})
         self._report_fault(minibatch)
 
     def losses(self, minibatch: Mapping[str, Tensor]) -> Losses:
         """Of a minibatch such as a fault dump holds: ``observations/…``, ``actions``,
-        ``log_probs``, ``returns``, ``advantages``."""
+        ``log_probs``, ``returns``, ``advantages``, and ``old/…`` with a KL penalty."""
         actor, entropy, ratio = self._actor_loss(minibatch)
         return Losses(actor, self._value_loss(minibatch), entropy, ratio)
 
@@ -199,16 +228,16 @@ class PPO(Learner):
         ratio = torch.exp(distribution.log_prob(minibatch["actions"]) - minibatch["log_probs"])
         entropy = distribution.entropy().mean()
         loss = -clipped_surrogate(ratio, minibatch["advantages"], options.clip)
-        loss = loss - options.entropy_weight * entropy
-        if self._collecting is not None:
-            with torch.no_grad():
-                old = self._collecting.distribution(seen)
-            loss = loss + self._coefficient_on_device * old.divergence(distribution).mean()
+        if options.entropy_weight:
+            loss = loss - options.entropy_weight * entropy
+        if options.kl_penalty is not None:
+            divergence = _collecting(minibatch, distribution).divergence(distribution)
+            loss = loss + self._coefficient_on_device * divergence.mean()
         return loss, entropy, ratio
 
     def _value_loss(self, minibatch: Mapping[str, Tensor]) -> Tensor:
         values = self.policy.value(observations_of(minibatch))
-        return self.options.value_weight * (values - minibatch["returns"]).square().mean()
+        return self.options.value_weight * nn.functional.mse_loss(values, minibatch["returns"])
 
     def _differentiate(self, minibatch: Mapping[str, Tensor]) -> None:
         """Set the gradients and the statistics of `minibatch`."""
@@ -218,38 +247,46 @@ class PPO(Learner):
         )
 
     def _differentiate_actor(self, minibatch: Mapping[str, Tensor]) -> None:
-        self._actor_optimiser.zero_grad(set_to_none=True)
         loss, entropy, ratio = self._actor_loss(minibatch)
-        loss.backward()
-        with torch.no_grad():
-            kl = (ratio - 1 - ratio.log()).mean()  # Schulman's k3 estimator
-            clip = self.options.clip if self.options.clip is not None else torch.inf
-            outside = ((ratio - 1).abs() > clip).to(kl.dtype).mean()
-            self._row[0] = loss
-            self._row[2:5] = torch.stack([entropy, kl, outside])
+        self._aside(
+            lambda: optimisers.differentiate(loss, self._actor, self._actor_gradient),
+            lambda: self._note(loss, entropy, ratio),
+        )
+
+    @torch.no_grad()
+    def _note(self, loss: Tensor, entropy: Tensor, ratio: Tensor) -> None:
+        """The actor's part of the row."""
+        away = ratio - 1
+        kl = (away - ratio.log()).mean()  # Schulman's k3 estimator
+        clip = self.options.clip if self.options.clip is not None else torch.inf
+        outside = (away.abs() > clip).to(kl.dtype).mean()
+        torch.stack([entropy, kl, outside, loss], out=self._row[:4])
 
     def _differentiate_critic(self, minibatch: Mapping[str, Tensor]) -> None:
-        self._critic_optimiser.zero_grad(set_to_none=True)
         loss = self._value_loss(minibatch)
-        loss.backward()
+        optimisers.differentiate(loss, self._critic, self._critic_gradient)
         with torch.no_grad():
-            self._row[1] = loss
+            self._row[4] = loss
 
     @torch.no_grad()
-    def _apply(self) -> None:
+    def _apply(self, _: Mapping[str, Tensor]) -> None:
         """One optimiser step; if losses or gradients are not finite, nothing changes but the count."""
-        self._beside(lambda: self._clip(0, self._actor), lambda: self._clip(1, self._critic))
-        sound = torch.isfinite(torch.cat([self._norms, self._row[:2]])).all()
+        norms = self._row[NORMS]
+        norm = torch.linalg.vector_norm
         self._beside(
-            lambda: optimisers.step(self._actor_optimiser, sound),
-            lambda: optimisers.step(self._critic_optimiser, sound),
+            lambda: norm(self._actor_gradient, out=norms[0]),
+            lambda: norm(self._critic_gradient, out=norms[1]),
         )
-        self._bad_steps.copy_(torch.where(sound, 0, self._bad_steps + 1))
-        self._sums += torch.where(sound, self._row, 0.0)
-
-    @torch.no_grad()
-    def _clip(self, i: int, parameters: list[nn.Parameter]) -> None:
-        self._norms[i] = nn.utils.clip_grad_norm_(parameters, self.options.max_gradient_norm)
+        largest = norm(self._row[LOSSES_AND_NORMS], ord=torch.inf)
+        sound = largest < torch.inf  # false for NaN
+        unsound = sound.logical_not()
+        skip, over = unsound.float(), (norms / self.options.max_gradient_norm).clamp(min=1.0)
+        self._beside(
+            lambda: optimisers.step(self._actor_optimiser, skip, over[0]),
+            lambda: optimisers.step(self._critic_optimiser, skip, over[1]),
+        )
+        self._bad_steps.add_(1).mul_(unsound)
+        self._sums += torch.where(sound, self._row, self._nothing)
 
     def _report_fault(self, minibatch: Mapping[str, Tensor]) -> None:
         """Hand out the first minibatch that went wrong; on a GPU that would cost a wait in each step."""
@@ -274,11 +311,10 @@ class PPO(Learner):
     def _adapt_penalty(self, batch: Mapping[str, Tensor]) -> dict[str, float]:
         """Adapt β to the divergence that the update made; returns both as metrics."""
         penalty = self.options.kl_penalty
-        if penalty is None or self._collecting is None:
+        if penalty is None:
             return {}
-        seen = observations_of(batch)
-        old, new = self._collecting.distribution(seen), self.policy.distribution(seen)
-        divergence = float(averages.mean(old.divergence(new).mean()))
+        new = self.policy.distribution(observations_of(batch))
+        divergence = float(averages.mean(_collecting(batch, new).divergence(new).mean()))
         used, (least, most) = self._coefficient, COEFFICIENT_RANGE
         self._coefficient = min(max(penalty.adapted(used, divergence), least), most)
         self._coefficient_on_device.fill_(self._coefficient)
@@ -303,6 +339,18 @@ class PPO(Learner):
         self._bad_steps.copy_(state["bad_steps"])
         self._generator.set_state(state["generator"].cpu())
         self._capture()
+
+
+def _collecting(batch: Mapping[str, Tensor], like: Distribution) -> Distribution:
+    """The distributions, of the same kind as `like`, that the samples were collected with."""
+    parameters = (batch[f"{_OLD}{i}"] for i in itertools.count())
+    return like.map(lambda _: next(parameters))
+
+
+def _parts(batch: Mapping[str, Tensor], size: int) -> Iterator[dict[str, Tensor]]:
+    """Views of `size` rows of `batch`, one after the other."""
+    for parts in zip(*(value.split(size) for value in batch.values()), strict=True):
+        yield dict(zip(batch, parts, strict=True))
 
 
 def _minibatches(options: PPO.Options, samples: int) -> tuple[int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from understudy.options import check_range
@@ -18,8 +19,8 @@ def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float | None) -> 
         r = π(a|s) / π_old(a|s), and A.
     """
     gain = ratio * advantages
-    if clip is not None:
-        gain = gain.minimum(ratio.clamp(1 - clip, 1 + clip) * advantages)
+    if clip is not None:  # the lesser is never above (1 ± ε) A, with the sign of A
+        gain = gain.clamp(max=torch.add(advantages, advantages.abs(), alpha=clip))
     return gain.mean()
 
 

@@ -1,4 +1,4 @@
-"""Two pieces of work at once on a CPU."""
+"""Two pieces of work at once."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ import torch
 
 
 class SideBySide:
-    """Runs two pieces of work at once, each on half of torch's threads, while :meth:`sharing`.
+    """Runs two pieces of work at once: on a CPU on half of torch's threads each, while
+    :meth:`sharing`; on a GPU on two streams, which become branches of a graph that is recorded.
 
-    The matrices of a minibatch are too small for several threads to share each of them well; two
-    networks of equal size are not. What the pieces write must be apart. On one thread, or on a GPU,
-    they run one after the other, with the same results.
+    The matrices of a minibatch are too small for several threads, or for a whole GPU, to share each
+    of them well; two networks of equal size are not. What the pieces write must be apart. On one
+    thread they run one after the other, with the same results.
     """
 
     def __init__(self, device: torch.device) -> None:
         self._on_cpu = device.type == "cpu"
         self._pool: ThreadPoolExecutor | None = None
+        self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
 
     @contextmanager
     def sharing(self) -> Iterator[None]:
@@ -37,11 +39,18 @@ class SideBySide:
                 self._pool = None
                 torch.set_num_threads(threads)
 
-    def __call__(self, first: Callable[[], None], second: Callable[[], None]) -> None:
-        if self._pool is None:
+    def __call__(self, first: Callable[[], object], second: Callable[[], object]) -> None:
+        if self._stream is not None:
+            here = torch.cuda.current_stream()
+            self._stream.wait_stream(here)
+            with torch.cuda.stream(self._stream):
+                second()
+            first()
+            here.wait_stream(self._stream)
+        elif self._pool is not None:
+            other = self._pool.submit(second)
+            first()
+            other.result()
+        else:
             first()
             second()
-            return
-        other = self._pool.submit(second)
-        first()
-        other.result()

@@ -107,7 +107,7 @@ class TRPO(Learner):
     def _fisher(self, seen: Mapping[str, Tensor]) -> Product:
         """v ↦ (F + damping I) v, F the mean Fisher matrix over the observations `seen`."""
         distribution = self.policy.distribution(seen)
-        kl = distribution.detach().divergence(distribution).mean()
+        kl = distribution.map(Tensor.detach).divergence(distribution).mean()
         product = hessian_product(kl, self._actor)
         return lambda v: averages.mean(product(v)) + self.options.damping * v
 
@@ -122,7 +122,7 @@ class TRPO(Learner):
         s = conjugate_gradient(fisher, g, options.conjugate_gradient_steps)
         full_step = torch.sqrt(2 * options.kl_limit / (s @ fisher(s))) * s
 
-        old = distribution.detach()
+        old = distribution.map(Tensor.detach)
         values = {"gain": 0.0, "kl": 0.0, "entropy": float(old.entropy().mean())}
         metrics = {**values, "step_share": 0.0, "skipped_policy_steps": 0.0}
         if not torch.isfinite(full_step).all():
@@ -158,7 +158,7 @@ class TRPO(Learner):
                 loss.backward()
                 loss = averages.average_gradients(self._critic, loss.detach().view(1))
                 sound = self._sound(loss)
-                optimisers.step(self._optimiser, sound)
+                optimisers.step(self._optimiser, (~sound).float())
                 losses = losses + torch.where(sound, loss[0], 0.0)
                 sound_steps = sound_steps + sound.to(losses.dtype)
                 steps += 1

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import math
 
 import pytest
@@ -46,6 +47,17 @@ def test_normaliser_equals_numpy_statistics() -> None:
     out = normaliser(x)
     assert out.abs().max() <= 5
     assert out.dtype == torch.float32
+
+
+def test_normaliser_goes_on_from_its_state() -> None:
+    x = 3 + torch.randn(100, 3, generator=torch.Generator().manual_seed(0))
+    normaliser, other = RunningNormaliser(3), RunningNormaliser(3)
+    normaliser.observe(x)
+    assert set(normaliser.state_dict()) == {"mean", "variance", "count"}
+    other.load_state_dict(normaliser.state_dict())
+    assert torch.equal(other(x), normaliser(x))
+    assert float(other(x).mean(0).abs().max()) < 1e-5
+    assert torch.equal(copy.deepcopy(other)(x), normaliser(x))
 
 
 def test_normaliser_horizon_lets_old_samples_fade() -> None:
@@ -159,7 +171,7 @@ def test_divergence_is_nonnegative_and_zero_of_itself(
     assert float(p.divergence(q).min()) >= -1e-9
     assert float(p.divergence(p).abs().max()) < 1e-9
     torch.testing.assert_close(
-        p.divergence(p.detach()), torch.zeros(16).double(), atol=1e-9, rtol=0
+        p.divergence(p.map(torch.Tensor.detach)), torch.zeros(16).double(), atol=1e-9, rtol=0
     )
 
 
@@ -179,10 +191,24 @@ def test_detached_distributions_pass_no_gradient() -> None:
     out = outputs(0, 4).requires_grad_()
     std = STD.clone().requires_grad_()
     hybrid = action_distribution(SPACE, out, std)
-    hybrid.detach().divergence(hybrid).sum().backward()
+    fixed = hybrid.map(torch.Tensor.detach)
+    fixed.divergence(hybrid).sum().backward()
     assert out.grad is not None
     assert float(out.grad.abs().max()) < 1e-6, "the divergence from itself is at its least"
-    assert not hybrid.detach().entropy().requires_grad
+    assert not fixed.entropy().requires_grad
+
+
+def test_a_distribution_is_made_again_of_its_parameters() -> None:
+    out = outputs(0, 4, 6)
+    hybrid, other = action_distribution(SPACE, out, STD), action_distribution(SPACE, 0 * out, STD)
+    found: list[torch.Tensor] = []
+    hybrid.map(lambda p: found.append(p) or p)
+    given = iter([p.expand(4, 6, -1) for p in found])
+    again = other.map(lambda _: next(given))
+    action = hybrid.mode()
+    torch.testing.assert_close(again.log_prob(action), hybrid.log_prob(action))
+    torch.testing.assert_close(again.divergence(other), hybrid.divergence(other))
+    assert float(again.divergence(other).min()) > 0
 
 
 def test_a_network_in_bfloat16_keeps_its_last_layer() -> None:

@@ -50,6 +50,8 @@ def weights_after(options: dict[str, Any], rollouts: list[Rollout]) -> dict[str,
         pytest.param({"clip": None, "kl_penalty": KLPenalty(), "target_kl": 0.01}, id="penalty"),
         pytest.param({"minibatches": None, "batch_size": 100}, id="batch-size"),
         pytest.param({"precision": "bfloat16"}, id="bfloat16"),
+        pytest.param({"minibatches": 64}, id="two-graphs-an-epoch"),
+        pytest.param({"minibatches": 37}, id="a-graph-a-step"),
     ],
 )
 @pytest.mark.parametrize("kind", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from line_task import SIDE_AND_STEP, STEP, Line, line_context, make_policy, train
 from worlds import assert_same_state
 
@@ -180,6 +182,22 @@ def test_surrogate() -> None:
     assert float(clipped_surrogate(ratio, advantages, 0.2)) == pytest.approx(
         (1.2 - 1.5 + 0.5 - 0.8) / 4
     )
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), clip=st.floats(0.01, 0.9))
+def test_the_surrogate_and_its_gradient_are_as_published(seed: int, clip: float) -> None:
+    """E[min(r A, clip(r, 1 - ε, 1 + ε) A)], as equation 7 writes it."""
+    chance = torch.Generator().manual_seed(seed)
+    advantages = torch.randn(64, generator=chance).double()
+    ratio = torch.randn(64, generator=chance).double().exp()
+    ours, theirs = ratio.clone().requires_grad_(), ratio.clone().requires_grad_()
+    found = clipped_surrogate(ours, advantages, clip)
+    written = torch.minimum(theirs * advantages, theirs.clamp(1 - clip, 1 + clip) * advantages)
+    torch.testing.assert_close(found, written.mean())
+    found.backward()
+    written.mean().backward()
+    torch.testing.assert_close(ours.grad, theirs.grad)
 
 
 def test_gradient_descent_with_momentum_is_what_it_says() -> None:

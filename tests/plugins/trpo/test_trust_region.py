@@ -56,7 +56,7 @@ def test_a_step_uses_its_limit(limit: float) -> None:
     """Without damping the first step's divergence, measured afresh, is the limit or a little less."""
     line, learner = make(kl_limit=limit, damping=1e-5, conjugate_gradient_steps=30)
     rollout = line.collect(STEPS)
-    before = line.policy.distribution(rollout.observations).detach()
+    before = line.policy.distribution(rollout.observations).map(torch.Tensor.detach)
     row = learner.update(rollout)
     with torch.no_grad():
         found = float(before.divergence(line.policy.distribution(rollout.observations)).mean())
