@@ -21,7 +21,7 @@ import platform
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from understudy.records.runs import versions
 from understudy.task import Context, Rollout, box
 from understudy_basics.policies import MLPPolicy
+from understudy_ppo.graphs import Captured
 from understudy_ppo.learner import PPO
 from understudy_ppo.losses import KLPenalty
 
@@ -157,36 +158,19 @@ def peer_of(
             nn.utils.clip_grad_norm_(net.parameters(), chosen.max_gradient_norm)
             optimiser.step()
 
-    def run(parts: list[Tensor]) -> None:
-        step(*parts)
+    names = ("seen", "actions", "old", "returns", "gains")
 
-    def replaying() -> Callable[[list[Tensor]], None]:
-        inputs = [part[: options.batch].clone() for part in data]
-        side = torch.cuda.Stream()
-        side.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(side):
-            for _ in range(3):
-                step(*inputs)
-        torch.cuda.current_stream().wait_stream(side)
-        graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
-            step(*inputs)
+    def run(minibatch: Mapping[str, Tensor]) -> None:
+        step(*(minibatch[name] for name in names))
 
-        def replay(parts: list[Tensor]) -> None:
-            for fixed, part in zip(inputs, parts, strict=True):
-                fixed.copy_(part)
-            graph.replay()
-
-        return replay
-
-    chosen_run = replaying() if captured else run
+    chosen_run = Captured(run, device) if captured else run
 
     def update() -> None:
         for _ in range(options.epochs):
             order = torch.randperm(SAMPLES, device=device)
             for rows in order.split(options.batch):
                 if len(rows) == options.batch:
-                    chosen_run([part[rows] for part in data])
+                    chosen_run({n: part[rows] for n, part in zip(names, data, strict=True)})
 
     return update
 
