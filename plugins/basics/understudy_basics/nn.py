@@ -16,8 +16,9 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import ActionSpace, Box, Distribution
 from understudy_basics import averages
+from understudy_basics.convolution import Convolution
 
-_Layer = TypeVar("_Layer", nn.Linear, nn.Conv2d)
+_Layer = TypeVar("_Layer", nn.Linear, Convolution)
 
 
 Precision = Literal["float32", "tf32", "bfloat16"]

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import ActionSpace, Context, Distribution, Policy
+from understudy_basics.convolution import Convolution, convolutions
 from understudy_basics.nn import (
     Network,
     RunningNormaliser,
@@ -172,39 +173,25 @@ class CNNPolicy(Policy):
             self.log_deviation.fill_(self.options.noise.at(samples)).log_()
 
 
-class Coordinates(nn.Module):
-    """Appends each pixel's row and column, from -1 to 1, as channels: (B, C, H, W) to (B, C + 2, H, W)."""
-
-    grid: Tensor
-
-    def __init__(self, height: int, width: int) -> None:
-        super().__init__()
-        rows, columns = torch.linspace(-1, 1, height), torch.linspace(-1, 1, width)
-        grid = torch.stack(torch.meshgrid(rows, columns, indexing="ij"))
-        self.register_buffer("grid", grid, persistent=False)
-
-    def forward(self, image: Tensor) -> Tensor:
-        return torch.cat([image, self.grid.expand(image.shape[0], -1, -1, -1)], dim=1)
-
-
 def _eye(options: CNNPolicy.Options, shape: tuple[int, int, int]) -> Network:
     """Images (B, C, H, W) to features (B, features)."""
-    channels, height, width = shape
-    layers: list[nn.Module] = []
-    if options.coordinates:
-        layers.append(Coordinates(height, width))
-        channels += 2
-    for filters, kernel in zip(options.filters, options.kernels, strict=True):
-        convolution = nn.Conv2d(channels, filters, kernel, padding=kernel // 2)
-        layers += [scaled(convolution), relu(), nn.MaxPool2d(options.pool)]
-        channels, height, width = filters, height // options.pool, width // options.pool
-    if height * width == 0:
+    layers, size = convolutions(
+        shape,
+        options.filters,
+        options.kernels,
+        pool=options.pool,
+        coordinates=options.coordinates,
+        activation=relu,
+    )
+    if size == 0:
         raise ConfigError(
             f"policy 'cnn': {len(options.filters)} poolings by {options.pool} leave nothing of an image "
             f"of {shape[1]} × {shape[2]} pixels. Give fewer filters, or policy.pool=1."
         )
-    linear = nn.Linear(channels * height * width, options.features)
-    return Network(*layers, nn.Flatten(), scaled(linear), relu())
+    for layer in layers:
+        if isinstance(layer, Convolution):
+            scaled(layer)
+    return Network(*layers, scaled(nn.Linear(size, options.features)), relu())
 
 
 def action_space(context: Context, who: str) -> ActionSpace:

@@ -15,7 +15,7 @@ from understudy.setup.plugins import Plugins
 from understudy.task import ActionSpace, Box, Choice, Context, Policy, box
 from understudy.testing import check_plugin
 from understudy_basics.nn import DiagonalGaussian, Joint, Schedule, set_precision
-from understudy_basics.policies import CNNPolicy, Coordinates, MLPPolicy
+from understudy_basics.policies import CNNPolicy, MLPPolicy
 
 HYBRID = ActionSpace({"skill": Choice(4), "target": Box(2)})
 
@@ -121,13 +121,6 @@ def test_the_published_network() -> None:
     assert shapes == [
         (2, 2 + 2, 5, 5), (2, 2, 3, 3), (32, 2 * 8 * 8), (64, 32 + 5), (64, 64), (3, 64),
     ]  # fmt: skip
-
-
-def test_coordinates_say_where_a_pixel_is() -> None:
-    out = Coordinates(3, 5)(torch.zeros(2, 1, 3, 5))
-    assert out.shape == (2, 3, 3, 5)
-    assert out[1, 1, :, 0].tolist() == [-1, 0, 1]
-    assert out[1, 2, 0].tolist() == [-1, -0.5, 0, 0.5, 1]
 
 
 @pytest.mark.parametrize("coordinates", [True, False])
