@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -72,9 +72,10 @@ class BOCA(OuterLoop):
     def recall(self, trial: Trial) -> bool:
         return self._book.recall(trial)
 
-    def tell(self, report: Report) -> None:
-        self._book.tell(report)
+    def tell(self, report: Report) -> Literal["stop"] | None:
+        answer = self._book.tell(report)
         self.share = self._book.done
+        return answer
 
     def summary(self) -> list[dict[str, Any]]:
         return self._book.summary()

@@ -6,7 +6,7 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -30,6 +30,9 @@ class SearchOptions:
     #: C of eq. 6.5: y = objective · exp(-samples / C), so that learning faster is better; null is y =
     #: objective.
     sample_scale: float | None = None
+    #: The most that the objective can be. With ``sample_scale`` a trial is stopped once even that would
+    #: leave its y below the best of a finished trial at its fidelity; null stops none.
+    ceiling: float | None = None
     failed: float | None = None  #: y of a trial without an objective; null is the worst y seen
 
     def __post_init__(self) -> None:
@@ -37,6 +40,11 @@ class SearchOptions:
         check_range(self, "trials", least=1)
         check_range(self, "budget", "sample_scale", above=0)
         check_range(self, "initial", least=1)
+        check_range(self, "ceiling", above=0)
+        if self.ceiling is not None and self.sample_scale is None:
+            raise ValueError(
+                "ceiling needs sample_scale: without it a trial that takes long is no worse."
+            )
         if self.trials is None and self.budget is None:
             raise ValueError("trials and budget are both unset: say when the search ends.")
 
@@ -127,16 +135,18 @@ class Book:
 
     # ------------------------------------------------------------------- told
 
-    def tell(self, report: Report) -> None:
-        """Note a final report.
+    def tell(self, report: Report) -> Literal["stop"] | None:
+        """Note a final report; "stop" says that one which still runs cannot be the best any more.
 
         Raises
         ------
         ConfigError
             if none of the first trials could even begin: the search is at fault, not its points.
         """
-        if not report.final or report.key not in self.trials:
-            return
+        if report.key not in self.trials:
+            return None
+        if not report.final:
+            return "stop" if self._hopeless(report) else None
         self.reports[report.key] = report
         told = list(self.reports.values())
         if len(told) == self.options.initial and all(
@@ -147,6 +157,17 @@ class Book:
                 f"{report.status} Correct the search's parameters or the experiment, and give run.dir "
                 "another folder."
             )
+        return None
+
+    def _hopeless(self, report: Report) -> bool:
+        """Whether no objective up to ``ceiling`` would bring y, from now on, to the best seen there."""
+        ceiling, scale = self.options.ceiling, self.options.sample_scale
+        if ceiling is None or scale is None:
+            return False
+        z = self.z(self.trials[report.key])
+        rivals = [self.y(r) for key, r in self.reports.items() if self.z(self.trials[key]) == z]
+        best = max((y for y in rivals if y is not None), default=-math.inf)
+        return ceiling * math.exp(-report.cost / scale) < best
 
     def y(self, report: Report) -> float | None:
         """The objective scaled by eq. 6.5; None where there is no finite one.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from understudy import random
 from understudy.running.trials import OuterLoop, Report, Trial
@@ -43,9 +43,10 @@ class GPUCB(OuterLoop):
     def recall(self, trial: Trial) -> bool:
         return self._book.recall(trial)
 
-    def tell(self, report: Report) -> None:
-        self._book.tell(report)
+    def tell(self, report: Report) -> Literal["stop"] | None:
+        answer = self._book.tell(report)
         self.share = self._book.done
+        return answer
 
     def summary(self) -> list[dict[str, Any]]:
         return self._book.summary()

@@ -57,6 +57,29 @@ def test_a_failure_counts_as_told() -> None:
     assert b.data().y.tolist() == [-2.0]
 
 
+def test_a_trial_that_cannot_be_the_best_is_stopped() -> None:
+    """With at most 1.0, and 0.8 at no cost to beat: from N = C·ln(1 / 0.8) on."""
+    b = book(sample_scale=1e7, ceiling=1.0)
+    for number, z in enumerate([0.0, 0.0, 1.0]):
+        b.ask(number, [0.5, 0.1 * number], z)
+    limit = 1e7 * math.log(1 / 0.8)
+
+    def running(number: int, cost: float) -> str | None:
+        return b.tell(Report(f"trial{number}", "running", 0.1, cost=cost))
+
+    assert running(1, 1e9) is None  # nothing to compare it with yet
+    tell(b, 0, 0.8)
+    assert running(1, limit * 0.999) is None
+    assert running(1, limit * 1.001) == "stop"
+    assert running(2, limit * 1.001) is None  # at another fidelity
+    assert book(sample_scale=1e7).tell(Report("trial0", "running", 0.1, cost=1e9)) is None
+
+
+def test_a_ceiling_needs_a_scale() -> None:
+    with pytest.raises(ValueError, match="ceiling needs sample_scale"):
+        book(ceiling=1.0)
+
+
 def test_reports_of_running_trials_change_nothing() -> None:
     b = book()
     b.ask(0, [0.5, 0.5], 0.0)
