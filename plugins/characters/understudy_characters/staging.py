@@ -87,7 +87,12 @@ def collide(spec: mujoco.MjSpec, figure: set[int], self_collision: bool) -> None
         if body.id not in figure:
             for geom in body.geoms:
                 if geom.contype or geom.conaffinity:
-                    geom.contype, geom.conaffinity = _FLOOR, _FLOOR | _FIGURE
+                    make_solid(geom)
+
+
+def make_solid(geom: mujoco.MjsGeom) -> None:
+    """Let a geom that is no figure's collide with figures, and with others of its kind."""
+    geom.contype, geom.conaffinity = _FLOOR, _FLOOR | _FIGURE
 
 
 def solve_fast(option: mujoco.MjOption) -> None:
