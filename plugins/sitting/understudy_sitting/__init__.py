@@ -21,6 +21,9 @@ _PARTS = {
         "sitting.seat": ("Seat", "the chair, and the pelvis on its seat"),
     },
     ("state", "encoder"): {"sitting.state": ("State", "figure, goal and chair")},
+    ("actuation", "actuation"): {
+        "sitting.around_clip": ("AroundClip", "servo targets in units of the clip"),
+    },
     ("targets", "memory"): {
         "sitting.target_ahead": ("TargetAhead", "a place to walk to, drawn anew"),
     },
@@ -45,6 +48,7 @@ _PARTS = {
         "sitting.low": ("low", "the torso is too low"),
         "sitting.off_course": ("off_course", "turned otherwise than the reference"),
     },
+    ("chain", "outer_loop"): {"sitting.chain": ("Chain", "trainings that build on one another")},
     ("initial_states", "initial_states"): {
         "sitting.from_reference": ("FromReference", "the reference, the chair behind"),
         "sitting.where_others_ended": ("WhereOthersEnded", "where other skills ended"),

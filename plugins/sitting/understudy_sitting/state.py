@@ -25,11 +25,25 @@ from understudy_sitting.chair import BODY, FEET, SEAT, SEATED, THICKNESS
 TORSO = "chest"
 
 
-def joint_coordinates(layout: Layout, qpos: Tensor, joint_rotations: Tensor) -> Tensor:
-    """(N, U): the angles of all hinges, then the exponential maps of all balls, rad."""
-    hinges = qpos[:, layout.hinge_qpos[layout.hinge_used.bool()]]
-    balls = rotations.to_exponential_map(joint_rotations[:, layout.ball_rows]).flatten(1)
-    return torch.cat([hinges, balls], dim=1)
+class Joints:
+    """The joints as U numbers: the angles of all hinges, then the exponential maps of all balls, rad;
+    and their velocities, rad/s."""
+
+    def __init__(self, layout: Layout, device: torch.device) -> None:
+        used = layout.hinge_used.bool()
+        self._hinges = layout.hinge_qpos[used].to(device)
+        self._balls = layout.ball_rows.to(device)
+        self._dofs = torch.cat([layout.hinge_dofs[used], layout.ball_dofs.flatten()]).to(device)
+        self.count = len(self._dofs)  #: U
+
+    def coordinates(self, qpos: Tensor, joint_rotations: Tensor) -> Tensor:
+        """(N, U)"""
+        balls = rotations.to_exponential_map(joint_rotations[:, self._balls]).flatten(1)
+        return torch.cat([qpos[:, self._hinges], balls], dim=1)
+
+    def velocities(self, qvel: Tensor) -> Tensor:
+        """(N, U)"""
+        return qvel[:, self._dofs]
 
 
 def pitch_yaw_roll(rotation: Tensor) -> Tensor:
@@ -89,11 +103,8 @@ class Body(Fields):
 
     def __init__(self, options: Options, context: Context) -> None:
         scene, self._torso = torso_link(context, options.torso, "fields 'sitting.body'")
-        self._layout = layout = scene.layout.to(context.device)
-        hinges = layout.hinge_dofs[layout.hinge_used.bool()]
-        self._dofs = torch.cat([hinges, layout.ball_dofs.flatten()])
-        self._root = layout.root_body
-        count = len(self._dofs)
+        self._joints = Joints(scene.layout, context.device)
+        self._root, count = scene.layout.root_body, self._joints.count
         self.provides = {
             **self.provides,
             "proprioception": (2 * count + 8,),
@@ -118,8 +129,8 @@ class Body(Fields):
         angles = pitch_yaw_roll(xquat[:, self._torso])
         pitch, yaw, roll = angles.unbind(-1)
         ahead = flat_turn(-yaw, velocity[:, :2])
-        joints = joint_coordinates(self._layout, qpos, joint_rotations)
-        speeds = qvel[:, self._dofs]
+        joints = self._joints.coordinates(qpos, joint_rotations)
+        speeds = self._joints.velocities(qvel)
         contacts = torch.cat([touching[f"sensor_{foot}"] for foot in FEET], dim=1) > 0
         proprioception = torch.cat(
             [
@@ -162,15 +173,12 @@ class Reference(Fields):
 
     def __init__(self, options: Options, context: Context) -> None:
         scene, body = torso_link(context, options.torso, "fields 'sitting.reference'")
-        self._layout = layout = scene.layout.to(context.device)
         row = next(k for k, joint in enumerate(scene.character.joints) if joint.body == body)
-        self._joint = row - 1 if row else None  # among the joints without the root
+        self._torso = row - 1 if row else None  # among the joints without the root
         offset = scene.character.rest_positions[row]
         self._offset = torch.tensor(offset, dtype=torch.float32, device=context.device)
-        hinges = layout.hinge_dofs[layout.hinge_used.bool()]
-        self._dofs = torch.cat([hinges, layout.ball_dofs.flatten()])
-        self._root_dof = layout.root_dof
-        count = len(self._dofs)
+        self._joints = Joints(scene.layout, context.device)
+        self._root_dof, count = scene.layout.root_dof, self._joints.count
         self.provides = {
             **self.provides,
             "reference_joint_coordinates": (count,),
@@ -189,15 +197,15 @@ class Reference(Fields):
         lever = rotations.rotate(root, self._offset.expand(len(root), 3))
         velocity = reference_qvel[:, dof : dof + 3] + torch.linalg.cross(angular, lever)
         torso = root
-        if self._joint is not None:
-            torso = rotations.multiply(root, reference_joint_rotations[:, self._joint])
+        if self._torso is not None:
+            torso = rotations.multiply(root, reference_joint_rotations[:, self._torso])
         return {
             "reference_torso_velocity": velocity,
             "reference_torso_angles": pitch_yaw_roll(torso),
-            "reference_joint_coordinates": joint_coordinates(
-                self._layout, reference_qpos, reference_joint_rotations
+            "reference_joint_coordinates": self._joints.coordinates(
+                reference_qpos, reference_joint_rotations
             ),
-            "reference_joint_velocities": reference_qvel[:, self._dofs],
+            "reference_joint_velocities": self._joints.velocities(reference_qvel),
         }
 
 
@@ -286,7 +294,7 @@ class State(Encoder):
 
     def __init__(self, options: Options, context: Context) -> None:
         layout = context.need_scene(CharacterScene, "encoder 'sitting.state'").layout
-        count = int(layout.hinge_used.sum()) + 3 * len(layout.ball_rows)
+        count = Joints(layout, context.device).count
         self.reads = (
             "proprioception",
             *(("goal_direction",) if options.goal else ()),
