@@ -87,12 +87,12 @@ def collide(spec: mujoco.MjSpec, figure: set[int], self_collision: bool) -> None
         if body.id not in figure:
             for geom in body.geoms:
                 if geom.contype or geom.conaffinity:
-                    make_solid(geom)
+                    geom.contype, geom.conaffinity = _FLOOR, _FLOOR | _FIGURE
 
 
 def make_solid(geom: mujoco.MjsGeom) -> None:
-    """Let a geom that is no figure's collide with figures, and with others of its kind."""
-    geom.contype, geom.conaffinity = _FLOOR, _FLOOR | _FIGURE
+    """Let a geom that stands around collide with figures, and with nothing else."""
+    geom.contype, geom.conaffinity = 0, _FIGURE
 
 
 def solve_fast(option: mujoco.MjOption) -> None:

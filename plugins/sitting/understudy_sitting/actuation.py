@@ -25,7 +25,9 @@ class AroundClip(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        least: float = 0.15  #: rad that an action of 1 is at least, for joints that the clip keeps still
+        least: float = (
+            0.15  #: rad that an action of 1 is at least, for joints that the clip keeps still
+        )
 
         def __post_init__(self) -> None:
             check_range(self, "least", above=0)

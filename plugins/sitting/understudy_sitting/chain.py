@@ -65,12 +65,12 @@ class Chain(OuterLoop):
     def recall(self, trial: Trial) -> bool:
         if trial.key not in self._stages:
             return False
-        if all(self._done(name) for name in _named(self._stages[trial.key])):
-            if trial.overrides != self._trial(trial.key).overrides:
-                raise ConfigError(
-                    f"Stage '{trial.key}' had other overrides when this sweep began: "
-                    f"{', '.join(trial.overrides)}. Give the new one another name."
-                )
+        known = all(self._done(name) for name in _named(self._stages[trial.key]))
+        if known and trial.overrides != self._trial(trial.key).overrides:
+            raise ConfigError(
+                f"Stage '{trial.key}' had other overrides when this sweep began: "
+                f"{', '.join(trial.overrides)}. Give the new one another name."
+            )
         self._asked.add(trial.key)
         return True
 

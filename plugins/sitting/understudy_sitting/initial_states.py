@@ -31,7 +31,9 @@ def moved(
     at, dof = layout.root_address, layout.root_dof
     rotation = rotations.multiply(rotations.from_heading(turn), qpos[:, at + 3 : at + 7])
     linear = flat_turn(turn, qvel[:, dof : dof + 2])  # the rotation's velocity is the body's own
-    qpos = torch.cat([qpos[:, :at], place, qpos[:, at + 2 : at + 3], rotation, qpos[:, at + 7 :]], 1)
+    qpos = torch.cat(
+        [qpos[:, :at], place, qpos[:, at + 2 : at + 3], rotation, qpos[:, at + 7 :]], 1
+    )
     return qpos, torch.cat([qvel[:, :dof], linear, qvel[:, dof + 2 :]], dim=1)
 
 

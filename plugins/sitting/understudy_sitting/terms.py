@@ -29,9 +29,7 @@ def velocity(
     joint_velocities: Tensor, reference_joint_velocities: Tensor, *, alpha: float = 10.0
 ) -> Tensor:
     """r^v = exp(-α^v Σ_j (q̇_j - q̇̂_j)²) (eq. 3)."""
-    return torch.exp(
-        -alpha * (joint_velocities - reference_joint_velocities).square().sum(dim=1)
-    )
+    return torch.exp(-alpha * (joint_velocities - reference_joint_velocities).square().sum(dim=1))
 
 
 def steering(
