@@ -103,7 +103,7 @@ _WAIST = (
 
 #: The character, parents before children.
 BODIES: tuple[Body, ...] = (
-    Body("root", None, (0, 0, 0), "capsule", 0.088, (0, -0.06, 0.02), (0, 0.06, 0.02), 6.0),
+    Body("root", None, (0, 0, 0), "capsule", 0.092, (0, -0.06, 0.017), (0, 0.06, 0.017), 6.0),
     Body("chest", "root", (0, 0, 0.236), "sphere", 0.11, (0, 0, 0.12), (0, 0, 0), 14.0, _WAIST),
     Body("neck", "chest", (0, 0, 0.224), "sphere", 0.1025, (0, 0, 0.175), (0, 0, 0), 2.0),
     *_leg("right", -0.085),
