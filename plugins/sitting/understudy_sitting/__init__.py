@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "ppo")
+REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "ppo", "report")
 
 _HERE = "understudy_sitting"
 #: By module and kind: the component's name, its class or function, and what it is.
@@ -23,6 +23,9 @@ _PARTS = {
     ("state", "encoder"): {"sitting.state": ("State", "figure, goal and chair")},
     ("actuation", "actuation"): {
         "sitting.around_clip": ("AroundClip", "servo targets in units of the clip"),
+    },
+    ("orders", "actuation"): {
+        "sitting.in_order": ("InOrder", "skills in a fixed order, Table 3"),
     },
     ("targets", "memory"): {
         "sitting.target_ahead": ("TargetAhead", "a place to walk to, drawn anew"),
@@ -47,6 +50,12 @@ _PARTS = {
     ("terms", "termination"): {
         "sitting.low": ("low", "the torso is too low"),
         "sitting.off_course": ("off_course", "turned otherwise than the reference"),
+    },
+    ("trials", "command"): {
+        "sitting trials": ("Trials", "judge a controller that sits down over many trials"),
+    },
+    ("trials", "report_section"): {
+        "trials": ("TransitionsSection", "success by zone, which skill followed which"),
     },
     ("chain", "outer_loop"): {"sitting.chain": ("Chain", "trainings that build on one another")},
     ("initial_states", "initial_states"): {

@@ -14,7 +14,8 @@ def build(*overrides: str) -> Built:
 def follow_clip(environment: Environment, steps: int) -> None:
     """Let the servos follow the clip's own targets, for `steps` decisions."""
     actuation = environment.parts.actuation.part
+    nothing = environment.action * 0.0
+    middle = actuation.control(nothing)
+    unit = actuation.control(nothing + 1.0) - middle
     for _ in range(steps):
-        targets = environment.table["reference_joint_targets"]
-        action = (targets - actuation.control(environment.action * 0.0)) / actuation._unit
-        environment.step(action)
+        environment.step((environment.table["reference_joint_targets"] - middle) / unit)
