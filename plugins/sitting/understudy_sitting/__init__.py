@@ -14,6 +14,10 @@ _PARTS = {
     ("figure", "character"): {
         "sitting.humanoid": ("build_humanoid", "the humanoid of 21 hinges, 45 kg"),
     },
+    ("clips", "clip"): {
+        "sitting.step_back": ("generated_step_back", "a generated walk backwards"),
+        "sitting.whole": ("generated_whole", "generated walking, turning and sitting down"),
+    },
     ("state", "fields"): {
         "sitting.body": ("Body", "the figure's 50 numbers, the torso's motion"),
         "sitting.reference": ("Reference", "the same of the reference"),
@@ -54,6 +58,9 @@ _PARTS = {
     ("trials", "command"): {
         "sitting trials": ("Trials", "judge a controller that sits down over many trials"),
     },
+    ("room_command", "command"): {
+        "sitting room": ("SitInRoom", "a controller sits down in a room seen in a picture"),
+    },
     ("trials", "report_section"): {
         "trials": ("TransitionsSection", "success by zone, which skill followed which"),
     },
@@ -71,11 +78,15 @@ def understudy_register(register: Registrar) -> None:
     for (module, kind), parts in _PARTS.items():
         for name, (target, summary) in parts.items():
             register.component(kind, name, f"{_HERE}.{module}:{target}", summary)
-    for name in ("Chair", "Soles"):
-        where = f"{_HERE}.chair:{name}"
-        register.section(name.lower(), f"{where}Options", where)
+    for section, where in {
+        "chair": "chair:Chair",
+        "soles": "chair:Soles",
+        "room": "room:Room",
+    }.items():
+        register.section(section, f"{_HERE}.{where}Options", f"{_HERE}.{where}")
     register.task("sitting.walk", "walk to targets that are drawn anew")
     register.task("sitting.turn", "turn in place")
+    register.task("sitting.step_back", "step back")
     register.task("sitting.sit", "sit down on a chair behind")
     register.task("sitting.meta", "sit down on a chair from anywhere, by four skills")
     register.citation(

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import torch
+from torch import Tensor
 
 from understudy.options import check_range
 from understudy.setup.registry import Registry
@@ -52,22 +54,33 @@ class ChairOptions:
         check_range(self, "mesh_scale", "friction", above=0)
 
 
+#: A length in m, or one for each world (N,).
+Length = float | Tensor
+
+
 @dataclass(frozen=True)
 class Slab:
     """A box of the chair: its centre and half sizes in the chair's frame, m."""
 
     name: str
-    centre: tuple[float, float, float]
-    half: tuple[float, float, float]
+    centre: tuple[Length, Length, Length]
+    half: tuple[Length, Length, Length]
 
 
 #: m: of seat, back and arm rests; of legs.
 THICKNESS, LEG = 0.05, 0.04
 
 
-def slabs(options: ChairOptions) -> Iterator[Slab]:
-    """The boxes of a parametric chair, the seat first."""
-    x, y, height = 0.5 * options.depth, 0.5 * options.width, options.seat_height
+def slabs(
+    options: ChairOptions,
+    seat_height: Length | None = None,
+    width: Length | None = None,
+    depth: Length | None = None,
+) -> Iterator[Slab]:
+    """The boxes of a parametric chair, the seat first; the sizes given replace the options'."""
+    x = 0.5 * (options.depth if depth is None else depth)
+    y = 0.5 * (options.width if width is None else width)
+    height = options.seat_height if seat_height is None else seat_height
     half = 0.5 * THICKNESS
     yield Slab(SEAT, (0.0, 0.0, height - half), (x, y, half))
     if options.back is not None:
@@ -87,10 +100,13 @@ def slabs(options: ChairOptions) -> Iterator[Slab]:
 class Chair(Surroundings):
     """A chair beside the character, and what senses feet on the floor and the pelvis on the seat."""
 
-    recorded = ("chair_position", "chair_rotation")
-
     def __init__(self, options: ChairOptions, registry: Registry) -> None:
         self.options = options
+        #: Parameters in which chairs of other sizes differ.
+        self.sizes = tuple(
+            f"{field}/{slab.name}" for slab in slabs(options) for field in ("geom_pos", "geom_size")
+        )
+        self.recorded = ("chair_position", "chair_rotation", *self.sizes)
 
     def add(self, spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name=BODY, mocap=True)
@@ -124,6 +140,22 @@ class Chair(Surroundings):
             row = model.body(BODY).mocapid[0]
             data.mocap_pos[row] = recorded["chair_position"]
             data.mocap_quat[row] = recorded["chair_rotation"]
+        for name in self.sizes:
+            if name in recorded:
+                field, _, geom = name.partition("/")
+                getattr(model, field)[model.geom(geom).id] = recorded[name]
+
+    def sized(self, seat_height: Tensor, width: Tensor, depth: Tensor) -> dict[str, Tensor]:
+        """The parameters (N, 3) of chairs of these sizes (N,), by name."""
+
+        def rows(lengths: tuple[Length, Length, Length]) -> Tensor:
+            return torch.stack([torch.zeros_like(depth) + length for length in lengths], dim=1)
+
+        found = {}
+        for slab in slabs(self.options, seat_height, width, depth):
+            found[f"geom_pos/{slab.name}"] = rows(slab.centre)
+            found[f"geom_size/{slab.name}"] = rows(slab.half)
+        return found
 
 
 @dataclass(frozen=True)

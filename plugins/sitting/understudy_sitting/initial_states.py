@@ -37,29 +37,76 @@ def moved(
     return qpos, torch.cat([qvel[:, :dof], linear, qvel[:, dof + 2 :]], dim=1)
 
 
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Chairs:
+    """Chairs of other sizes, uniformly drawn for each episode, m; null leaves the chair's own. They
+    must have no mesh."""
+
+    seat_height: Range | None = None
+    width: Range | None = None
+    depth: Range | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("seat_height", "width", "depth"):
+            chosen = getattr(self, name)
+            if chosen is not None and not 0.2 <= chosen[0] <= chosen[1] <= 1.0:
+                raise ValueError(
+                    f"{name}={chosen} is not possible: give 0.2 <= LEAST <= MOST <= 1."
+                )
+
+
+class _Sizes:
+    """What chairs are drawn."""
+
+    def __init__(self, chair: Chair, chosen: Chairs) -> None:
+        self._chair, own = chair, chair.options
+        self._ranges = [
+            getattr(chosen, name) or (getattr(own, name),) * 2
+            for name in ("seat_height", "width", "depth")
+        ]
+        varied = chosen != Chairs()
+        if varied and own.mesh is not None:
+            raise ConfigError(
+                "initial_states.chairs: a chair of a mesh has the mesh's size. Leave chair.mesh out."
+            )
+        self.varies = chair.sizes if varied else ()
+
+    def draw(self, streams: WorldStreams) -> tuple[Tensor, dict[str, Tensor]]:
+        """The seats' depth (N,), and the parameters of chairs that differ."""
+        drawn = streams.uniform(3)
+        sizes = [low + (high - low) * drawn[:, k] for k, (low, high) in enumerate(self._ranges)]
+        return sizes[2], self._chair.sized(*sizes) if self.varies else {}
+
+
 class _ChairBehind:
     """The chair where the reference sits down, more or less; nothing in tasks without a chair."""
 
-    def __init__(self, context: Context, metres: float, degrees: float) -> None:
+    def __init__(self, context: Context, metres: float, degrees: float, chairs: Chairs) -> None:
         reference = reference_motion(context)
         chair = context.sections.get("chair")
-        self.varies = (PLACE, TURN) if isinstance(chair, Chair) else ()
+        self.varies: tuple[str, ...] = ()
         self._metres, self._turn = metres, math.radians(degrees)
         if not isinstance(chair, Chair):
             return
+        self._sizes = _Sizes(chair, chairs)
+        self.varies = (PLACE, TURN, *self._sizes.varies)
         end = reference.sample(torch.tensor([reference.duration], device=context.device))
         self._heading = end["reference_root_heading"]
-        back = OVERLAP - 0.5 * chair.options.depth
-        ahead = torch.stack([self._heading.cos(), self._heading.sin()], dim=1)
-        self._place = end["reference_root_position"][:, :2] + back * ahead
+        self._ahead = torch.stack([self._heading.cos(), self._heading.sin()], dim=1)
+        self._hips = end["reference_root_position"][:, :2]
 
     def parameters(self, streams: WorldStreams) -> dict[str, Tensor]:
         if not self.varies:
             return {}
         drawn = 2 * streams.uniform(3) - 1
-        place = self._place + self._metres * drawn[:, :2]
+        depth, sizes = self._sizes.draw(streams)
+        place = self._hips + (OVERLAP - 0.5 * depth)[:, None] * self._ahead
+        place = place + self._metres * drawn[:, :2]
         turn = rotations.from_heading(self._heading + self._turn * drawn[:, 2])
-        return {PLACE: torch.nn.functional.pad(place, (0, 1)), TURN: turn}
+        return {PLACE: torch.nn.functional.pad(place, (0, 1)), TURN: turn, **sizes}
 
 
 class FromReference(InitialStates):
@@ -74,6 +121,7 @@ class FromReference(InitialStates):
         #: m along each axis and degrees by which the chair is elsewhere, at most. The paper's is fixed.
         metres: float = 0.0
         degrees: float = 0.0
+        chairs: Chairs = Chairs()  #: of other sizes
 
         def __post_init__(self) -> None:
             check_range(self, "metres", "degrees", least=0)
@@ -85,7 +133,7 @@ class FromReference(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         self._reference = reference_motion(context)
         self._span = options.span
-        self._chair = _ChairBehind(context, options.metres, options.degrees)
+        self._chair = _ChairBehind(context, options.metres, options.degrees, options.chairs)
         self.varies = self._chair.varies
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
@@ -112,8 +160,9 @@ class WhereOthersEnded(InitialStates):
     class Options:
         banks: tuple[str, ...]  #: banks of states, or the folders of runs that have one
         share: float = 1.0
-        metres: float = 0.0  #: as of ``sitting.from_reference``
+        metres: float = 0.0  #: these three as of ``sitting.from_reference``
         degrees: float = 0.0
+        chairs: Chairs = Chairs()
 
         def __post_init__(self) -> None:
             check_range(self, "share", least=0, most=1)
@@ -146,7 +195,7 @@ class WhereOthersEnded(InitialStates):
         self._qpos, self._qvel = moved(layout, self._qpos, self._qvel, heading - own, place)
         self._first = start["reference_qpos"], start["reference_qvel"]
         self._share = options.share
-        self._chair = _ChairBehind(context, options.metres, options.degrees)
+        self._chair = _ChairBehind(context, options.metres, options.degrees, options.chairs)
         self.varies = self._chair.varies
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
@@ -186,6 +235,7 @@ class AroundChair(InitialStates):
         distance: float = 2.0  #: m from the seat's middle
         spread: float = 0.2  #: m, more or less
         degrees: float = 30.0  #: off the direction to the chair, to each side
+        chairs: Chairs = Chairs()  #: of other sizes
 
         def __post_init__(self) -> None:
             check_range(self, "zone", least=1, most=len(ZONES))
@@ -197,8 +247,9 @@ class AroundChair(InitialStates):
         self._options = options
         scene = context.need_scene(CharacterScene, "initial_states 'sitting.around_chair'")
         self._layout = scene.layout.to(context.device)
-        context.need_section("chair", Chair, "initial_states 'sitting.around_chair'")
-        self.varies = (PLACE, TURN)
+        chair = context.need_section("chair", Chair, "initial_states 'sitting.around_chair'")
+        self._sizes = _Sizes(chair, options.chairs)
+        self.varies = (PLACE, TURN, *self._sizes.varies)
         standing = reference_motion(context).sample(torch.zeros(1, device=context.device))
         self._qpos, self._qvel = standing["reference_qpos"], standing["reference_qvel"]
         self._heading = standing["reference_root_heading"]
@@ -227,6 +278,7 @@ class AroundChair(InitialStates):
         qpos, qvel = (value.expand(len(zone), -1) for value in (self._qpos, self._qvel))
         qpos, qvel = moved(self._layout, qpos, qvel, angle + math.pi + off - self._heading, place)
         chair = torch.zeros(len(zone), 3, device=zone.device)
+        _, sizes = self._sizes.draw(streams)
         return {
             "qpos": qpos,
             "qvel": qvel,
@@ -234,4 +286,5 @@ class AroundChair(InitialStates):
             "side": (side > 0).float(),
             PLACE: chair,
             TURN: rotations.from_heading(chair[:, 0]),
+            **sizes,
         }

