@@ -88,6 +88,7 @@ def understudy_register(register: Registrar) -> None:
     register.task("sitting.turn", "turn in place")
     register.task("sitting.step_back", "step back")
     register.task("sitting.sit", "sit down on a chair behind")
+    register.task("sitting.whole", "walk, turn and sit down as one clip does")
     register.task("sitting.meta", "sit down on a chair from anywhere, by four skills")
     register.citation(
         "sitting",

@@ -222,11 +222,12 @@ class AroundChair(InitialStates):
     With the difficulty d the zone rises: 1 below 1/2, 2 below 1, then 3. ``zone`` fixes it. Earlier
     zones remain among the starts for a share ``keep`` of the episodes.
 
-    The field ``zone`` (N,) is 1, 2 or 3; ``side`` (N,) is 1 where the figure begins on the chair's left.
+    The pose is the first of the task's clip, which begins with the episode. The field ``zone`` (N,) is 1,
+    2 or 3; ``side`` (N,) is 1 where the figure begins on the chair's left.
     """
 
     reads = ("difficulty",)
-    episode_fields: Mapping[str, Shape] = {"zone": (), "side": ()}
+    episode_fields: Mapping[str, Shape] = {"zone": (), "side": (), "motion_start": ()}
 
     @dataclass(frozen=True)
     class Options:
@@ -284,6 +285,7 @@ class AroundChair(InitialStates):
             "qvel": qvel,
             "zone": zone,
             "side": (side > 0).float(),
+            "motion_start": torch.zeros_like(side),
             PLACE: chair,
             TURN: rotations.from_heading(chair[:, 0]),
             **sizes,

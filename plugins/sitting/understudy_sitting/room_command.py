@@ -54,10 +54,11 @@ class SitInRoom(Command):
         furnished = [
             f"chair={{{','.join(f'{name}:{size}' for name, size in sizes.items())}}}",
             f"+room={{file:'{options.scene}',chair:{options.chair}}}",
+            "initial_states.zone=1",
             "control.decision=1",  # so that every state is seen; decisions are repeated
-            *options.overrides,
         ]
-        config = compose_raw(replaced(run.info["overrides"], furnished))
+        placed = replaced(run.info["overrides"], furnished)
+        config = compose_raw(replaced(placed, options.overrides))
         experiment = validate(config, installed().registry)
         built = build_environment(
             experiment, num_worlds=max(1, options.trials), evaluating=True,
