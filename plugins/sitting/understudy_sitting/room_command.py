@@ -88,7 +88,7 @@ def _act(built: Built, run: Run, seconds: float) -> tuple[np.ndarray, torch.Tens
     environment.reset(draw="room")
     seated = torch.zeros(environment.num_worlds, device=environment.device)
     running = torch.ones_like(seated, dtype=torch.bool)
-    states = []
+    states, action = [], environment.action
     for period in range(round(seconds / environment.control_dt)):
         if period % periods == 0:
             action = policy.distribution(environment.observations).mode()

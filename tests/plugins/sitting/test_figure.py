@@ -16,6 +16,7 @@ from understudy.setup.building import Built
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_characters.character import load_character
+from understudy_characters.scene import CharacterScene
 from understudy_humanoid.clips import generated_turn_left, generated_turn_right
 from understudy_motion.mirror import mirrored
 from understudy_sitting.chair import SEAT, Chair, ChairOptions, slabs
@@ -60,6 +61,7 @@ def test_a_chair_is_as_large_as_its_options_say() -> None:
 
 
 def test_a_chair_adds_no_mass_and_touches_the_figure_alone(sit: Built) -> None:
+    assert isinstance(sit.scene, CharacterScene)
     model = sit.scene.spec().compile()
     assert float(model.body_mass.sum()) == pytest.approx(45.0)
     meets = {
@@ -85,7 +87,7 @@ def test_a_mesh_becomes_the_hulls_of_its_parts(tmp_path: Path, suffix: str) -> N
     assert len(parts) == 2
     sizes = sorted(tuple(np.ptp(part, axis=0).round(4)) for part in parts)
     assert sizes == [(0.05, 0.4, 0.5), (0.4, 0.4, 0.05)]
-    spec = mujoco.MjSpec()
+    spec = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
     spec.worldbody.add_body(name="root").add_geom(size=[0.1, 0, 0])
     Chair(ChairOptions(mesh=str(path), mesh_scale=0.01), installed().registry).add(spec)
     model = spec.compile()

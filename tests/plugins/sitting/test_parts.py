@@ -129,6 +129,7 @@ def test_a_chain_trains_what_others_build_on_first() -> None:
     stages = {"a": ("x=1",), "b": ("x=2",), "c": ("run='{a}'", "runs=['{a}','{b}']")}
     chain = Chain(Chain.Options(stages), seed=0)
     first, second = chain.ask(0), chain.ask(1)
+    assert first is not None
     assert (first, second) == (Trial("a", ("x=1",), variant="a"), Trial("b", ("x=2",), variant="b"))
     assert chain.ask(2) is None
     chain.tell(Report("a", "ok", run="runs/a"))
