@@ -58,6 +58,12 @@ _PARTS = {
     ("trials", "command"): {
         "sitting trials": ("Trials", "judge a controller that sits down over many trials"),
     },
+    ("kinematics", "command"): {
+        "sitting kinematics": (
+            "Kinematics",
+            "how near a clip comes to the seat that is only played",
+        ),
+    },
     ("room_command", "command"): {
         "sitting room": ("SitInRoom", "a controller sits down in a room seen in a picture"),
     },

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from sitting_tasks import build
 
 from understudy.records.runs import Run
 from understudy_sitting.clips import generated_step_back, generated_whole
+from understudy_sitting.kinematics import minimum_distances
 from understudy_sitting.trials import FILE, TransitionsSection, _figures
 
 
@@ -56,3 +58,15 @@ def test_the_whole_motion_has_no_jump() -> None:
     assert float(clip.root_position[0, 2] - clip.root_position[-1, 2]) > 0.25
     turned = clip.rotations[1:] * clip.rotations[:-1]
     assert float(turned.sum(dim=2).abs().min()) > 0.985  # less than 20 degrees a frame
+
+
+def test_a_clip_that_is_only_played_comes_to_the_chair_that_stands_where_it_sits() -> None:
+    built = build("experiment=sitting/whole", "num_worlds=2", "initial_states.span=[0,0]")
+    built.environment.reset()
+    assert minimum_distances(built).tolist() == pytest.approx([0.15, 0.15], abs=0.03)
+    away = build("experiment=sitting/whole", "num_worlds=64", "initial_states=sitting/around_chair")
+    away.environment.reset()
+    nearest = minimum_distances(away)
+    begins = away.environment.table["seat_distance"]
+    assert (nearest <= begins + 1e-4).all()
+    assert 0.3 < float(nearest.mean()) < 1.3
