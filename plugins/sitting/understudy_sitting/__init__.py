@@ -92,10 +92,7 @@ def understudy_register(register: Registrar) -> None:
         register.section(section, f"{_HERE}.{where}Options", f"{_HERE}.{where}")
     register.task("sitting.walk", "walk to targets that are drawn anew")
     register.task("sitting.turn", "turn in place")
-    register.task("sitting.step_back", "step back")
     register.task("sitting.sit", "sit down on a chair behind")
-    register.task("sitting.whole", "walk, turn and sit down as one clip does")
-    register.task("sitting.meta", "sit down on a chair from anywhere, by four skills")
     register.citation(
         "sitting",
         "Chao, Yang, Chen, Deng 2021. Learning to sit: synthesizing human-chair interactions via "
