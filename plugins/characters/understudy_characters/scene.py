@@ -19,18 +19,19 @@ from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.servos import ServoOptions, drive
 from understudy_characters.state import Poses
+from understudy_characters.surroundings import Surroundings
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
 
 REFERENCE_COLOUR = (0.45, 0.72, 0.5, 1.0)
 #: In lengths of the figure: how far to the left the reference is drawn; the camera's distance and aim.
 _BESIDE, _DISTANCE, _AIM = 0.74, 2.4, 0.52
+_AWAY = -1000.0  #: m, where nothing is seen
 
 
 class CharacterScene(MujocoScene):
-    """One character on a floor, each of its joints driven by a position servo."""
-
-    recorded = ("qpos", "reference_qpos", "phase")
+    """One character on a floor, each of its joints driven by a position servo, and what the config
+    sections that are :class:`Surroundings` put around it."""
 
     @dataclass(frozen=True)
     class Options:
@@ -55,6 +56,12 @@ class CharacterScene(MujocoScene):
         root = next(body for body in spec.bodies if body.id == character.root)
         root.name = character.joint_names[0]
         staging.stage(spec, root.name)
+        sections = context.sections.values() if context else ()
+        self._around = tuple(s for s in sections if isinstance(s, Surroundings))
+        self.recorded = ("qpos", "reference_qpos", "phase")
+        for one in self._around:
+            one.add(spec)
+            self.recorded += one.recorded
         self._spec = spec
         self.character = _compiled(name, self.spec())
 
@@ -94,10 +101,13 @@ class CharacterScene(MujocoScene):
         beside = 0.0 if references is None else _BESIDE * length
         camera = mujoco.MjvCamera()
         camera.distance, camera.elevation, camera.azimuth = _DISTANCE * length, -10.0, 120.0
+        reference.mocap_pos[:, 2] = _AWAY  # what stands around is shown once
         first = True
         try:
             for frame, qpos in enumerate(tracks["qpos"]):
                 own.qpos[:] = qpos
+                for one in self._around:
+                    one.place(model, own, {name: track[frame] for name, track in tracks.items()})
                 mujoco.mj_kinematics(model, own)
                 mujoco.mj_camlight(model, own)
                 aim = np.array([qpos[at], qpos[at + 1] + 0.5 * beside, _AIM * length])

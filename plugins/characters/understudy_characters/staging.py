@@ -90,6 +90,11 @@ def collide(spec: mujoco.MjSpec, figure: set[int], self_collision: bool) -> None
                     geom.contype, geom.conaffinity = _FLOOR, _FLOOR | _FIGURE
 
 
+def make_solid(geom: mujoco.MjsGeom) -> None:
+    """Let a geom that stands around collide with figures, and with nothing else."""
+    geom.contype, geom.conaffinity = 0, _FIGURE
+
+
 def solve_fast(option: mujoco.MjOption) -> None:
     """Solver settings with which a figure on a floor is stepped fast, at 600 Hz or so."""
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

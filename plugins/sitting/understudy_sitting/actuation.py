@@ -1,0 +1,45 @@
+"""What a skill's action is: servo targets, in the units of the clip that it imitates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Actuation, Context, box
+from understudy_characters.scene import CharacterScene, reference_motion
+
+#: Times at which the clip is looked at.
+_SAMPLES = 256
+
+
+class AroundClip(Actuation):
+    """Servo targets: the mean of the clip's, plus the action times their spread over the clip.
+
+    "The signal for controlling the humanoid joints" (section 4) is left open. An action of 0 holds the
+    middle of the motion, one of 1 goes as far as the clip does, joint by joint. Both are constants, so
+    a controller that acts in another task needs no clock.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        least: float = (
+            0.15  #: rad that an action of 1 is at least, for joints that the clip keeps still
+        )
+
+        def __post_init__(self) -> None:
+            check_range(self, "least", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        scene = context.need_scene(CharacterScene, "actuation 'sitting.around_clip'")
+        reference = reference_motion(context)
+        times = torch.linspace(0.0, reference.duration, _SAMPLES, device=context.device)
+        targets = reference.sample(times * (1 - 1e-6))["reference_joint_targets"]
+        self._middle = targets.mean(dim=0)
+        self._unit = targets.std(dim=0).clamp(min=options.least)
+        self.action_space = box(scene.layout.num_actuators)
+
+    def control(self, action: Tensor) -> Tensor:
+        return self._middle + self._unit * action

@@ -1,0 +1,292 @@
+"""Where episodes begin (section 6): in the reference, where another skill ended, or around the chair."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError
+from understudy.options import check_range
+from understudy.random import WorldStreams
+from understudy.task import Context, InitialStates, Shape
+from understudy_basics import bank, rotations
+from understudy_characters.layout import Layout
+from understudy_characters.scene import CharacterScene, reference_motion
+from understudy_sitting.chair import BODY, Chair
+from understudy_sitting.state import flat_turn
+
+PLACE, TURN = f"mocap_pos/{BODY}", f"mocap_quat/{BODY}"
+#: m: the seat's front edge is so far ahead of the seated hips (as in the generated clip ``sit``).
+OVERLAP = 0.08
+
+
+def moved(
+    layout: Layout, qpos: Tensor, qvel: Tensor, turn: Tensor, place: Tensor
+) -> tuple[Tensor, Tensor]:
+    """States (N, nq), (N, nv) turned by `turn` (N,) rad about the root and put at `place` (N, 2) m."""
+    at, dof = layout.root_address, layout.root_dof
+    rotation = rotations.multiply(rotations.from_heading(turn), qpos[:, at + 3 : at + 7])
+    linear = flat_turn(turn, qvel[:, dof : dof + 2])  # the rotation's velocity is the body's own
+    qpos = torch.cat(
+        [qpos[:, :at], place, qpos[:, at + 2 : at + 3], rotation, qpos[:, at + 7 :]], 1
+    )
+    return qpos, torch.cat([qvel[:, :dof], linear, qvel[:, dof + 2 :]], dim=1)
+
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Chairs:
+    """Chairs of other sizes, uniformly drawn for each episode, m; null leaves the chair's own. They
+    must have no mesh."""
+
+    seat_height: Range | None = None
+    width: Range | None = None
+    depth: Range | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("seat_height", "width", "depth"):
+            chosen = getattr(self, name)
+            if chosen is not None and not 0.2 <= chosen[0] <= chosen[1] <= 1.0:
+                raise ValueError(
+                    f"{name}={chosen} is not possible: give 0.2 <= LEAST <= MOST <= 1."
+                )
+
+
+class _Sizes:
+    """What chairs are drawn."""
+
+    def __init__(self, chair: Chair, chosen: Chairs) -> None:
+        self._chair, own = chair, chair.options
+        self._ranges = [
+            getattr(chosen, name) or (getattr(own, name),) * 2
+            for name in ("seat_height", "width", "depth")
+        ]
+        varied = chosen != Chairs()
+        if varied and own.mesh is not None:
+            raise ConfigError(
+                "initial_states.chairs: a chair of a mesh has the mesh's size. Leave chair.mesh out."
+            )
+        self.varies = chair.sizes if varied else ()
+
+    def draw(self, streams: WorldStreams) -> tuple[Tensor, dict[str, Tensor]]:
+        """The seats' depth (N,), and the parameters of chairs that differ."""
+        drawn = streams.uniform(3)
+        sizes = [low + (high - low) * drawn[:, k] for k, (low, high) in enumerate(self._ranges)]
+        return sizes[2], self._chair.sized(*sizes) if self.varies else {}
+
+
+class _ChairBehind:
+    """The chair where the reference sits down, more or less; nothing in tasks without a chair."""
+
+    def __init__(self, context: Context, metres: float, degrees: float, chairs: Chairs) -> None:
+        reference = reference_motion(context)
+        chair = context.sections.get("chair")
+        self.varies: tuple[str, ...] = ()
+        self._metres, self._turn = metres, math.radians(degrees)
+        if not isinstance(chair, Chair):
+            return
+        self._sizes = _Sizes(chair, chairs)
+        self.varies = (PLACE, TURN, *self._sizes.varies)
+        end = reference.sample(torch.tensor([reference.duration], device=context.device))
+        self._heading = end["reference_root_heading"]
+        self._ahead = torch.stack([self._heading.cos(), self._heading.sin()], dim=1)
+        self._hips = end["reference_root_position"][:, :2]
+
+    def parameters(self, streams: WorldStreams) -> dict[str, Tensor]:
+        if not self.varies:
+            return {}
+        drawn = 2 * streams.uniform(3) - 1
+        depth, sizes = self._sizes.draw(streams)
+        place = self._hips + (OVERLAP - 0.5 * depth)[:, None] * self._ahead
+        place = place + self._metres * drawn[:, :2]
+        turn = rotations.from_heading(self._heading + self._turn * drawn[:, 2])
+        return {PLACE: torch.nn.functional.pad(place, (0, 1)), TURN: turn, **sizes}
+
+
+class FromReference(InitialStates):
+    """The reference's state at a time drawn within ``span``, the chair where it will sit down.
+
+    ``span: [0, 0]`` is its first frame, [0, 1] reference-state initialisation (Peng et al. 2018).
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        span: tuple[float, float] = (0.0, 0.0)  #: shares of the clip
+        #: m along each axis and degrees by which the chair is elsewhere, at most. The paper's is fixed.
+        metres: float = 0.0
+        degrees: float = 0.0
+        chairs: Chairs = Chairs()  #: of other sizes
+
+        def __post_init__(self) -> None:
+            check_range(self, "metres", "degrees", least=0)
+            if not 0 <= self.span[0] <= self.span[1] <= 1:
+                raise ValueError(f"span={self.span} is not possible: give shares, rising.")
+
+    episode_fields: Mapping[str, Shape] = {"motion_start": ()}
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._reference = reference_motion(context)
+        self._span = options.span
+        self._chair = _ChairBehind(context, options.metres, options.degrees, options.chairs)
+        self.varies = self._chair.varies
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        first, last = self._span
+        share = first + (last - first) * streams.uniform(1).squeeze(1)
+        time = share * self._reference.duration
+        state = self._reference.sample(time)
+        return {
+            "qpos": state["reference_qpos"],
+            "qvel": state["reference_qvel"],
+            "motion_start": time,
+            **self._chair.parameters(streams),
+        }
+
+
+class WhereOthersEnded(InitialStates):
+    """Where episodes of other skills ended, turned and moved to where the reference begins.
+
+    The second stage of training the skills (section 6); the clip begins with the episode. ``share`` of
+    the episodes begin so, the others in the clip's first frame.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        banks: tuple[str, ...]  #: banks of states, or the folders of runs that have one
+        share: float = 1.0
+        metres: float = 0.0  #: these three as of ``sitting.from_reference``
+        degrees: float = 0.0
+        chairs: Chairs = Chairs()
+
+        def __post_init__(self) -> None:
+            check_range(self, "share", least=0, most=1)
+            check_range(self, "metres", "degrees", least=0)
+            if not self.banks:
+                raise ValueError("banks=() is not possible: name the folder of a harvest.")
+
+    episode_fields: Mapping[str, Shape] = {"motion_start": ()}
+
+    def __init__(self, options: Options, context: Context) -> None:
+        scene = context.need_scene(CharacterScene, "initial_states 'sitting.where_others_ended'")
+        self._layout = layout = scene.layout.to(context.device)
+        found = [bank.load(file) for file in options.banks]
+        for file, states in zip(options.banks, found, strict=True):
+            for name, size in (("qpos", scene.model.nq), ("qvel", scene.model.nv)):
+                shape = tuple(states[name].shape[1:]) if name in states else None
+                if shape != (size,):
+                    raise ConfigError(
+                        f"initial_states: the bank {file} does not fit this figure: '{name}' is "
+                        f"{shape or 'missing'} there and {(size,)} here."
+                    )
+        self._qpos, self._qvel = (
+            torch.cat([states[name] for states in found]).to(context.device)
+            for name in ("qpos", "qvel")
+        )
+        start = reference_motion(context).sample(torch.zeros(1, device=context.device))
+        heading = start["reference_root_heading"]
+        own = rotations.heading(self._qpos[:, layout.root_address + 3 : layout.root_address + 7])
+        place = start["reference_root_position"][:, :2].expand(len(own), 2)
+        self._qpos, self._qvel = moved(layout, self._qpos, self._qvel, heading - own, place)
+        self._first = start["reference_qpos"], start["reference_qvel"]
+        self._share = options.share
+        self._chair = _ChairBehind(context, options.metres, options.degrees, options.chairs)
+        self.varies = self._chair.varies
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        drawn = streams.uniform(2)
+        row = (drawn[:, 0] * len(self._qpos)).long().clamp(max=len(self._qpos) - 1)
+        ended = (drawn[:, 1] < self._share)[:, None]
+        qpos, qvel = self._first
+        return {
+            "qpos": torch.where(ended, self._qpos[row], qpos),
+            "qvel": torch.where(ended, self._qvel[row], qvel),
+            "motion_start": torch.zeros_like(drawn[:, 0]),
+            **self._chair.parameters(streams),
+        }
+
+
+#: Degrees from the chair's front at which the zones end (figure 4; the paper gives no number): the
+#: front half plane, the sides, and behind.
+ZONES = (90.0, 135.0, 180.0)
+
+
+class AroundChair(InitialStates):
+    """Standing some metres from the chair and roughly facing it, in one of the zones of figure 4.
+
+    With the difficulty d the zone rises: 1 below 1/2, 2 below 1, then 3. ``zone`` fixes it. Earlier
+    zones remain among the starts for a share ``keep`` of the episodes.
+
+    The pose is the first of the task's clip, which begins with the episode. The field ``zone`` (N,) is 1,
+    2 or 3; ``side`` (N,) is 1 where the figure begins on the chair's left.
+    """
+
+    reads = ("difficulty",)
+    episode_fields: Mapping[str, Shape] = {"zone": (), "side": (), "motion_start": ()}
+
+    @dataclass(frozen=True)
+    class Options:
+        zone: int | None = None  #: 1, 2 or 3; null follows the difficulty
+        keep: float = 0.5  #: share of the episodes that begin in an earlier zone or this one
+        distance: float = 2.0  #: m from the seat's middle
+        spread: float = 0.2  #: m, more or less
+        degrees: float = 30.0  #: off the direction to the chair, to each side
+        chairs: Chairs = Chairs()  #: of other sizes
+
+        def __post_init__(self) -> None:
+            check_range(self, "zone", least=1, most=len(ZONES))
+            check_range(self, "keep", least=0, most=1)
+            check_range(self, "distance", above=0)
+            check_range(self, "spread", "degrees", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._options = options
+        scene = context.need_scene(CharacterScene, "initial_states 'sitting.around_chair'")
+        self._layout = scene.layout.to(context.device)
+        chair = context.need_section("chair", Chair, "initial_states 'sitting.around_chair'")
+        self._sizes = _Sizes(chair, options.chairs)
+        self.varies = (PLACE, TURN, *self._sizes.varies)
+        standing = reference_motion(context).sample(torch.zeros(1, device=context.device))
+        self._qpos, self._qvel = standing["reference_qpos"], standing["reference_qvel"]
+        self._heading = standing["reference_root_heading"]
+        ends = torch.tensor((0.0, *ZONES), device=context.device).deg2rad()
+        self._begin, self._width = ends[:-1].clone(), ends.diff()
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        options, difficulty = self._options, fields["difficulty"]
+        drawn = streams.uniform(6)
+        hardest = (
+            1.0 + (difficulty >= 0.5 - 1e-6) + (difficulty >= 1.0 - 1e-6)
+            if options.zone is None
+            else torch.full_like(difficulty, float(options.zone))
+        )
+        any_zone = (drawn[:, 4] * hardest).floor() + 1.0
+        keeps = (drawn[:, 5] < options.keep) if options.zone is None else torch.zeros_like(
+            difficulty, dtype=torch.bool
+        )  # fmt: skip
+        zone = torch.where(keeps, any_zone.clamp(max=3.0), hardest)
+        row = zone.long() - 1
+        side = torch.where(drawn[:, 0] < 0.5, 1.0, -1.0)
+        angle = side * (self._begin[row] + self._width[row] * drawn[:, 1])
+        away = options.distance + options.spread * (2 * drawn[:, 2] - 1)
+        place = away[:, None] * torch.stack([angle.cos(), angle.sin()], dim=1)
+        off = math.radians(options.degrees) * (2 * drawn[:, 3] - 1)
+        qpos, qvel = (value.expand(len(zone), -1) for value in (self._qpos, self._qvel))
+        qpos, qvel = moved(self._layout, qpos, qvel, angle + math.pi + off - self._heading, place)
+        chair = torch.zeros(len(zone), 3, device=zone.device)
+        _, sizes = self._sizes.draw(streams)
+        return {
+            "qpos": qpos,
+            "qvel": qvel,
+            "zone": zone,
+            "side": (side > 0).float(),
+            "motion_start": torch.zeros_like(side),
+            PLACE: chair,
+            TURN: rotations.from_heading(chair[:, 0]),
+            **sizes,
+        }

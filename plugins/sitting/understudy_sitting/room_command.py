@@ -1,0 +1,159 @@
+"""``understudy sitting room``: a finished controller sits down in a room that was seen in a picture."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from PIL import Image
+
+from understudy.command.command import Command
+from understudy.errors import FileError, UnderstudyError
+from understudy.records import runs
+from understudy.records.runs import Run
+from understudy.running.warm_start import newest_state
+from understudy.setup.building import Built, build_environment, build_policy
+from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.config import validate
+from understudy.setup.plugins import installed
+from understudy_characters.scene import CharacterScene
+from understudy_report.video import write_video
+from understudy_sitting.room import EXAMPLE, Camera, Room, chair_sizes, read_scene
+from understudy_sitting.trials import SEATED
+
+#: Frames per second of the video; physics gives 60 states.
+_RATE, _EVERY = 30, 2
+#: m above the floor from which a plan is drawn, and its width in degrees.
+_ABOVE, _FIELD = 9.0, 45.0
+
+
+class SitInRoom(Command):
+    """Writes a video of the controller RUN sitting down on a chair of a scene of boxes."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add("run", help="a finished run's folder")
+        add("video", type=Path, metavar="OUT", help="such as room.mp4")
+        add("--scene", type=Path, default=EXAMPLE, help="a JSON of boxes and a camera")
+        add("--chair", type=int, default=0, help="which of its chairs, from 0")
+        add("--plan", action="store_true", help="draw it from above")
+        add("--trials", type=int, default=64, help="of which a success is shown, if there is one")
+
+    def run(self, options: argparse.Namespace) -> int:
+        scene = read_scene(options.scene)
+        if not 0 <= options.chair < len(scene.chairs):
+            raise FileError(f"{options.scene} has {len(scene.chairs)} chairs, from 0.")
+        run = runs.open_run(options.run)
+        sizes = chair_sizes(scene.chairs[options.chair])
+        furnished = [
+            f"chair={{{','.join(f'{name}:{size}' for name, size in sizes.items())}}}",
+            f"+room={{file:'{options.scene}',chair:{options.chair}}}",
+            "initial_states.zone=1",
+            "control.decision=1",  # so that every state is seen; decisions are repeated
+        ]
+        placed = replaced(run.info["overrides"], furnished)
+        config = compose_raw(replaced(placed, options.overrides))
+        experiment = validate(config, installed().registry)
+        built = build_environment(
+            experiment, num_worlds=max(1, options.trials), evaluating=True,
+            episode_seconds=experiment.root.evaluation.seconds,
+        )  # fmt: skip
+        try:
+            track, seated = _act(built, run, experiment.root.evaluation.seconds)
+        finally:
+            built.environment.close()
+        share = float((seated >= SEATED - 1e-3).float().mean())
+        room = built.context.need_section("room", Room, "understudy sitting room")
+        frames = draw(built.scene, track, room.camera, plan=options.plan)
+        write_video(options.video, frames, _RATE)
+        print(f"{share:.0%} of {len(seated)} trials sat for {SEATED:g} s; video: {options.video}")
+        return 0
+
+
+@torch.no_grad()
+def _act(built: Built, run: Run, seconds: float) -> tuple[np.ndarray, torch.Tensor]:
+    """The motion (T, nq), a state each control period, of the trial that sat longest, and how long each
+    sat, (N,) s."""
+    environment = built.environment
+    trained = validate(run.config, installed().registry)
+    periods = trained.root.control.decision
+    policy = build_policy(trained, built.context)
+    policy.load_state_dict(newest_state(str(run.path))["policy"])
+    environment.reset(draw="room")
+    seated = torch.zeros(environment.num_worlds, device=environment.device)
+    running = torch.ones_like(seated, dtype=torch.bool)
+    states, action = [], environment.action
+    for period in range(round(seconds / environment.control_dt)):
+        if period % periods == 0:
+            action = policy.distribution(environment.observations).mode()
+        ended = environment.advance(action).ended
+        states.append(environment.table["qpos"].clone())
+        longest = torch.maximum(seated, environment.table["seated_seconds"])
+        seated = torch.where(running, longest, seated)
+        running = running & ~ended
+    best = int(seated.argmax())
+    return torch.stack([state[best] for state in states]).cpu().numpy(), seated.cpu()
+
+
+def draw(
+    scene: object, track: np.ndarray, camera: Camera, *, plan: bool = False
+) -> Iterator[np.ndarray]:
+    """Frames (H, W, 3) uint8 of the motion `track` (T, nq) as the scene's camera sees it: over its photo,
+    hidden where furniture stands before it, or in the room of boxes; or from above."""
+    assert isinstance(scene, CharacterScene)
+    spec = scene.shown()
+    width, height = camera.size
+    spec.visual.global_.offwidth = max(width, spec.visual.global_.offwidth)
+    spec.visual.global_.offheight = max(height, spec.visual.global_.offheight)
+    eye = spec.worldbody.add_camera(name="photo")
+    quat = np.zeros(4)
+    if plan:
+        eye.pos, eye.fovy = [0, 0, _ABOVE], _FIELD
+    else:
+        axes = camera.rotation @ np.diag([1.0, -1.0, -1.0])  # y up, looking along -z
+        mujoco.mju_mat2Quat(quat, axes.flatten())
+        eye.pos, eye.quat = camera.position, quat
+        eye.fovy = 2 * np.degrees(np.arctan(0.5 * height / camera.focal[1]))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    photo = None if plan or camera.photo is None else _photo(camera.photo, width, height)
+    figure = np.isin(model.geom_bodyid, list(scene.character.carrier))
+    try:
+        renderer = mujoco.Renderer(model, height, width)
+    except Exception as error:  # whatever the platform's OpenGL raises
+        reason = (str(error).strip().splitlines() or ["?"])[0]
+        raise UnderstudyError(f"No OpenGL here ({reason}).") from error
+    try:
+        for qpos in track[::_EVERY]:
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            renderer.update_scene(data, "photo")
+            frame = renderer.render()
+            if photo is not None:
+                renderer.enable_segmentation_rendering()
+                seen = renderer.render()
+                renderer.disable_segmentation_rendering()
+                geoms = seen[..., 1] == int(mujoco.mjtObj.mjOBJ_GEOM)
+                mask = geoms & figure[np.clip(seen[..., 0], 0, model.ngeom - 1)]
+                frame = np.where(mask[..., None], frame, photo)
+            yield frame
+    finally:
+        renderer.close()
+
+
+def _photo(path: Path, width: int, height: int) -> np.ndarray:
+    """The photograph (H, W, 3), its nearest pixels."""
+    try:
+        image = np.asarray(Image.open(path).convert("RGB"))
+        rows = np.arange(height) * len(image) // height
+        columns = np.arange(width) * image.shape[1] // width
+        return image[rows][:, columns].astype(np.uint8)
+    except Exception as error:  # whatever the reader of that format raises
+        raise FileError(f"The photo {path} cannot be read: {error}") from error

@@ -1,0 +1,200 @@
+"""``understudy sitting trials``: the main task judged as section 7 judges it.
+
+Success is 3.0 s of uninterrupted contact of the pelvis with the seat; the minimum distance is that of the
+pelvis to the seat's middle. Both by the zone in which a trial began, and how often which skill followed
+which, by the side of the chair (figure 7).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from html import escape
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.command.command import Command
+from understudy.errors import ConfigError
+from understudy.records import runs
+from understudy.records.runs import Run
+from understudy.running.environment import Environment
+from understudy.running.evaluation import wilson_interval
+from understudy.running.warm_start import newest_state
+from understudy.setup.building import build_environment, build_policy
+from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.config import Experiment, validate
+from understudy.setup.plugins import installed
+from understudy.task import Policy
+from understudy_report.section import ReportSection
+
+#: s of uninterrupted contact.
+SEATED = 3.0
+FILE = "trials.json"
+SIDES = ("right", "left")
+
+
+class Trials(Command):
+    """Judges a controller that sits down, over many trials in one batch; writes RUN/trials.json."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("run", help="a finished run's folder")
+        parser.add_argument("--trials", type=int, default=10_000, help="how many; all at once")
+
+    def run(self, options: argparse.Namespace) -> int:
+        if options.trials < 1:
+            raise ConfigError(f"--trials={options.trials} is not possible: at least one.")
+        run = runs.open_run(options.run)
+        config: Mapping[str, Any] = run.config
+        if options.overrides:
+            config = compose_raw(replaced(run.info["overrides"], options.overrides))
+        found = judge(validate(config, installed().registry), run, options.trials)
+        run.write_json(FILE, found)
+        print(json.dumps(found, indent=1))
+        return 0
+
+
+@torch.no_grad()
+def judge(experiment: Experiment, run: Run, trials: int) -> dict[str, Any]:
+    """The figures of `trials` trials by the newest policy of `run`, acting by its mode."""
+    built = build_environment(
+        experiment, num_worlds=trials, episode_seconds=experiment.root.evaluation.seconds, evaluating=True
+    )  # fmt: skip
+    environment = built.environment
+    try:
+        names = ("zone", "side", "seated_seconds", "seat_distance", "switch")
+        missing = [name for name in names if name not in environment.table.shapes]
+        if missing:
+            raise ConfigError(
+                f"{run.path} is no controller that sits down: it has no {missing[0]}."
+            )
+        context = replace(built.context, num_worlds=trials)
+        policy = build_policy(experiment, context)
+        policy.load_state_dict(newest_state(str(run.path))["policy"])
+        return _figures(*_carry_out(environment, policy, experiment))
+    finally:
+        environment.close()
+
+
+def _carry_out(
+    environment: Environment, policy: Policy, experiment: Experiment
+) -> tuple[dict[str, Tensor], Tensor]:
+    """Of each trial: zone, longest contact, minimum distance; and counts (2, S, S) by side of which
+    skill (row) was followed by which (column), of decisions that did not end the trial."""
+    environment.reset(experiment.root.seed, "trials")
+    table = environment.table
+    n, device = environment.num_worlds, environment.device
+    skills = _skills(experiment)
+    side = table["side"].clone().long()
+    found = {
+        "zone": table["zone"].clone(),
+        "seated": torch.zeros(n, device=device),
+        "distance": torch.full((n,), torch.inf, device=device),
+    }
+    counts = torch.zeros(2 * skills * skills, device=device)
+    running = torch.ones(n, dtype=torch.bool, device=device)
+    before = None
+    seconds = environment.decision * environment.control_dt
+    for _ in range(max(1, round(experiment.root.evaluation.seconds / seconds))):
+        action = policy.distribution(environment.observations).mode()
+        step = environment.advance(action)
+        switch = table["switch"].long()
+        if before is not None:
+            place = (side * skills + before) * skills + switch
+            counts.index_add_(0, place, running.float())
+        before = switch.clone()
+        seated, distance = table["seated_seconds"], table["seat_distance"]
+        found["seated"] = torch.where(running, found["seated"].maximum(seated), found["seated"])
+        found["distance"] = torch.where(
+            running, found["distance"].minimum(distance), found["distance"]
+        )
+        running = running & ~step.ended
+    return found, counts.view(2, skills, skills).cpu()
+
+
+def _skills(experiment: Experiment) -> int:
+    """How many skills there are to choose from."""
+    options = experiment.need("actuation").options
+    count = len(getattr(options, "runs", ()))
+    if not count:
+        raise ConfigError("This controller chooses among no skills (actuation.runs).")
+    return count
+
+
+def _figures(found: dict[str, Tensor], counts: Tensor) -> dict[str, Any]:
+    success = found["seated"] >= SEATED - 1e-3
+
+    def row(chosen: Tensor) -> dict[str, Any]:
+        n, rate = int(chosen.sum()), float(success[chosen].float().mean())
+        distance = found["distance"][chosen]
+        return {
+            "trials": n,
+            "success_rate": rate,
+            "success_rate_95": list(wilson_interval(rate, n)),
+            "distance_mean": float(distance.mean()),
+            "distance_spread": float(distance.std()) if n > 1 else 0.0,
+        }
+
+    zones = sorted({int(zone) for zone in found["zone"].tolist()})
+    return {
+        "all": row(torch.ones_like(success)),
+        "zones": {str(zone): row(found["zone"] == zone) for zone in zones},
+        "transitions": {name: counts[k].int().tolist() for k, name in enumerate(SIDES)},
+    }
+
+
+class TransitionsSection(ReportSection):
+    """The trials by zone, and which skill followed which, by the side of the chair (figure 7)."""
+
+    title = "Trials"
+    order = 45
+
+    def html(self, run: Run) -> str | None:
+        file = run.path / FILE
+        if not file.is_file():
+            return None
+        found = json.loads(file.read_bytes())
+        rows = "".join(_zone(f"zone {zone}", row) for zone, row in found["zones"].items())
+        head = "<tr><th></th><th>trials</th><th>success</th><th>minimum distance, m</th></tr>"
+        table = f"<table>{head}{_zone('all', found['all'])}{rows}</table>"
+        names = [
+            str(run).rpartition("/")[2]
+            for run in (run.config.get("actuation") or {}).get("runs", [])
+        ]
+        matrices = "".join(
+            _matrix(f"Beginning on the {side}", counts, names)
+            for side, counts in found["transitions"].items()
+        )
+        flow = "display:flex;flex-wrap:wrap;gap:24px"
+        return f'<div class="card">{table}</div><div class="card" style="{flow}">{matrices}</div>'
+
+
+def _zone(name: str, row: Mapping[str, Any]) -> str:
+    low, high = (100 * float(share) for share in row["success_rate_95"])
+    return (
+        f"<tr><th>{escape(name)}</th><td>{int(row['trials'])}</td>"
+        f"<td>{100 * float(row['success_rate']):.1f} % ({low:.1f} to {high:.1f})</td>"
+        f"<td>{float(row['distance_mean']):.3f} ± {float(row['distance_spread']):.3f}</td></tr>"
+    )
+
+
+def _matrix(title: str, counts: list[list[int]], names: list[str]) -> str:
+    """Shares of each row's changes, darker for more."""
+    labels = names if len(names) == len(counts) else [str(k) for k in range(len(counts))]
+    head = "".join(f"<th>{escape(label)}</th>" for label in labels)
+    rows = []
+    for label, row in zip(labels, counts, strict=True):
+        total = max(1, sum(int(count) for count in row))
+        cells = "".join(_cell(int(count) / total) for count in row)
+        rows.append(f"<tr><th>{escape(label)}</th>{cells}</tr>")
+    caption = f"<caption>{escape(title)}: from (row) to (column)</caption>"
+    return f"<table>{caption}<tr><th></th>{head}</tr>{''.join(rows)}</table>"
+
+
+def _cell(share: float) -> str:
+    return f'<td style="background:rgba(60,120,200,{share:.2f})">{share:.2f}</td>'

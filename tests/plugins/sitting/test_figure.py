@@ -1,0 +1,112 @@
+"""The figure and the chair as models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+import trimesh
+from sitting_tasks import build
+
+from understudy.errors import ConfigError, FileError
+from understudy.setup.building import Built
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import installed
+from understudy_characters.character import load_character
+from understudy_characters.scene import CharacterScene
+from understudy_humanoid.clips import generated_turn_left, generated_turn_right
+from understudy_motion.mirror import mirrored
+from understudy_sitting.chair import SEAT, Chair, ChairOptions, slabs
+from understudy_sitting.figure import BODIES
+from understudy_sitting.meshes import convex_parts
+
+
+def test_the_figure_has_21_degrees_of_freedom() -> None:
+    model = load_character("sitting.humanoid", installed().registry).model
+    assert (model.nv, model.nu) == (27, 21)
+    assert sum(len(body.hinges) for body in BODIES) == 21
+    assert float(model.body_mass.sum()) == pytest.approx(45.0)
+
+
+def test_left_and_right_mirror_each_other() -> None:
+    character = load_character("sitting.humanoid", installed().registry)
+    left = character.qpos(generated_turn_left(angle=3.1416, seconds=3.2))
+    right = character.qpos(mirrored(generated_turn_right(angle=3.1416, seconds=3.2)))
+    torch.testing.assert_close(left, right, atol=1e-4, rtol=0)
+    legs = {b.name: b for b in BODIES}
+    for name in ("hip", "knee", "ankle", "shoulder", "elbow"):
+        one, other = legs[f"left_{name}"], legs[f"right_{name}"]
+        assert one.offset[1] == -other.offset[1]
+        for a, b in zip(one.hinges, other.hinges, strict=True):
+            expected = a.range if abs(a.axis[1]) == 1.0 else (-a.range[1], -a.range[0])
+            assert b.range == pytest.approx(expected)
+
+
+def test_a_chair_is_as_large_as_its_options_say() -> None:
+    chair = ChairOptions(seat_height=0.5, width=0.6, depth=0.4, back=0.3, arms=0.2)
+    boxes = {slab.name: slab for slab in slabs(chair)}
+    assert len(boxes) == 8
+    tops = {name: slab.centre[2] + slab.half[2] for name, slab in boxes.items()}
+    assert tops[SEAT] == pytest.approx(0.5)
+    assert tops["chair_back"] == pytest.approx(0.8)
+    assert tops["chair_arm_left"] == pytest.approx(0.7)
+    assert 2 * boxes[SEAT].half[0] == pytest.approx(0.4)
+    assert 2 * boxes[SEAT].half[1] == pytest.approx(0.6)
+    legs = [slab for name, slab in boxes.items() if "leg" in name]
+    assert all(slab.centre[2] - slab.half[2] == pytest.approx(0.0) for slab in legs)
+    assert {slab.name for slab in slabs(ChairOptions(back=None, legs=False))} == {SEAT}
+
+
+def test_a_chair_adds_no_mass_and_touches_the_figure_alone(sit: Built) -> None:
+    assert isinstance(sit.scene, CharacterScene)
+    model = sit.scene.spec().compile()
+    assert float(model.body_mass.sum()) == pytest.approx(45.0)
+    meets = {
+        name: bool(
+            model.geom(SEAT).contype[0] & model.geom(name).conaffinity[0]
+            or model.geom(name).contype[0] & model.geom(SEAT).conaffinity[0]
+        )
+        for name in ("root", "left_hip", "right_ankle", "floor", "chair_back")
+    }
+    assert meets == {
+        "root": True, "left_hip": True, "right_ankle": True, "floor": False, "chair_back": False
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb"])
+def test_a_mesh_becomes_the_hulls_of_its_parts(tmp_path: Path, suffix: str) -> None:
+    seat = trimesh.creation.box((40, 40, 5))
+    back = trimesh.creation.box((5, 40, 50))
+    back.apply_translation((-40.0, 0, 30))
+    path = tmp_path / f"chair.{suffix}"
+    trimesh.util.concatenate([seat, back]).export(path)
+    parts = convex_parts(path, scale=0.01)
+    assert len(parts) == 2
+    sizes = sorted(tuple(np.ptp(part, axis=0).round(4)) for part in parts)
+    assert sizes == [(0.05, 0.4, 0.5), (0.4, 0.4, 0.05)]
+    spec = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
+    spec.worldbody.add_body(name="root").add_geom(size=[0.1, 0, 0])
+    Chair(ChairOptions(mesh=str(path), mesh_scale=0.01), installed().registry).add(spec)
+    model = spec.compile()
+    assert model.nmesh == 2
+
+
+def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="There is no mesh"):
+        convex_parts(tmp_path / "nothing.obj")
+    broken = tmp_path / "broken.obj"
+    broken.write_text("v 1 2\nf 1 2 99\n")
+    with pytest.raises(FileError, match=r"broken\.obj"):
+        convex_parts(broken)
+    with pytest.raises(ConfigError, match="seat_height"):
+        load_experiment(["experiment=sitting/sit", "chair.seat_height=0"])
+
+
+def test_by_one_word_the_figure_has_34_degrees_of_freedom() -> None:
+    built = build("experiment=sitting/walk", "scene.character=humanoid", "num_worlds=2")
+    assert built.environment.observation_shapes == {"state": (2 * 28 + 8 + 2,)}
+    built.environment.reset()
+    assert built.environment.step(torch.zeros(2, 28)).rewards.isfinite().all()

@@ -1,0 +1,88 @@
+"""What the skills see: sizes and frames of section 4."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from sitting_tasks import build, follow_clip
+
+from understudy.setup.building import Built
+from understudy_basics import rotations
+from understudy_sitting.state import pitch_yaw_roll
+
+
+def test_sizes_of_section_4(sit: Built) -> None:
+    assert sit.environment.observation_shapes == {"state": (57,)}
+    assert build("experiment=sitting/walk", "num_worlds=1").environment.observation_shapes == {
+        "state": (52,)
+    }
+    turn = build("experiment=sitting/turn_right", "num_worlds=1")
+    assert turn.environment.observation_shapes == {"state": (50,)}
+    assert turn.environment.action_size == 21
+
+
+def test_proprioception_in_order(sit: Built) -> None:
+    environment = sit.environment
+    environment.reset()
+    table = environment.table
+    seen = table["proprioception"][0]
+    torch.testing.assert_close(seen[:21].sort()[0], table["qpos"][0, 7:].sort()[0])
+    torch.testing.assert_close(seen[21:42].sort()[0], table["qvel"][0, 6:].sort()[0])
+    assert float(seen[42]) == pytest.approx(float(table["torso_position"][0, 2]))
+    assert float(seen[42]) == pytest.approx(1.11, abs=0.03)  # standing
+    pitch, yaw, roll = table["torso_angles"][0].tolist()
+    assert seen[46:48].tolist() == pytest.approx([pitch, roll])
+    assert abs(yaw) < 1e-3
+    follow_clip(environment, 10)
+    assert environment.table["proprioception"][0, 48:].tolist() == [1.0, 1.0]  # on both feet
+
+
+def test_pitch_yaw_roll() -> None:
+    angles = torch.tensor([[0.4, 2.0, -0.3], [-1.2, -3.0, 1.0]], dtype=torch.float64)
+    axes = torch.eye(3, dtype=torch.float64)
+    pitch, yaw, roll = (
+        rotations.from_axis_angle(axes[a], angles[:, k]) for k, a in ((0, 1), (1, 2), (2, 0))
+    )
+    turned = rotations.multiply(yaw, rotations.multiply(pitch, roll))
+    torch.testing.assert_close(pitch_yaw_roll(turned), angles)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_the_chair_as_the_figure_sees_it(sit: Built, heading: float) -> None:
+    """Whoever faces the chair from 1 m ahead of its seat sees it 1 m ahead, turned by half a turn."""
+    environment = sit.environment
+    environment.reset()
+    state = {
+        name: environment.table[name].clone()
+        for name in ("qpos", "qvel", "mocap_pos/chair", "mocap_quat/chair")
+    }
+    angle = torch.full((4,), heading)
+    state["qpos"][:, :2] = torch.stack([angle.cos(), angle.sin()], dim=1)
+    state["qpos"][:, 3:7] = rotations.from_heading(angle + math.pi - 0.001)
+    state["mocap_pos/chair"][:] = 0.0
+    state["mocap_quat/chair"][:] = rotations.from_heading(angle)
+    everywhere = torch.ones(4, dtype=torch.bool)
+    environment.parts.simulator.set_state(everywhere, state)
+    environment.refresh()
+    seen = environment.table["chair_state"][0]
+    height = 0.45 - float(state["qpos"][0, 2])
+    assert seen[:3].tolist() == pytest.approx([1.0, 0.001, height], abs=2e-2)
+    assert seen[3:].abs().tolist() == pytest.approx([0, 0, 0, 1], abs=2e-2)
+    assert float(environment.table["seat_distance"][0]) == pytest.approx(
+        math.hypot(1.0, height), abs=1e-3
+    )
+
+
+def test_the_pelvis_is_felt_on_the_seat(sit: Built) -> None:
+    sit.environment.reset()
+    follow_clip(sit.environment, 20)
+    assert not sit.environment.table["seated"].any()
+    environment = build("experiment=sitting/sit", "num_worlds=2", "initial_states.span=[1,1]")
+    environment = environment.environment
+    environment.reset()
+    follow_clip(environment, 30)
+    assert environment.table["seated"].all()
+    assert float(environment.table["seat_distance"].max()) < 0.2
+    assert float(environment.table["seated_seconds"].min()) == pytest.approx(0.5, abs=0.1)

@@ -1,0 +1,165 @@
+"""Targets, initial states, baselines and the chain of trainings."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from sitting_tasks import build
+
+from understudy.errors import ConfigError
+from understudy.random import WorldStreams
+from understudy.running.trials import Report, Trial
+from understudy.setup.composition import load_experiment
+from understudy.task import Context
+from understudy_basics import bank, rotations
+from understudy_sitting.chain import Chain
+from understudy_sitting.initial_states import PLACE, TURN
+from understudy_sitting.targets import TargetAhead, TargetByChair
+
+
+def test_targets_are_drawn_in_front_and_drawn_again() -> None:
+    context = Context(0, torch.device("cpu"), 512, 1 / 60, 4)
+    memory = TargetAhead(TargetAhead.Options(), context)
+    position, yaw = torch.rand(512, 3), torch.full((512,), 2.0)
+    streams = WorldStreams(0, "targets", 512, "cpu")
+    kept = memory.begin(streams.uniform(2), torso_position=position, torso_yaw=yaw)
+    away = kept["target"] - position[:, :2]
+    off = torch.atan2(away[:, 1], away[:, 0]) - 2.0
+    off = torch.remainder(off + math.pi, 2 * math.pi) - math.pi
+    assert 55 < math.degrees(float(off.abs().max())) <= 60.001
+    distance = away.norm(dim=1)
+    assert 1.5 <= float(distance.min()) < float(distance.max()) <= 4.0
+    first = kept["target"].clone()
+    for _ in range(149):
+        kept = memory.advance(kept, streams.uniform(2), position, yaw)
+    torch.testing.assert_close(kept["target"], first)
+    kept = memory.advance(kept, streams.uniform(2), position, yaw)  # 2.5 s
+    assert (kept["target"] != first).any(dim=1).all()
+    position[:, :2] = kept["target"] - 0.2  # 0.28 m away
+    reached = memory.advance(kept, streams.uniform(2), position, yaw)
+    assert (reached["target"] != kept["target"]).any(dim=1).all()
+
+
+def test_a_target_by_the_chair_is_in_its_frame() -> None:
+    field = TargetByChair(None, Context(0, torch.device("cpu"), 1, 1 / 60, 4))
+    found = field.compute(
+        goal=torch.tensor([[1.0, 0.5]]),
+        chair_position=torch.tensor([[3.0, 2.0, 0.0]]),
+        chair_rotation=rotations.from_heading(torch.tensor([math.pi / 2])),
+    )
+    assert found["target"][0].tolist() == pytest.approx([2.5, 3.0])
+
+
+@pytest.fixture(scope="module")
+def states(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bank of standing poses here and there."""
+    built = build("experiment=sitting/turn_left", "num_worlds=6", "initial_states.span=[0,0]")
+    built.environment.reset()
+    table = built.environment.table
+    qpos, qvel = table["qpos"].clone(), table["qvel"].clone()
+    angle = torch.linspace(-3, 3, 6)
+    qpos[:, :2] = torch.stack([angle, 2 * angle], dim=1)
+    qpos[:, 3:7] = rotations.multiply(rotations.from_heading(angle), qpos[:, 3:7])
+    qvel[:, 0], qvel[:, 1] = angle.cos(), angle.sin()  # ahead, 1 m/s
+    path = tmp_path_factory.mktemp("banks") / "bank"
+    bank.save(path, {"qpos": qpos, "qvel": qvel}, {"run": "standing"})
+    return path
+
+
+def test_the_second_stage_begins_where_others_ended(states: Path) -> None:
+    """Whatever their place and heading were, they are moved to where the clip begins, and the chair
+    stands where the clip sits down."""
+    overrides = [f"initial_states.banks=['{states}']", "initial_states.share=1.0", "start.run=x"]
+    built = build("experiment=sitting/sit_tuned", "num_worlds=32", *overrides)
+    environment = built.environment
+    environment.reset()
+    table = environment.table
+    assert float(rotations.heading(table["qpos"][:, 3:7]).abs().max()) < 1e-3
+    assert float((table["qpos"][:, :2] - table["reference_qpos"][:, :2]).abs().max()) < 1e-4
+    torch.testing.assert_close(table["qvel"][:, :2], torch.tensor([[1.0, 0.0]]).expand(32, 2))
+    chair = table["chair_position"]
+    assert float(chair[:, 0].max()) < -0.3  # behind
+    assert 0.01 < float(chair[:, :2].std(dim=0).max()) < 0.05  # more or less
+    assert math.radians(15) >= float(rotations.heading(table["chair_rotation"]).abs().max()) > 0.05
+
+
+def test_a_bank_of_another_figure_is_refused(tmp_path: Path) -> None:
+    bank.save(tmp_path / "bank", {"qpos": torch.zeros(3, 43), "qvel": torch.zeros(3, 34)}, {})
+    with pytest.raises(ConfigError, match=r"'qpos' is \(43,\) there and \(28,\) here"):
+        build(
+            "experiment=sitting/turn_left_tuned", "num_worlds=2", "start.run=x",
+            f"initial_states.banks=['{tmp_path / 'bank'}']",
+        )  # fmt: skip
+
+
+def test_zones_of_figure_4() -> None:
+    built = build(
+        "experiment=sitting/sit", "num_worlds=512", "initial_states=sitting/around_chair",
+        "++motion={name: walk, parameters: {}}", "~fields.reference", "~fields.reference_body",
+        "~reward.terms.pose", "~reward.terms.velocity", "~measure.pose",
+        "actuation=joint_targets",
+    )  # fmt: skip
+    states = built.environment.parts.initial_states
+    streams = WorldStreams(3, "zones", 512, "cpu")
+    for difficulty, zones in ((0.0, {1.0}), (0.5, {1.0, 2.0}), (1.0, {1.0, 2.0, 3.0})):
+        drawn = states.sample(streams, difficulty=torch.full((512,), difficulty))
+        assert set(drawn["zone"].tolist()) == zones
+        share = float((drawn["zone"] == max(zones)).float().mean())
+        assert share == pytest.approx(0.5 + 0.5 / len(zones), abs=0.08)
+        place = drawn["qpos"][:, :2]
+        assert 1.8 <= float(place.norm(dim=1).min()) < float(place.norm(dim=1).max()) <= 2.2
+        angle = torch.atan2(place[:, 1], place[:, 0]).rad2deg()
+        for zone, low, high in ((1.0, 0, 90), (2.0, 90, 135), (3.0, 135, 180)):
+            here = angle[drawn["zone"] == zone].abs()
+            assert not len(here) or low <= float(here.min()) < float(here.max()) <= high
+        assert ((angle > 0) == (drawn["side"] > 0)).all()
+        facing = rotations.heading(drawn["qpos"][:, 3:7])
+        off = torch.remainder(
+            facing - torch.atan2(-place[:, 1], -place[:, 0]) + math.pi, 2 * math.pi
+        )
+        assert float((off - math.pi).abs().max().rad2deg()) < 32
+        assert not drawn[PLACE].any()
+        assert float(rotations.heading(drawn[TURN]).abs().max()) == 0.0
+
+
+def test_a_chain_trains_what_others_build_on_first() -> None:
+    stages = {"a": ("x=1",), "b": ("x=2",), "c": ("run='{a}'", "runs=['{a}','{b}']")}
+    chain = Chain(Chain.Options(stages), seed=0)
+    first, second = chain.ask(0), chain.ask(1)
+    assert first is not None
+    assert (first, second) == (Trial("a", ("x=1",), variant="a"), Trial("b", ("x=2",), variant="b"))
+    assert chain.ask(2) is None
+    chain.tell(Report("a", "ok", run="runs/a"))
+    assert chain.ask(2) is None
+    chain.tell(Report("b", "ok", run="runs/b"))
+    third = chain.ask(2)
+    assert third is not None
+    assert third.overrides == ("run='runs/a'", "runs=['runs/a','runs/b']")
+    assert chain.ask(3) is None
+    again = Chain(Chain.Options(stages), seed=0)  # replayed after a kill
+    assert again.recall(first)
+    again.tell(Report("a", "failed: no reason", run="runs/a"))
+    assert again.recall(Trial("b", ("x=2",), variant="b"))
+    again.tell(Report("b", "ok", run="runs/b"))
+    assert again.ask(2) is None  # nothing to build on
+    with pytest.raises(ConfigError, match="had other overrides"):
+        Chain(Chain.Options({"a": ("x=3",)}), seed=0).recall(first)
+
+
+def test_a_chain_names_only_stages_before() -> None:
+    with pytest.raises(ValueError, match="'walk', which is no stage before it"):
+        Chain.Options({"sit": ("start.run={walk}",), "walk": ("x=1",)})
+
+
+def test_the_whole_chain_composes() -> None:
+    """Each stage of search=sitting/all is an experiment, whatever folders take the names' places."""
+    (chosen,) = load_experiment(["search=sitting/all"]).choices["outer_loop"]
+    stages = dict(chosen.options.stages)
+    assert list(stages)[-1] == "meta"
+    assert len(stages) == 11
+    for name in ("walk_ends", "sit_tuned", "meta"):
+        overrides = [o.replace("{", "").replace("}", "") for o in stages[name]]
+        load_experiment(["search=sitting/all", *overrides, "outer_loop=null", "executor=null"])

@@ -1,0 +1,95 @@
+"""Living space: scenes of boxes, aligned with the chair."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sitting_tasks import build
+
+from understudy.errors import FileError
+from understudy_sitting.room import EXAMPLE, Box, Room, around, chair_sizes, read_scene
+
+CHAIR = {
+    "label": "chair",
+    "centre": [2.0, 1.0, 0.5],
+    "size": [0.5, 0.6, 1.0],
+    "heading": math.pi / 2,
+}
+TABLE = {"label": "table", "centre": [2.0, 2.5, 0.4], "size": [1.0, 0.5, 0.8], "heading": 0.0}
+
+
+def scene(folder: Path, **changes: Any) -> Path:
+    camera = {"position": [2.0, 4.0, 1.5], "look_at": [2.0, 1.0, 0.5], "fov": 60, "size": [64, 48]}
+    path = folder / "room.json"
+    path.write_text(json.dumps({"camera": camera, "objects": [CHAIR, TABLE], **changes}))
+    return path
+
+
+def test_the_chair_becomes_the_origin(tmp_path: Path) -> None:
+    """The chair faces +y, where the table stands 1.5 m away: in its frame that is ahead, along x."""
+    boxes, camera = around(read_scene(scene(tmp_path)), 0)
+    (table,) = boxes
+    assert table.centre == pytest.approx((1.5, 0.0, 0.4))
+    assert table.heading == pytest.approx(-math.pi / 2)
+    assert camera.position == pytest.approx([3.0, 0.0, 1.5])
+    ahead = camera.rotation[:, 2]
+    assert ahead == pytest.approx(np.array([-3.0, 0.0, -1.0]) / math.sqrt(10))
+    assert np.linalg.det(camera.rotation) == pytest.approx(1.0)
+    assert camera.focal[1] == pytest.approx(24 / math.tan(math.radians(30)))
+
+
+def test_a_detectors_camera_is_taken_as_it_is(tmp_path: Path) -> None:
+    turn = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # looks along +y
+    camera = {
+        "position": [0, 0, 1],
+        "rotation": turn,
+        "intrinsics": [[50, 0, 32], [0, 55, 24], [0, 0, 1]],
+    }
+    found = read_scene(scene(tmp_path, camera={**camera, "size": [64, 48]})).camera
+    assert (found.focal, found.centre) == ((50, 55), (32, 24))
+    bent = [[1, 0, 0], [0, 0, 1], [0, -1, 0.5]]
+    with pytest.raises(FileError, match="rotation is no rotation"):
+        read_scene(scene(tmp_path, camera={**camera, "rotation": bent}))
+
+
+def test_a_chairs_box_says_how_large_it_is() -> None:
+    sizes = chair_sizes(Box("chair", (0, 0, 0.45), (0.44, 0.5, 0.9), 0.0))
+    assert sizes == {"seat_height": 0.45, "width": 0.5, "depth": 0.44, "back": 0.45}
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"objects": []}, "0 objects"),
+        ({"objects": [TABLE]}, "no object with the label chair"),
+        ({"objects": [{**CHAIR, "size": [1, 1]}]}, "is not 3 numbers"),
+        ({"objects": [{**CHAIR, "size": [1, 1, -1]}]}, "is not positive"),
+        ({"objects": [{**CHAIR, "centre": [0, 0, math.nan]}]}, "is not 3 numbers"),
+        ({"camera": {"look_at": [0, 0, 0]}}, "position is missing"),
+        ({"camera": {"position": [0, 0, 1], "look_at": [1, 0, 1], "fov": 50, "photo": "../x.png"}},
+         "not in the scene's folder"),
+    ],
+)  # fmt: skip
+def test_what_is_no_scene_is_refused(tmp_path: Path, changes: dict[str, Any], why: str) -> None:
+    with pytest.raises(FileError, match=why):
+        read_scene(scene(tmp_path, **changes))
+
+
+def test_the_example_room_is_in_the_way() -> None:
+    """Its furniture collides with the figure, and the chair stands free."""
+    built = build("experiment=sitting/sit", "num_worlds=2", "+room={}")
+    room = built.context.need_section("room", Room, "the test")
+    assert len(room.boxes) == len(read_scene(EXAMPLE).boxes) - 1
+    model = built.environment.parts.simulator.model  # type: ignore[attr-defined]
+    geom = model.geom("room_0")
+    assert geom.conaffinity[0] & model.geom("root").contype[0]
+    for box in room.boxes:
+        away = math.hypot(box.centre[0], box.centre[1]) - 0.5 * math.hypot(*box.size[:2])
+        assert away > 0.4 or box.label == "wall"
+    built.environment.reset()
+    assert built.environment.step(built.environment.action).rewards.isfinite().all()
