@@ -62,12 +62,12 @@ class PoseVAE(nn.Module):
     def loss(self, x: Tensor, noise: Tensor, beta: float) -> tuple[Tensor, Tensor]:
         """L_MSE(x, x') + β KL(N(μ_x, Σ_x), N(0, I)) (eq. 4.2), and the first of the two.
 
-        The error is a mean over all numbers of the batch and the divergence a sum over it, as in the
-        authors' release: only so are both "within the same order of magnitude" at β = 1e-5.
+        The error is a mean over numbers and poses, the divergence a sum over codes and a mean over poses.
+        (The authors' release sums it over the batch too, which is a β of 1.28e-3 here.)
         """
         mean, log_variance = self.encode(x)
         error = (self.decoder(mean + (0.5 * log_variance).exp() * noise) - x).square().mean()
-        divergence = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum()
+        divergence = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(1).mean()
         return error + beta * divergence, error
 
     @torch.no_grad()
