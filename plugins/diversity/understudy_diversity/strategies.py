@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
@@ -49,7 +49,9 @@ class GalleryOptions:
     #: Number of the recorded field ``track`` that is greatest at the peak; null is mid-way.
     track: str | None = None
     index: int = 0
-    names: Mapping[str, str] = field(default_factory=dict)  #: of parameters and features, for people
+    names: Mapping[str, str] = field(
+        default_factory=dict
+    )  #: of parameters and features, for people
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,19 @@ class DiversityOptions:
         check_range(self, "distinct", above=0)
         check_range(self, "trials", "initial", least=1)
         check_range(self, "success", least=0, most=1)
+
+
+class Told(Protocol):
+    """What it takes to tell strategies apart."""
+
+    @property
+    def features(self) -> Mapping[str, Feature]: ...
+    @property
+    def distinct(self) -> float: ...
+    @property
+    def metric(self) -> Metric: ...
+    @property
+    def success(self) -> float: ...
 
 
 def check_features(features: Mapping[str, Feature], metric: Metric) -> None:
@@ -172,7 +187,7 @@ class Strategies:
         return rows
 
 
-def feature_of(report: Report, options: DiversityOptions) -> tuple[float, ...] | None:
+def feature_of(report: Report, options: Told) -> tuple[float, ...] | None:
     """The feature that a trial showed, or None.
 
     Raises
@@ -191,7 +206,7 @@ def feature_of(report: Report, options: DiversityOptions) -> tuple[float, ...] |
     return shown if succeeded and all(map(math.isfinite, shown)) else None
 
 
-def kinds(found: Sequence[tuple[Trial, Report]], options: DiversityOptions) -> list[Strategy]:
+def kinds(found: Sequence[tuple[Trial, Report]], options: Told) -> list[Strategy]:
     """The finished trials `found` as strategies, those that are alike of one kind."""
     strategies = [
         Strategy(trial, report, feature_of(report, options) if report.status == "ok" else None)

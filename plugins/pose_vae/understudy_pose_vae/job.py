@@ -86,7 +86,9 @@ class LearnPoses(Job):
         #: Folders of clips, clip files, names of generated clips, or names in $UNDERSTUDY_DATA/motions.
         clips: tuple[str, ...]
         character: str = "humanoid"  #: whose joints and lengths the poses have
-        mirror: bool = True  #: learn mirror images too; with them the authors' clips are 20 230 poses
+        mirror: bool = (
+            True  #: learn mirror images too; with them the authors' clips are 20 230 poses
+        )
         held_out: float = 0.1  #: share of the clips that only evaluations see
         latent: int | None = 13  #: L; null takes as many as principal components cover ``coverage``
         coverage: float = 0.85  #: of the variance

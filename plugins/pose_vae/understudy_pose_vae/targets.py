@@ -83,7 +83,9 @@ class ServoTargets:
 def _group(joints: Sequence[Joint], rows: Sequence[int], device: torch.device) -> _Group:
     count = len(joints[0].axes)
     axes = torch.tensor([joint.axes.tolist() for joint in joints]).reshape(len(joints), count, 3)
-    ranges = torch.tensor([joint.ranges.tolist() for joint in joints]).reshape(len(joints), count, 2)
+    ranges = torch.tensor([joint.ranges.tolist() for joint in joints]).reshape(
+        len(joints), count, 2
+    )
     middle = ranges.mean(-1)
     return _Group(
         torch.tensor(rows, device=device),
@@ -116,7 +118,9 @@ def _two(turned: Tensor, first: Tensor, second: Tensor) -> Tensor:
     moved = rotations.rotate(turned, second)
     level = moved - (moved * first).sum(-1, keepdim=True) * first
     across = torch.linalg.cross(first, second)
-    angle = torch.atan2((level * across).sum(-1), (level * (second - along[:, None] * first)).sum(-1))
+    angle = torch.atan2(
+        (level * across).sum(-1), (level * (second - along[:, None] * first)).sum(-1)
+    )
     undone = rotations.multiply(rotations.from_axis_angle(first, -angle), turned)
     return torch.stack([angle, rotations.twist_angle(undone, second)], dim=-1)
 

@@ -51,7 +51,9 @@ class PoseDistance:
         try:
             found = np.load(runs_file(options.run), allow_pickle=False)
         except (OSError, ValueError) as error:
-            raise RunError(f"{options.run} has no poses to compare with; finish it first.") from error
+            raise RunError(
+                f"{options.run} has no poses to compare with; finish it first."
+            ) from error
         own = [trained.joints.index(name) for name in shared]
         poses = rotations.normalize(torch.from_numpy(found[:, own].astype(np.float32)))
         self._poses = poses.to(context.device)
