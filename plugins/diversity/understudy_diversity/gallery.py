@@ -193,7 +193,7 @@ def _film(take: Take) -> str:
     film = base64.b64encode(take.film.read_bytes()).decode()
     still = base64.b64encode(take.still.read_bytes()).decode() if take.still else ""
     return (
-        '<div class="film"><video autoplay muted loop playsinline controls '
+        '<div class="film"><video autoplay muted loop playsinline '
         f'poster="data:image/png;base64,{still}" src="data:video/mp4;base64,{film}"></video></div>'
     )
 

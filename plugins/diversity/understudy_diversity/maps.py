@@ -29,7 +29,7 @@ from understudy_report import words
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#a6761d",
             "#1b9e9e", "#b2182b")  # fmt: skip
 #: Cells of a map along each side, and points over which what is not shown is averaged.
-_CELLS, _OTHERS = 48, 24
+_CELLS, _OTHERS = 40, 16
 
 Value = Callable[[Strategy, GalleryOptions], float | None]
 Options = DiversityOptions | NovelPolicies.Options
@@ -162,8 +162,9 @@ def parameters(strategies: Sequence[Strategy], options: Options, seed: int) -> s
         v, u = torch.meshgrid(along.flip(0), along, indexing="ij")
         x[:, b] = v.reshape(-1).repeat_interleave(_OTHERS)
         x[:, a] = u.reshape(-1).repeat_interleave(_OTHERS)
-        with torch.no_grad():
-            mean, deviation = model.posterior(x)
+        with torch.no_grad():  # a posterior is of all its points together: not of too many
+            parts = [model.posterior(part) for part in x.split(512)]
+        mean, deviation = (torch.cat(both) for both in zip(*parts, strict=True))
         mean = mean.view(_CELLS * _CELLS, _OTHERS, -1).mean(1)
         unsure = deviation.norm(dim=-1).view(-1, _OTHERS).mean(1).numpy()
         nearest = distances(mean, found, options.metric).argmin(-1).numpy()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from understudy_diversity.strategies import (
     Feature,
     GalleryOptions,
     Metric,
-    Strategies,
     Strategy,
     check_features,
     feature_of,

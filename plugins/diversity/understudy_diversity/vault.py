@@ -251,8 +251,8 @@ _LOOKS = ((_BODY, 0.1), (_SKIN, 0.11), ((40, 60, 90), 0.085), ((40, 60, 90), 0.0
 
 def _picture(limbs: np.ndarray, bar: float, width: int, height: int) -> np.ndarray:
     """(height, width, 3) uint8: the limbs (6, 2, 2) from the side, the bar and the mat."""
-    metre = min(width / 4.6, height / 2.75)  # in pixels
-    x = (np.arange(width) - 0.46 * width) / metre
+    metre = min(width / 3.9, height / 2.75)  # in pixels
+    x = (np.arange(width) - 0.42 * width) / metre
     z = (0.94 * height - np.arange(height)[:, None]) / metre
     frame = np.empty((height, width, 3), np.float32)
     frame[:] = _PAPER
