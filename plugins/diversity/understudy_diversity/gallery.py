@@ -67,7 +67,7 @@ class Gallery(SweepPage):
         content = "".join(
             [
                 f'<p class="headline">{escape(_headline(exhibits, strategies, known, options))}</p>',
-                _wall(exhibits, options),
+                _wall(exhibits, options, _ranges(strategies, options)),
                 _peaks(exhibits, options.gallery),
                 _section(
                     "Where strategies are",
@@ -157,13 +157,15 @@ def _chip(kind: int) -> str:
     return f'<span class="chip" style="--kind:{maps.colour(kind)}">{kind + 1}</span>'
 
 
-def _wall(exhibits: Sequence[Exhibit], options: Options) -> str:
+def _wall(
+    exhibits: Sequence[Exhibit], options: Options, ranges: Mapping[str, tuple[float, float]]
+) -> str:
     if not exhibits:
         return '<p class="failed">No trial succeeded often enough to show a strategy.</p>'
-    return f'<div class="wall">{"".join(_card(e, options) for e in exhibits)}</div>'
+    return f'<div class="wall">{"".join(_card(e, options, ranges) for e in exhibits)}</div>'
 
 
-def _card(exhibit: Exhibit, options: Options) -> str:
+def _card(exhibit: Exhibit, options: Options, ranges: Mapping[str, tuple[float, float]]) -> str:
     shown, best = options.gallery, exhibit.best
     badge = '<span class="badge">new</span>' if exhibit.novel else ""
     also = ", ".join(s.trial.key for s in exhibit.repeats)
@@ -173,7 +175,7 @@ def _card(exhibit: Exhibit, options: Options) -> str:
         for name, value in zip(options.features, best.feature or (), strict=False)
     )
     bars = "".join(
-        _slider(name_of(name, shown), value, *_range(name, value, options))
+        _slider(name_of(name, shown), value, *ranges[name])
         for name, value in best.trial.point.items()
     )
     caption = f"<small>{escape(shown.best_name)}</small>" if shown.best_name else ""
@@ -198,11 +200,15 @@ def _film(take: Take) -> str:
     )
 
 
-def _range(name: str, value: float, options: Options) -> tuple[float, float]:
-    if isinstance(options, DiversityOptions) and name in options.parameters:
-        parameter = options.parameters[name]
-        return parameter.low, parameter.high
-    return min(0.0, value), max(0.0, value)
+def _ranges(strategies: Sequence[Strategy], options: Options) -> dict[str, tuple[float, float]]:
+    """By parameter: the range that was searched, else the one that was seen."""
+    if isinstance(options, DiversityOptions):
+        return {name: (p.low, p.high) for name, p in options.parameters.items()}
+    seen: dict[str, list[float]] = {}
+    for strategy in strategies:
+        for name, value in strategy.trial.point.items():
+            seen.setdefault(name, []).append(value)
+    return {name: (min(values), max(values)) for name, values in seen.items()}
 
 
 def _slider(name: str, value: float, low: float, high: float) -> str:

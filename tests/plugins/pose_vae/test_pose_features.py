@@ -134,7 +134,7 @@ def test_on_the_humanoid_targets_are_those_of_the_clip(humanoid: Character) -> N
 
 
 def test_a_joint_without_a_pose_is_one_sentence(humanoid: Character) -> None:
+    names = [n for n in humanoid.joint_names[1:] if n != "neck"]
     with pytest.raises(ConfigError, match="RUN makes poses without a joint 'neck'") as error:
-        names = [n for n in humanoid.joint_names[1:] if n != "neck"]
         ServoTargets(humanoid, names, "RUN", CPU)
     assert "\n" not in str(error.value)
