@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.optimize import Bounds, direct
+from scipy.optimize import direct
 from torch import Tensor
 
 from understudy import random
@@ -51,7 +51,7 @@ def by_direct(function: Acquisition, d: int) -> Tensor:
         with torch.no_grad():
             return -float(function(torch.from_numpy(u).reshape(1, d)))
 
-    bounds = Bounds(np.zeros(d), np.ones(d))
+    bounds = [(0.0, 1.0)] * d
     return torch.from_numpy(direct(loss, bounds, maxfun=LOOKS, vol_tol=0.0, len_tol=1e-3).x)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 
 from understudy import random
@@ -51,15 +52,14 @@ class MapElites(OuterLoop):
         elites = self._archive(d)
         if number < options.initial or elites.empty:
             return book.ask(number, draws.uniform(self._seed, number, d))
-        seed = random.derive_seed(self._seed, f"diversity/elites/{number}")
-        elites_seed = seed % 2**32
+        seed = random.derive_seed(self._seed, f"diversity/elites/{number}") % 2**32
         emitter = GaussianEmitter(
             elites,
             sigma=options.step,
             x0=[0.5] * d,
             bounds=[(0.0, 1.0)] * d,
             batch_size=1,
-            seed=elites_seed,
+            seed=seed,
         )
         return book.ask(number, emitter.ask()[0].tolist())
 
@@ -72,7 +72,7 @@ class MapElites(OuterLoop):
         if shown:
             x, _ = self.strategies.book.places([s.trial for s in shown])
             worth = torch.tensor([s.report.objective or 0.0 for s in shown])
-            archive.add(x.numpy(), worth.numpy(), [s.feature for s in shown])
+            archive.add(x.numpy(), worth.numpy(), np.array([s.feature for s in shown]))
         return archive
 
     def recall(self, trial: Trial) -> bool:

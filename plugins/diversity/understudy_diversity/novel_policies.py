@@ -37,7 +37,7 @@ class NovelPolicies(OuterLoop):
         search: str  #: folder of the finished search
         features: dict[str, Feature]  #: by measure; may be others than the earlier search's
         distinct: float
-        field: str  #: the field that holds the feature at the end of an episode
+        feature_field: str  #: the field that holds the feature at the end of an episode
         rounds: int = 5
         threshold: float = 1.5707963  #: d_threshold
         metric: Metric = "euclidean"
@@ -77,7 +77,7 @@ class NovelPolicies(OuterLoop):
         found = [list(s.feature) for s in self.strategies() if s.feature is not None]
         options = self._options
         novelty = (
-            f"{{name:diversity.novelty,reads:{{feature:{options.field}}},found:{json.dumps(found)},"
+            f"{{name:diversity.novelty,reads:{{feature:{options.feature_field}}},found:{json.dumps(found)},"
             f"threshold:{options.threshold!r},metric:{options.metric}}}"
         )
         trial = Trial(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -29,9 +30,12 @@ def save(
     about: Mapping[str, np.ndarray],
 ) -> None:
     """Write the places of the `poses`, each (F, J, 4), the figure's bones and `about` as plain arrays."""
-    arrays = {f"places/{name}": features.places(pose).numpy() for name, pose in poses.items()}
+    arrays: dict[str, Any] = {
+        f"places/{name}": features.places(pose).numpy() for name, pose in poses.items()
+    }
     file = io.BytesIO()
-    np.savez(file, bones=np.array(_bones(features)), **arrays, **about)
+    arrays |= {"bones": np.array(_bones(features)), **about}
+    np.savez(file, **arrays)
     write_atomically(path, file.getvalue())
 
 

@@ -265,7 +265,7 @@ def searched(tmp_path: Path) -> Path:
 def novel(folder: Path, **options: Any) -> NovelPolicies:
     given = {
         "search": str(folder),
-        "field": "pose",
+        "feature_field": "pose",
         "rounds": 2,
         "features": OPTIONS["features"],
         "distinct": 0.2,
