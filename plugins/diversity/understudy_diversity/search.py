@@ -12,8 +12,9 @@ from understudy import random
 from understudy.options import check_range
 from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes import draws
+from understudy_bayes.acquisition import Acquisition
 from understudy_diversity.acquisition import by_direct, by_gradient, expected_novelty, uncertainty
-from understudy_diversity.strategies import DiversityOptions, Strategies
+from understudy_diversity.strategies import DiversityOptions, Feature, Strategies
 from understudy_diversity.surrogate import Surrogate
 
 
@@ -58,7 +59,8 @@ class DiversitySearch(OuterLoop):
         if t % (options.explore + options.exploit) < options.explore:
             return by_gradient(uncertainty(model), d, self._seed, number).tolist()
         novelty = expected_novelty(model, found, options.metric, self._seed, number)
-        return by_direct(novelty, d).tolist()
+        succeeds = chance(self.strategies, self._seed, number)
+        return by_direct(lambda x: novelty(x) * succeeds(x), d).tolist()
 
     def recall(self, trial: Trial) -> bool:
         return self.strategies.book.recall(trial)
@@ -89,6 +91,19 @@ def model_of(strategies: Strategies, seed: int, number: int) -> tuple[Surrogate,
     if others:
         f = torch.cat([f, model.believe(strategies.book.places(others)[0])])
     return model, f
+
+
+def chance(strategies: Strategies, seed: int, number: int) -> Acquisition:
+    """How likely trials are to show a strategy: a Gaussian process of whether those so far did, within
+    [0, 1]; 1 everywhere as long as all did."""
+    finished = strategies.finished()
+    if all(s.feature is not None for s in finished):
+        return lambda x: torch.ones(len(x), dtype=x.dtype)
+    x, _ = strategies.book.places([s.trial for s in finished])
+    shown = torch.tensor([[float(s.feature is not None)] for s in finished], dtype=torch.float64)
+    fit = random.derive_seed(seed, f"diversity/chance/{number}")
+    model = Surrogate(x, shown, [Feature(0.0, 1.0)], fit)
+    return lambda x: model.posterior(x)[0][:, 0].clamp(0.0, 1.0)
 
 
 class RandomDiversity(OuterLoop):

@@ -20,7 +20,7 @@ SAMPLES, PAIRS, STEPS = 40, 10, 5
 
 #: From the right front and a little above: pictures' axes right, up and towards whoever looks.
 _TURN, _TILT = np.deg2rad(-55.0), np.deg2rad(12.0)
-_PIXELS = 74.0  #: for a metre
+_PIXELS = 84.0  #: for a metre
 
 
 def save(
