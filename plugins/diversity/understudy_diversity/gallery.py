@@ -237,7 +237,7 @@ def _peaks(exhibits: Sequence[Exhibit], options: GalleryOptions) -> str:
             f'<div class="peak" style="--kind:{maps.colour(exhibit.kind)}">{views}'
             f"<p>{_chip(exhibit.kind)} {escape(_value(exhibit.value, options))}</p></div>"
         )
-    note = "<p>The moment at the peak, and its pose seen from below and from above; the best first.</p>"
+    note = "<p>The moment at the peak, and the pose there seen from below and from above; the best first.</p>"
     return _section("Peak poses", f'<div class="card peaks">{"".join(cells)}</div>{note}')
 
 

@@ -40,9 +40,9 @@ def take_of(run: Path, folder: Path, name: str, options: GalleryOptions) -> Take
     except (OSError, ValueError, KeyError):
         return Take(None, None, None, "Nothing was recorded of it.")
     tracks = {k: v[:length] for k, v in tracks.items()}
-    film, still = folder / f"{name}.mp4", folder / f"{name}.png"
     try:
         peak = peak_of(tracks, options)
+        film, still = folder / f"{name}.mp4", folder / f"{name}-{peak}.png"
         scene = scene_of(run)
         outlines, _ = scene.outlines({k: v[peak : peak + 1] for k, v in tracks.items()})
         outline = None if outlines is None else outlines[0]
@@ -89,7 +89,8 @@ def peak_of(tracks: dict[str, np.ndarray], options: GalleryOptions) -> int:
     values = tracks[options.track].reshape(length, -1)
     if options.index >= values.shape[1]:
         raise LookupError(f"gallery.index={options.index}: {options.track} has no such number.")
-    return int(values[:, options.index].argmax())
+    chosen = values[:, options.index]
+    return int(chosen.argmax() if options.at is None else np.abs(chosen - options.at).argmin())
 
 
 def figure(outline: np.ndarray | None, elevation: float) -> str:

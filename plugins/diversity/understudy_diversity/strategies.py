@@ -46,9 +46,11 @@ class GalleryOptions:
     best_name: str = ""
     unit: str = ""
     scale: float = 1.0  #: from the measure's unit to ``unit``
-    #: Number of the recorded field ``track`` that is greatest at the peak; null is mid-way.
+    #: Number of the recorded field ``track`` that is greatest at the peak, or nearest to ``at``; null is
+    #: mid-way.
     track: str | None = None
     index: int = 0
+    at: float | None = None
     names: Mapping[str, str] = field(
         default_factory=dict
     )  #: of parameters and features, for people
