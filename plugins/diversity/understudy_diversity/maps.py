@@ -162,9 +162,7 @@ def parameters(strategies: Sequence[Strategy], options: Options, seed: int) -> s
         v, u = torch.meshgrid(along.flip(0), along, indexing="ij")
         x[:, b] = v.reshape(-1).repeat_interleave(_OTHERS)
         x[:, a] = u.reshape(-1).repeat_interleave(_OTHERS)
-        with torch.no_grad():  # a posterior is of all its points together: not of too many
-            parts = [model.posterior(part) for part in x.split(512)]
-        mean, deviation = (torch.cat(both) for both in zip(*parts, strict=True))
+        mean, deviation = model.posterior(x)
         mean = mean.view(_CELLS * _CELLS, _OTHERS, -1).mean(1)
         unsure = deviation.norm(dim=-1).view(-1, _OTHERS).mean(1).numpy()
         nearest = distances(mean, found, options.metric).argmin(-1).numpy()

@@ -195,6 +195,32 @@ def test_the_surrogate_knows_what_it_was_told_and_doubts_the_rest(model: Surroga
     assert deviation[1] > 2 * deviation[0]
 
 
+@pytest.mark.parametrize("features", [1, 3])
+def test_its_posterior_is_the_librarys(features: int) -> None:
+    stream = torch.Generator().manual_seed(features)
+    x = torch.rand(9, 2, dtype=torch.float64, generator=stream)
+    f = torch.randn(9, features, dtype=torch.float64, generator=stream)
+    model = Surrogate(x, f, [Feature(-1.0, 1.0)] * features, seed=0)
+    at = torch.rand(20, 2, dtype=torch.float64, generator=stream)
+    model.model.eval()
+    with torch.no_grad():
+        expected = model.model.posterior(at)
+        mean, deviation = model.posterior(at)
+    assert torch.allclose(mean, expected.mean, atol=1e-5)
+    assert torch.allclose(deviation, expected.variance.sqrt(), atol=1e-4)
+
+
+def test_what_it_believes_changes_no_expectation_but_doubts_less() -> None:
+    x = torch.tensor([[0.1], [0.5]], dtype=torch.float64)
+    model = Surrogate(x, x, [Feature(0.0, 1.0)], seed=0)
+    at = torch.tensor([[0.9]], dtype=torch.float64)
+    mean, deviation = model.posterior(at)
+    assert torch.equal(model.believe(at), mean)
+    again, less = model.posterior(at)
+    assert torch.allclose(again, mean, atol=1e-6)
+    assert less < 0.5 * deviation
+
+
 def test_far_away_it_expects_the_middle_of_the_range() -> None:
     """The prior mean (section 4.6.1), of two features at once."""
     x = torch.tensor([[0.0, 0.0], [0.02, 0.0]], dtype=torch.float64)
