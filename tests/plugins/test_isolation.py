@@ -24,6 +24,7 @@ TOYS = {"basics", "miniature", "ppo"}
 MATERIAL = {
     "characters": FIGURE,
     "doctor": FIGURE,
+    "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,
     "spacetime": FIGURE | {"retarget"},

@@ -11,6 +11,7 @@ REQUIRES = ("report",)
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
+    register.kind("sweep_page", "a page of a finished sweep beside its own")
     register.component(
         "command",
         "sweep",

@@ -111,7 +111,7 @@ class _Take:
             raise RunError(f"the recording of {tile.name} is damaged") from error
         if not tracks or dt <= 0 or not all(map(len, tracks.values())):
             raise RunError(f"the recording of {tile.name} is empty")
-        return cls(_scene_of(tile.run), tracks, dt)
+        return cls(scene_of(tile.run), tracks, dt)
 
     @property
     def seconds(self) -> float:
@@ -132,7 +132,7 @@ class _Take:
             yield frame
 
 
-def _scene_of(folder: Path) -> Scene:
+def scene_of(folder: Path) -> Scene:
     """The scene of the run in `folder`, on the CPU."""
     experiment = validate(runs.open_run(folder).config, plugins.installed().registry)
     root = experiment.root

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -18,6 +19,7 @@ from typing import Any
 from understudy import __version__
 from understudy.errors import UnderstudyError
 from understudy.records.checkpoint import write_atomically
+from understudy.setup.config import Experiment
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page
 from understudy_report.values import mapping
@@ -42,6 +44,18 @@ _CURVES = (
     "Bold: the mean over seeds, as far as all of them have come; band: its 95 % interval, or least to "
     "greatest of two seeds; thin: each seed."
 )
+
+
+class SweepPage(ABC):
+    """A page beside the sweep's own, of any plugin: a component of kind ``sweep_page``, made without
+    arguments."""
+
+    @abstractmethod
+    def write(
+        self, folder: Path, title: str, experiment: Experiment, journal: Journal
+    ) -> Path | None:
+        """Write the page into the finished sweep's `folder`; its path, or None if this sweep, whose
+        configuration is `experiment`, has nothing for it."""
 
 
 class Page:
@@ -69,6 +83,20 @@ class Page:
             print(f"No page: {error}", file=sys.stderr)
         except Exception as error:  # what is shown may come from any plugin
             print(f"No page: {type(error).__name__}: {error}", file=sys.stderr)
+
+    def more(self, journal: Journal, experiment: Experiment) -> list[Path]:
+        """Writes the pages of other plugins, which are components of kind ``sweep_page``; their paths.
+        One that fails is named, and the others are written."""
+        registry, found = experiment.registry, []
+        for name in registry.names("sweep_page"):
+            try:
+                page: SweepPage = registry.find("sweep_page", name).factory()
+                path = page.write(self.folder, self._title, experiment, journal)
+            except Exception as error:  # it comes from any plugin
+                print(f"No {name}: {type(error).__name__}: {error}", file=sys.stderr)
+                continue
+            found += [path] if path is not None else []
+        return found
 
     def table(self, journal: Journal) -> str:
         """The main table as text."""

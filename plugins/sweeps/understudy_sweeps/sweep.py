@@ -60,13 +60,15 @@ def sweep(overrides: Sequence[str]) -> int:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
         book.write_json("summary.json", loop.summary())
         page.write(journal, film=True)
+        more = page.more(journal, experiment)
     except KeyboardInterrupt:  # when no trial is under way
         raise _interrupted("Stopped by SIGINT", folder) from None
     finally:
         executor.close()
         book.unlock()
     print(page.table(journal))
-    print(f"page: {page.path}")
+    for path in (page.path, *more):
+        print(f"page: {path}")
     print(f"sweep: {folder}")
     return 0
 

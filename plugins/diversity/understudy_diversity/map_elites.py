@@ -1,0 +1,86 @@
+"""MAP-Elites (Mouret and Clune 2015) through pyribs, asked trial by trial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from understudy import random
+from understudy.options import check_range
+from understudy.running.trials import OuterLoop, Report, Trial
+from understudy_bayes import draws
+from understudy_diversity.strategies import DiversityOptions, Strategies
+
+try:
+    from ribs.archives import GridArchive
+    from ribs.emitters import GaussianEmitter
+except ImportError as error:
+    raise ImportError("MAP-Elites needs pyribs: pip install 'understudy[ribs]'") from error
+
+
+class MapElites(OuterLoop):
+    """After ``initial`` random trials, a Gaussian step from an elite drawn at random.
+
+    An elite is the trial of the highest objective in its cell of a grid over the features' ranges. The
+    archive is made anew from what was told whenever a trial is asked for.
+    """
+
+    extendable = ("trials", "gallery")
+
+    @dataclass(frozen=True)
+    class Options(DiversityOptions):
+        cells: int = 20  #: of the grid, along each feature
+        step: float = 0.2  #: standard deviation of the step, of a parameter's range
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            check_range(self, "cells", least=2)
+            check_range(self, "step", above=0)
+
+    def __init__(self, options: Options, seed: int = 0) -> None:
+        self._options, self._seed = options, seed
+        self.strategies = Strategies(options)
+
+    def ask(self, number: int) -> Trial | None:
+        options, book = self._options, self.strategies.book
+        if book.over(number):
+            return None
+        d = len(book.space)
+        elites = self._archive(d)
+        if number < options.initial or elites.empty:
+            return book.ask(number, draws.uniform(self._seed, number, d))
+        seed = random.derive_seed(self._seed, f"diversity/elites/{number}") % 2**32
+        emitter = GaussianEmitter(
+            elites,
+            sigma=options.step,
+            x0=[0.5] * d,
+            bounds=[(0.0, 1.0)] * d,
+            batch_size=1,
+            seed=seed,
+        )
+        return book.ask(number, emitter.ask()[0].tolist())
+
+    def _archive(self, d: int) -> GridArchive:
+        options = self._options
+        ranges = [(feature.low, feature.high) for feature in options.features.values()]
+        cells = [options.cells] * len(ranges)
+        archive = GridArchive(solution_dim=d, dims=cells, ranges=ranges, seed=0)
+        shown = [s for s in self.strategies.finished() if s.feature is not None]
+        if shown:
+            x, _ = self.strategies.book.places([s.trial for s in shown])
+            worth = torch.tensor([s.report.objective or 0.0 for s in shown])
+            archive.add(x.numpy(), worth.numpy(), np.array([s.feature for s in shown]))
+        return archive
+
+    def recall(self, trial: Trial) -> bool:
+        return self.strategies.book.recall(trial)
+
+    def tell(self, report: Report) -> None:
+        self.strategies.tell(report)
+        self.share = self.strategies.book.done
+
+    def summary(self) -> list[dict[str, Any]]:
+        return self.strategies.summary()

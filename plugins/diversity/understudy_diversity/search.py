@@ -1,0 +1,135 @@
+"""Bayesian diversity search (thesis, algorithm 1), and random search beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy import random
+from understudy.options import check_range
+from understudy.running.trials import OuterLoop, Report, Trial
+from understudy_bayes import draws
+from understudy_bayes.acquisition import Acquisition
+from understudy_diversity.acquisition import by_direct, by_gradient, expected_novelty, uncertainty
+from understudy_diversity.strategies import DiversityOptions, Feature, Strategies
+from understudy_diversity.surrogate import Surrogate
+
+
+class DiversitySearch(OuterLoop):
+    """After ``initial`` random trials, ``explore`` at x_{t+1} = argmax σ_t(x), then ``exploit`` at
+    x_{t+1} = argmax â(x), and so on.
+
+    A trial that succeeded too rarely to show a strategy, like one that still runs, is taken to show
+    what the model expects, so that it is not asked for again.
+    """
+
+    extendable = ("trials", "gallery")
+
+    @dataclass(frozen=True)
+    class Options(DiversityOptions):
+        explore: int = 3  #: N_exp
+        exploit: int = 3  #: N_opt
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            check_range(self, "explore", "exploit", least=0)
+            if self.explore + self.exploit == 0:
+                raise ValueError("explore=0 is not possible with exploit=0: give one of them.")
+
+    def __init__(self, options: Options, seed: int = 0) -> None:
+        self._options, self._seed = options, seed
+        self.strategies = Strategies(options)
+
+    def ask(self, number: int) -> Trial | None:
+        options, book = self._options, self.strategies.book
+        if book.over(number):
+            return None
+        return book.ask(number, self._place(number, number - options.initial))
+
+    def _place(self, number: int, t: int) -> list[float]:
+        """Where the trial of this `number` is, which is the `t`-th that a model chooses."""
+        options, d = self._options, len(self.strategies.space)
+        made = None if t < 0 else model_of(self.strategies, self._seed, number)
+        if made is None:  # there is nothing yet that a model could be of
+            return draws.uniform(self._seed, number, d)
+        model, found = made
+        if t % (options.explore + options.exploit) < options.explore:
+            return by_gradient(uncertainty(model), d, self._seed, number).tolist()
+        novelty = expected_novelty(model, found, options.metric, self._seed, number)
+        succeeds = chance(self.strategies, self._seed, number)
+        return by_direct(lambda x: novelty(x) * succeeds(x), d).tolist()
+
+    def recall(self, trial: Trial) -> bool:
+        return self.strategies.book.recall(trial)
+
+    def tell(self, report: Report) -> None:
+        self.strategies.tell(report)
+        self.share = self.strategies.book.done
+
+    def summary(self) -> list[dict[str, Any]]:
+        return self.strategies.summary()
+
+
+def model_of(strategies: Strategies, seed: int, number: int) -> tuple[Surrogate, Tensor] | None:
+    """The surrogate of what the trials showed, and the features (n, k) that count as found; None
+    before the first strategy."""
+    options, finished = strategies.options, strategies.finished()
+    shown = [s for s in finished if s.feature is not None]
+    if not shown:
+        return None
+    x, _ = strategies.book.places([s.trial for s in shown])
+    f = torch.tensor([s.feature for s in shown], dtype=torch.float64)
+    if options.metric == "rotation":  # q and -q are the same: those near the first one
+        f = torch.where(f @ f[0] < 0, -1.0, 1.0)[:, None] * f
+    model = Surrogate(
+        x, f, list(options.features.values()), random.derive_seed(seed, f"diversity/fit/{number}")
+    )
+    others = [s.trial for s in finished if s.feature is None] + strategies.book.pending
+    if others:
+        f = torch.cat([f, model.believe(strategies.book.places(others)[0])])
+    return model, f
+
+
+def chance(strategies: Strategies, seed: int, number: int) -> Acquisition:
+    """How likely trials are to show a strategy: a Gaussian process of whether those so far did, within
+    [0, 1]; 1 everywhere as long as all did."""
+    finished = strategies.finished()
+    if all(s.feature is not None for s in finished):
+        return lambda x: torch.ones(len(x), dtype=x.dtype)
+    x, _ = strategies.book.places([s.trial for s in finished])
+    shown = torch.tensor([[float(s.feature is not None)] for s in finished], dtype=torch.float64)
+    fit = random.derive_seed(seed, f"diversity/chance/{number}")
+    model = Surrogate(x, shown, [Feature(0.0, 1.0)], fit)
+    return lambda x: model.posterior(x)[0][:, 0].clamp(0.0, 1.0)
+
+
+class RandomDiversity(OuterLoop):
+    """Points drawn uniformly, each independently of what the others showed: the baseline."""
+
+    extendable = ("trials", "gallery")
+
+    @dataclass(frozen=True)
+    class Options(DiversityOptions):
+        pass
+
+    def __init__(self, options: Options, seed: int = 0) -> None:
+        self._seed, self.strategies = seed, Strategies(options)
+
+    def ask(self, number: int) -> Trial | None:
+        book = self.strategies.book
+        if book.over(number):
+            return None
+        return book.ask(number, draws.uniform(self._seed, number, len(book.space)))
+
+    def recall(self, trial: Trial) -> bool:
+        return self.strategies.book.recall(trial)
+
+    def tell(self, report: Report) -> None:
+        self.strategies.tell(report)
+        self.share = self.strategies.book.done
+
+    def summary(self) -> list[dict[str, Any]]:
+        return self.strategies.summary()

@@ -1,0 +1,223 @@
+"""Trials as strategies: where each was, the feature that it showed, and which ones are alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import torch
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+from torch import Tensor
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
+from understudy.running.trials import Report, Trial
+from understudy_bayes.book import Book, SearchOptions
+from understudy_bayes.space import Parameter, check_paths
+
+SUCCESS = "success_rate"
+Metric = Literal["euclidean", "rotation"]
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A measure that tells strategies apart, and the range of its values."""
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            raise ValueError(
+                f"low={self.low:g} is not possible: it must be less than high={self.high:g}."
+            )
+
+
+@dataclass(frozen=True)
+class GalleryOptions:
+    """What the gallery shows of a strategy beside its video."""
+
+    #: The measure that says how well it does, in a name of one's own; null is the objective.
+    best: str | None = None
+    best_name: str = ""
+    unit: str = ""
+    scale: float = 1.0  #: from the measure's unit to ``unit``
+    #: Number of the recorded field ``track`` that is greatest at the peak, or nearest to ``at``; null is
+    #: mid-way.
+    track: str | None = None
+    index: int = 0
+    at: float | None = None
+    names: Mapping[str, str] = field(
+        default_factory=dict
+    )  #: of parameters and features, for people
+
+
+@dataclass(frozen=True)
+class DiversityOptions:
+    """What every diversity search takes."""
+
+    parameters: Mapping[str, Parameter]  #: by option of the configuration, the range to search
+    features: Mapping[str, Feature]  #: by measure: f of section 4.5.1
+    distinct: float  #: distance of features at which strategies are different ones
+    trials: int
+    initial: int = 2  #: trials at random points, before a model chooses
+    #: Distance of features: of vectors, or the angle in rad between two rotations, whose quaternions
+    #: (w, x, y, z) are four features.
+    metric: Metric = "euclidean"
+    success: float = 0.5  #: success rate from which on a trial shows a strategy
+    gallery: GalleryOptions = field(default_factory=GalleryOptions)
+
+    def __post_init__(self) -> None:
+        check_paths(self.parameters)
+        check_features(self.features, self.metric)
+        check_range(self, "distinct", above=0)
+        check_range(self, "trials", "initial", least=1)
+        check_range(self, "success", least=0, most=1)
+
+
+class Told(Protocol):
+    """What it takes to tell strategies apart."""
+
+    @property
+    def features(self) -> Mapping[str, Feature]: ...
+    @property
+    def distinct(self) -> float: ...
+    @property
+    def metric(self) -> Metric: ...
+    @property
+    def success(self) -> float: ...
+
+
+def check_features(features: Mapping[str, Feature], metric: Metric) -> None:
+    """Raise a ValueError unless there are features, and as many as the metric takes."""
+    if not features:
+        raise ValueError("features must not be empty: name measures that tell strategies apart.")
+    if metric == "rotation" and len(features) != 4:
+        raise ValueError(
+            f"features has {len(features)} measures: metric=rotation takes a quaternion's four."
+        )
+
+
+def distances(a: Tensor, b: Tensor, metric: Metric) -> Tensor:
+    """(…, m, n): between features `a` (…, m, k) and `b` (…, n, k)."""
+    if metric == "euclidean":
+        return torch.cdist(a, b)
+    a, b = torch.nn.functional.normalize(a, dim=-1), torch.nn.functional.normalize(b, dim=-1)
+    return 2 * torch.acos((a @ b.mT).abs().clamp(max=1.0))
+
+
+def alike(features: Tensor, distinct: float, metric: Metric) -> list[int]:
+    """The group of each of `features` (n, k), 0, 1, … in the order in which they come up.
+
+    Groups are merged while all members of the merged one are nearer than `distinct` to one another
+    (agglomerative clustering with complete linkage).
+    """
+    if len(features) < 2:
+        return [0] * len(features)
+    apart = distances(features, features, metric)
+    apart = (0.5 * (apart + apart.mT)).fill_diagonal_(0.0).numpy()
+    tree = linkage(squareform(apart, checks=False), method="complete")
+    found = fcluster(tree, np.nextafter(distinct, 0.0), criterion="distance").tolist()
+    order = {group: place for place, group in enumerate(dict.fromkeys(found))}
+    return [order[group] for group in found]
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """A finished trial."""
+
+    trial: Trial
+    report: Report
+    feature: tuple[float, ...] | None  #: None where it succeeded too rarely to show one
+    kind: int | None = None  #: which of the different strategies
+
+
+@dataclass
+class Strategies:
+    """The trials of one search."""
+
+    options: DiversityOptions
+
+    def __post_init__(self) -> None:
+        options = self.options
+        self.book = Book(SearchOptions(options.parameters, options.trials, initial=options.initial))
+        self.space = self.book.space
+
+    def tell(self, report: Report) -> None:
+        """Note a final report.
+
+        Raises
+        ------
+        ConfigError
+            if it lacks a feature, or as :meth:`Book.tell`.
+        """
+        if report.final and report.status == "ok":
+            feature_of(report, self.options)
+        self.book.tell(report)
+
+    def finished(self) -> list[Strategy]:
+        """In the order in which they were told, with their kinds."""
+        return kinds(
+            [(self.book.trials[key], report) for key, report in self.book.reports.items()],
+            self.options,
+        )
+
+    def summary(self) -> list[dict[str, Any]]:
+        """A row for each trial; ``different`` counts the strategies found up to it."""
+        finished = {s.trial.key: s for s in self.finished()}
+        rows, seen = [], set[int]()
+        for key, trial in self.book.trials.items():
+            strategy = finished.get(key)
+            kind = strategy.kind if strategy else None
+            seen |= {kind} - {None}  # type: ignore[operator]
+            shown = strategy.feature if strategy else None
+            rows.append(
+                {
+                    "trial": key,
+                    **trial.point,
+                    **dict(zip(self.options.features, shown or [], strict=False)),
+                    "status": strategy.report.status.partition(":")[0] if strategy else "running",
+                    "success": strategy.report.measures.get(SUCCESS) if strategy else None,
+                    "strategy": None if kind is None else kind + 1,
+                    "different": len(seen),
+                }
+            )
+        return rows
+
+
+def feature_of(report: Report, options: Told) -> tuple[float, ...] | None:
+    """The feature that a trial showed, or None.
+
+    Raises
+    ------
+    ConfigError
+        if it has no such measure.
+    """
+    for name in options.features:
+        if name not in report.measures:
+            raise ConfigError(
+                f"outer_loop.features names '{name}', which trial '{report.key}' did not measure."
+                f"{suggestion(name, report.measures)}"
+            )
+    shown = tuple(report.measures[name] for name in options.features)
+    succeeded = report.measures.get(SUCCESS, 1.0) >= options.success
+    return shown if succeeded and all(map(math.isfinite, shown)) else None
+
+
+def kinds(found: Sequence[tuple[Trial, Report]], options: Told) -> list[Strategy]:
+    """The finished trials `found` as strategies, those that are alike of one kind."""
+    strategies = [
+        Strategy(trial, report, feature_of(report, options) if report.status == "ok" else None)
+        for trial, report in found
+    ]
+    shown = [s.feature for s in strategies if s.feature is not None]
+    features = torch.tensor(shown, dtype=torch.float64).reshape(len(shown), len(options.features))
+    groups = iter(alike(features, options.distinct, options.metric))
+    return [
+        Strategy(s.trial, s.report, s.feature, None if s.feature is None else next(groups))
+        for s in strategies
+    ]

@@ -1,0 +1,70 @@
+"""Acting by natural poses: the decoded pose plus offsets as PD targets (thesis, section 4.4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import ActionSpace, Actuation, Box, Context, Shape
+from understudy_characters.scene import CharacterScene
+from understudy_pose_vae.features import joint_rotations
+from understudy_pose_vae.job import trained_poses
+from understudy_pose_vae.targets import ServoTargets
+
+
+class PoseOffset(Actuation):
+    """PD targets D_pose(a_latent) + a_offset, with offsets of all U servos, in rad.
+
+    a_latent = 0 is the mean code of the clips and a unit one standard deviation. Where the offsets' sum
+    of absolute values is above ``offset_limit`` they are scaled down to it, as in the authors' release.
+
+    It keeps ``pose_offset`` (N, U), a_offset in rad, and ``offset_norm`` (N,), ‖a_offset‖₁ in rad.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        run: str  #: folder of the run that trained the auto-encoder
+        latent_scale: float = 1.0  #: standard deviations of the codes, for one unit of the action
+        offset_scale: float = 2.0  #: rad, for one unit of the action; the authors' release has 2
+        offset_limit: float | None = None  #: rad, of ‖a_offset‖₁
+
+        def __post_init__(self) -> None:
+            check_range(self, "latent_scale", "offset_scale", "offset_limit", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        assert context.registry is not None
+        scene = context.need_scene(CharacterScene, "actuation 'pose_vae.offset'")
+        trained = trained_poses(options.run, context.registry, context.device)
+        source = f"actuation.run={options.run}"
+        self._options, self._network = options, trained.network
+        self._joints = len(trained.joints)
+        self._targets = ServoTargets(scene.character, trained.joints, source, context.device)
+        servos, latent = scene.layout.num_actuators, len(trained.network.code_mean)
+        self.action_space = ActionSpace({"latent": Box(latent), "offset": Box(servos)})
+        self.keeps: Mapping[str, Shape] = {"pose_offset": (servos,), "offset_norm": ()}
+        self._none = torch.zeros(context.num_worlds, servos, device=context.device)
+
+    def begin(self) -> dict[str, Tensor]:
+        return {"pose_offset": self._none, "offset_norm": self._none[:, 0]}
+
+    def advance(self, action: Tensor) -> dict[str, Tensor]:
+        offset = self._offset(action)
+        return {"pose_offset": offset, "offset_norm": offset.abs().sum(1)}
+
+    def control(self, action: Tensor) -> Tensor:
+        network, latent = self._network, self.action_space.split(action)["latent"]
+        code = network.code_mean + self._options.latent_scale * latent * network.code_std
+        pose = joint_rotations(network.decoder(code), self._joints)
+        return self._targets(pose) + self._offset(action)
+
+    def _offset(self, action: Tensor) -> Tensor:
+        offset = self._options.offset_scale * self.action_space.split(action)["offset"]
+        limit = self._options.offset_limit
+        if limit is None:
+            return offset
+        norm = offset.abs().sum(1, keepdim=True)
+        return offset * (limit / norm.clamp(min=limit))
