@@ -68,6 +68,25 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.initial_states:Evolution",
         "elite states of past rollouts",
     )
+    add(
+        "initial_states",
+        "spacetime.clip_start",
+        f"{_HERE}.initial_states:ClipStart",
+        "the clip's beginning",
+    )
+    add(
+        "initial_states",
+        "spacetime.evolved",
+        f"{_HERE}.initial_states:Evolved",
+        "the evolved initial states of another run",
+    )
+    add(
+        "curriculum",
+        "spacetime.adaptive_bounds",
+        f"{_HERE}.adaptive:AdaptiveBounds",
+        "bounds that tighten where the motion is mastered",
+    )
+    add("clip", "keyframed", f"{_HERE}.keyframes:keyframed", "a few poses of another clip")
     add("overlay", "spacetime.bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
     register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")
     register.citation(
