@@ -21,7 +21,7 @@ from understudy_report.values import mapping
 from understudy_reproduce.tables import Figure, PaperTable, variant_name
 from understudy_sweeps.intervals import mean_of
 from understudy_sweeps.journal import Journal
-from understudy_sweeps.results import SAMPLES, SECONDS, Result, Results
+from understudy_sweeps.results import SAMPLES, SECONDS, SUCCESS, Result, Results
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
 
 _INTERVALS = (
@@ -50,7 +50,8 @@ class Cell:
         parts = []
         values = self.values(figure)
         if values:
-            parts.append(f"{shown_mean(mean_of(values), figure)} ({len(values)})")
+            kind = SUCCESS if figure.startswith("success_") else figure
+            parts.append(f"{shown_mean(mean_of(values), kind)} ({len(values)})")
         missed = [r for r in done if figure == SAMPLES and r.state != "criterion"]
         if missed:
             least = min(r.figure(SAMPLES) or 0.0 for r in missed)

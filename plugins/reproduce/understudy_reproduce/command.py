@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from understudy.command.command import Command
+from understudy.errors import UnderstudyError
 from understudy.setup.composition import replaced
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
@@ -36,21 +37,30 @@ class Reproduce(Command):
         plugins = installed()
         if options.table is None:
             for name in table_files(plugins):
-                print(f"{name}: {load_table(name, plugins).title}")
+                try:
+                    print(f"{name}: {load_table(name, plugins).title}")
+                except UnderstudyError as error:
+                    print(f"{name} cannot be used: {error}")
             return 0
-        table = load_table(options.table, plugins)
-        table = table.only(options.rows, options.columns, options.seeds)
+        whole = load_table(options.table, plugins)
+        table = whole.only(options.rows, options.columns, options.seeds)
         folder = Path("runs") / "reproduce" / options.table
         for override in options.overrides:
             if override.startswith("run.dir="):
                 folder = Path(override.partition("=")[2])
         if not options.card:
-            sweep(overrides_of(table, folder, options.overrides))
+            sweep([*experiment_of(whole), *overrides_of(table, folder, options.overrides)])
         card = Card(options.table, table, folder)
         path = card.write()
         print(card.text())
         print(f"card: {path}")
         return 0
+
+
+def experiment_of(table: PaperTable) -> list[str]:
+    """What options are checked against before any training: the first row's experiment."""
+    first = next(iter(table.variants().values()))
+    return [o for o in (*table.overrides, *first) if o.startswith("experiment=")][:1]
 
 
 def overrides_of(table: PaperTable, folder: Path, given: list[str]) -> list[str]:

@@ -42,6 +42,18 @@ def understudy_register(register: Registrar) -> None:
         "whether no bound, and nothing else, is violated",
     )
     add(
+        "measure",
+        "spacetime.com_deviation",
+        f"{_HERE}.rewards:com_deviation",
+        "how far the centre of mass is from its reference",
+    )
+    add(
+        "measure",
+        "spacetime.joint_deviation",
+        f"{_HERE}.rewards:joint_deviation",
+        "how far the farthest joint is from its reference",
+    )
+    add(
         "encoder",
         "spacetime.state",
         f"{_HERE}.encoders:StateEncoder",
