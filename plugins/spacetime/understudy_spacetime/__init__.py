@@ -98,6 +98,7 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.adaptive:AdaptiveBounds",
         "bounds that tighten where the motion is mastered",
     )
+    add("character", "revolute", f"{_HERE}.revolute:build_revolute", "a robot of hinges, 58 kg")
     add("clip", "keyframed", f"{_HERE}.keyframes:keyframed", "a few poses of another clip")
     add("overlay", "spacetime.bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
     register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")
