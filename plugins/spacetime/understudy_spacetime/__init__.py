@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "motion", "mujoco", "ppo")
+REQUIRES = ("basics", "characters", "motion", "mujoco", "ppo", "report")
 
 _HERE = "understudy_spacetime"
 
@@ -100,6 +100,18 @@ def understudy_register(register: Registrar) -> None:
     )
     add("character", "revolute", f"{_HERE}.revolute:build_revolute", "a robot of hinges, 58 kg")
     add("clip", "keyframed", f"{_HERE}.keyframes:keyframed", "a few poses of another clip")
+    add(
+        "report_section",
+        "evolved_states",
+        f"{_HERE}.section:EvolvedSection",
+        "where initial states have evolved to",
+    )
+    add(
+        "command",
+        "motion learned",
+        f"{_HERE}.learned:Learned",
+        "write the motion that a run learned as a clip, in place of its reference",
+    )
     add("overlay", "spacetime.bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
     register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")
     register.citation(
