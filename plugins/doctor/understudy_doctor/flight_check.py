@@ -19,6 +19,8 @@ from understudy_motion.clip import Clip
 
 ASTRAY, TURNED = 0.2, 0.7
 """m along an axis, rad: the bounds on centre of mass and root orientation of Ma et al. 2021."""
+FLOATING = 0.75
+"""Share of a stretch's frames in which the body hardly falls: then it floats, which is another finding."""
 SHORTEST = 0.1
 """s: in a shorter flight nothing gets far; a runner's take about that."""
 
@@ -26,10 +28,11 @@ SHORTEST = 0.1
 def check_flights(clip: Clip, measured: Measurements) -> Iterator[Finding]:
     """A finding for each flight with moments from which the clip cannot be continued."""
     high = measured.heights.min(1) - measured.ground > CONTACT_HEIGHT
-    falling = high & ~measured.supported  # a body that is high and does not fall floats
     least = max(2, round(SHORTEST / measured.dt))
     places = Places(measured.clip)
-    for first, last in intervals(falling, close=1, least=least):
+    for first, last in intervals(high, least=least):
+        if measured.supported[first : last + 1].mean() > FLOATING:
+            continue
         away, turned = _astray(
             measured.character, measured.effort.qpos[first : last + 1], measured.dt
         )
