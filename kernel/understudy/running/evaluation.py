@@ -236,6 +236,8 @@ class Evaluator:
             term.name: Reducer(term.reduce, n, device) for term in environment.parts.measures
         }
         self._step = Recorded(self._judge, environment)
+        own = self.built.context
+        self._starts = {c.name: c.build(own) for c in experiment.many("evaluation.starts")}
 
     def _judge(self, action: Tensor) -> Step:
         """One step of all worlds, digested where their first episode is still running."""
@@ -270,7 +272,14 @@ class Evaluator:
         Starts are drawn from the random streams named `draw`, which no training uses: the same
         policy and draw give the same result every time. With `give_up_below`, stops as soon as that
         success rate is out of reach. Before each step, `on_step` is told which worlds (N,) count.
+        Each of ``evaluation.starts`` is judged beside it, on as many episodes as there are worlds.
         """
+        begun: dict[str, Measured] = {}
+        for name, part in reversed(self._starts.items()):  # the first stays, and decides
+            self.built.environment.parts.initial_states = part
+            if give_up_below is None and self.success:
+                rows = self._batch(policy, f"{draw}/{name}", self.built.environment.num_worlds)
+                begun[f"success_from_{name}"] = Measured.of("last", rows["success"].float())
         found: list[dict[str, Tensor]] = []
         lost = done = 0
         complete = True
@@ -299,7 +308,8 @@ class Evaluator:
             measures={
                 name: Measured.of(reduce, joined[f"measure/{name}"])
                 for name, reduce in reductions.items()
-            },
+            }
+            | begun,
             objective=self.options.objective,
             seconds=self.options.seconds,
             complete=complete,
@@ -310,8 +320,8 @@ class Evaluator:
         policy: Policy,
         draw: str,
         count: int,
-        allowed: float,
-        on_step: Callable[[Tensor], None] | None,
+        allowed: float = math.inf,
+        on_step: Callable[[Tensor], None] | None = None,
     ) -> dict[str, Tensor]:
         """What was found of each of `count` episodes; given up when more than `allowed` are lost."""
         environment = self.built.environment

@@ -71,6 +71,7 @@ class EvaluationOptions:
     episodes: int = 64  #: of one draw of starts, all at once
     final_episodes: int = 128  #: of the draw that confirms a criterion, and of the last one
     seconds: float = 20.0  #: episodes are cut at this length
+    starts: Mapping[str, Any] = field(default_factory=dict)  #: where they begin; the first decides
     #: ``survived`` (no failure until the end), a termination term with outcome=success, or
     #: ``{measure: NAME, at_least: x}``; null is the task's success term, else survival.
     success: str | MeasureThreshold | None = None

@@ -38,6 +38,7 @@ KERNEL_SLOTS: tuple[Slot, ...] = (
     Slot("reward.terms", "reward", "one value per world and step", many=True),
     Slot("termination.terms", "termination", "ends a world's episode", many=True),
     Slot("measure", "measure", "one value per world and step, reduced over episodes", many=True),
+    Slot("evaluation.starts", "initial_states", "where evaluations begin", many=True),
     Slot("initial_states", "initial_states", "where episodes begin"),
     Slot("curriculum", "curriculum", "changes what the next episodes begin with"),
     Slot("policy", "policy", "observation to action distribution and value"),

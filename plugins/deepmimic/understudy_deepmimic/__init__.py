@@ -18,6 +18,7 @@ def understudy_register(register: Registrar) -> None:
     add("reward", "deepmimic.velocity", f"{_HERE}.rewards:Velocity", "joint angular velocities")
     add("reward", "deepmimic.end_effectors", f"{_HERE}.rewards:end_effectors", "hands and feet")
     add("reward", "deepmimic.com", f"{_HERE}.rewards:com", "centre of mass")
+    add("reward", "deepmimic.imitation", f"{_HERE}.rewards:Imitation", "all four, weighted")
     add("encoder", "deepmimic.state", f"{_HERE}.encoders:StateEncoder", "links and phase")
     add(
         "curriculum",

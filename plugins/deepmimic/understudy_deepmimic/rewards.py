@@ -82,3 +82,55 @@ def end_effectors(
 def com(com_position: Tensor, reference_com_position: Tensor, *, scale: float = 10.0) -> Tensor:
     """r_c = exp(-10 ‖ĉ - c‖²), the centres of mass (N, 3) in m in the world."""
     return torch.exp(-scale * (reference_com_position - com_position).square().sum(dim=1))
+
+
+class Imitation:
+    """r of the paper's section 5.3 as one term, to be multiplied or averaged with others: r_i of the
+    thesis' eq. 3.11."""
+
+    @dataclass(frozen=True)
+    class Options:
+        pose: float = 0.65  #: weights
+        velocity: float = 0.1
+        end_effectors: float = 0.15
+        com: float = 0.1
+
+        def __post_init__(self) -> None:
+            check_range(self, "pose", "velocity", "end_effectors", "com", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._weights, self._velocity = options, Velocity(Velocity.Options(), context)
+
+    def __call__(
+        self,
+        qvel: Tensor,
+        reference_qvel: Tensor,
+        root_rotation: Tensor,
+        joint_rotations: Tensor,
+        reference_root_rotation: Tensor,
+        reference_joint_rotations: Tensor,
+        root_position: Tensor,
+        root_heading: Tensor,
+        end_effector_positions: Tensor,
+        reference_root_position: Tensor,
+        reference_root_heading: Tensor,
+        reference_end_effector_positions: Tensor,
+        com_position: Tensor,
+        reference_com_position: Tensor,
+    ) -> Tensor:
+        weights = self._weights
+        r_p = pose(
+            root_rotation, joint_rotations, reference_root_rotation, reference_joint_rotations
+        )
+        r_v = self._velocity(qvel, reference_qvel)
+        r_e = end_effectors(
+            root_position, root_heading, end_effector_positions,
+            reference_root_position, reference_root_heading, reference_end_effector_positions,
+        )  # fmt: skip
+        r_c = com(com_position, reference_com_position)
+        return (
+            weights.pose * r_p
+            + weights.velocity * r_v
+            + weights.end_effectors * r_e
+            + weights.com * r_c
+        )

@@ -13,6 +13,7 @@ from understudy_doctor.character_checks import (
 from understudy_doctor.clip_checks import check_clip, closes
 from understudy_doctor.clip_repairs import undamaged
 from understudy_doctor.findings import Finding, Severity
+from understudy_doctor.flight_check import check_flights
 from understudy_doctor.measurements import Measurements
 from understudy_motion.clip import Clip
 
@@ -58,5 +59,6 @@ def examine(clip: Clip, character: Character | None) -> Examination:
                 skipped.append(OPEN_LOOP)
             measured = Measurements(moving, character)
             found += check_on_character(clip, measured)
+            found += check_flights(clip, measured)
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
     return Examination(clip, character, measured, tuple(found), tuple(skipped))

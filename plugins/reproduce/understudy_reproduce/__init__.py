@@ -4,9 +4,14 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("report", "sweeps")
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    register.component(
+        "command",
+        "reproduce",
+        "understudy_reproduce.command:Reproduce",
+        "run what a paper's table compares, and put its numbers beside ours",
+    )

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "motion", "mujoco", "ppo")
+REQUIRES = ("basics", "characters", "motion", "mujoco", "ppo", "report")
 
 _HERE = "understudy_spacetime"
 
@@ -42,6 +42,18 @@ def understudy_register(register: Registrar) -> None:
         "whether no bound, and nothing else, is violated",
     )
     add(
+        "measure",
+        "spacetime.com_deviation",
+        f"{_HERE}.rewards:com_deviation",
+        "how far the centre of mass is from its reference",
+    )
+    add(
+        "measure",
+        "spacetime.joint_deviation",
+        f"{_HERE}.rewards:joint_deviation",
+        "how far the farthest joint is from its reference",
+    )
+    add(
         "encoder",
         "spacetime.state",
         f"{_HERE}.encoders:StateEncoder",
@@ -67,6 +79,38 @@ def understudy_register(register: Registrar) -> None:
         "spacetime.evolution",
         f"{_HERE}.initial_states:Evolution",
         "elite states of past rollouts",
+    )
+    add(
+        "initial_states",
+        "spacetime.clip_start",
+        f"{_HERE}.initial_states:ClipStart",
+        "the clip's beginning",
+    )
+    add(
+        "initial_states",
+        "spacetime.evolved",
+        f"{_HERE}.initial_states:Evolved",
+        "the evolved initial states of another run",
+    )
+    add(
+        "curriculum",
+        "spacetime.adaptive_bounds",
+        f"{_HERE}.adaptive:AdaptiveBounds",
+        "bounds that tighten where the motion is mastered",
+    )
+    add("character", "revolute", f"{_HERE}.revolute:build_revolute", "a robot of hinges, 58 kg")
+    add("clip", "keyframed", f"{_HERE}.keyframes:keyframed", "a few poses of another clip")
+    add(
+        "report_section",
+        "evolved_states",
+        f"{_HERE}.section:EvolvedSection",
+        "where initial states have evolved to",
+    )
+    add(
+        "command",
+        "motion learned",
+        f"{_HERE}.learned:Learned",
+        "write the motion that a run learned as a clip, in place of its reference",
     )
     add("overlay", "spacetime.bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
     register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")

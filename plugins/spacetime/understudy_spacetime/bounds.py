@@ -2,6 +2,7 @@
 
 Each term is true for the worlds that left its bound. Default sizes are those of section 3.5.1. A
 size is a number, or a function of phase given as knots ``[[phase, size], …]``, linear in between.
+Where a curriculum provides ``bound_scales`` (:mod:`understudy_spacetime.adaptive`), sizes are times these.
 """
 
 from __future__ import annotations
@@ -42,8 +43,14 @@ class BoundSize:
         self._phases, self._values = ordered.T.contiguous()
         self._steps = self._phases.diff().clamp(min=1e-9)
 
-    def at(self, phase: Tensor) -> Tensor:
-        """The knots interpolated at `phase` (N,): (N,), or () if the size is the same always."""
+    def at(self, phase: Tensor, scales: Tensor | None = None) -> Tensor:
+        """The knots interpolated at `phase` (N,): (N,), or () if the size is the same always.
+
+        `scales` (N, n) are factors by segment of the motion, if the bounds' sizes adapt.
+        """
+        if scales is not None:
+            segment = (phase * scales.shape[1]).long().clamp(0, scales.shape[1] - 1)
+            return self.at(phase) * scales.gather(1, segment.unsqueeze(1)).squeeze(1)
         last = len(self._phases) - 1
         if last == 0:
             return self._values[0]
@@ -63,10 +70,14 @@ class ComBound:
         self._size = BoundSize(options.size, "spacetime.com_bound", context.device)
 
     def __call__(
-        self, com_position: Tensor, reference_com_position: Tensor, phase: Tensor
+        self,
+        com_position: Tensor,
+        reference_com_position: Tensor,
+        phase: Tensor,
+        bound_scales: Tensor | None = None,
     ) -> Tensor:
         distance = (com_position - reference_com_position).abs().amax(dim=1)
-        return distance > self._size.at(phase)
+        return distance > self._size.at(phase, bound_scales)
 
 
 class RootBound:
@@ -80,9 +91,14 @@ class RootBound:
         self._size = BoundSize(options.size, "spacetime.root_bound", context.device)
 
     def __call__(
-        self, root_rotation: Tensor, reference_root_rotation: Tensor, phase: Tensor
+        self,
+        root_rotation: Tensor,
+        reference_root_rotation: Tensor,
+        phase: Tensor,
+        bound_scales: Tensor | None = None,
     ) -> Tensor:
-        return angle_between(root_rotation, reference_root_rotation) > self._size.at(phase)
+        angle = angle_between(root_rotation, reference_root_rotation)
+        return angle > self._size.at(phase, bound_scales)
 
 
 class JointBound:
@@ -106,13 +122,17 @@ class JointBound:
         )
 
     def __call__(
-        self, joint_rotations: Tensor, reference_joint_rotations: Tensor, phase: Tensor
+        self,
+        joint_rotations: Tensor,
+        reference_joint_rotations: Tensor,
+        phase: Tensor,
+        bound_scales: Tensor | None = None,
     ) -> Tensor:
         if self._chosen is not None:
             joint_rotations = joint_rotations[:, self._chosen]
             reference_joint_rotations = reference_joint_rotations[:, self._chosen]
         angles = angle_between(joint_rotations, reference_joint_rotations)
-        return angles.amax(dim=1) > self._size.at(phase)
+        return angles.amax(dim=1) > self._size.at(phase, bound_scales)
 
 
 class EndEffectorBound:
@@ -131,6 +151,7 @@ class EndEffectorBound:
         aligned_end_effector_positions: Tensor,
         reference_end_effector_positions: Tensor,
         phase: Tensor,
+        bound_scales: Tensor | None = None,
     ) -> Tensor:
         offset = aligned_end_effector_positions - reference_end_effector_positions
-        return offset.norm(dim=2).amax(dim=1) > self._size.at(phase)
+        return offset.norm(dim=2).amax(dim=1) > self._size.at(phase, bound_scales)

@@ -1,18 +1,26 @@
-"""Initial-state distributions of section 3.4.2: importance-sampled and evolved."""
+"""Initial-state distributions of section 3.4.2: importance-sampled and evolved; and where evaluations
+begin."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 from understudy import distributed
+from understudy.errors import RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams
+from understudy.running.warm_start import misshapen, newest_state
 from understudy.task import Context, InitialStates, Rollout, State
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
 from understudy_characters.scene import reference_motion
+
+#: Whose returns stand for a segment: of all states that pass through it, or only of those in which
+#: episodes began ("the average estimated return starting from states in segment k").
+By = Literal["visits", "starts"]
 
 
 def segment_probabilities(returns: Tensor, *, uniform: float) -> Tensor:
@@ -26,6 +34,19 @@ def segment_probabilities(returns: Tensor, *, uniform: float) -> Tensor:
         spread > torch.finfo(spread.dtype).tiny, spread / 3, torch.ones_like(spread)
     )
     return (1 - uniform) * torch.softmax((low - returns) / scale, dim=0) + uniform / len(returns)
+
+
+def of_segments(phase: Tensor, count: int) -> Tensor:
+    """(count, B) bool: which states at `phase` (B,) in [0, 1) belong to which of `count` equal segments."""
+    index = (phase * count).long().clamp(0, count - 1)
+    return index == torch.arange(count, device=index.device).unsqueeze(1)
+
+
+def counted(rollout: Rollout, of_segment: Tensor, by: By) -> Tensor:
+    """`of_segment` (n, T N), less the states that do not count for eq. 3.9."""
+    if by == "visits":
+        return of_segment
+    return of_segment & (rollout.records["episode_step"].flatten() == 0)
 
 
 class _Segments:
@@ -42,9 +63,7 @@ class _Segments:
 
     def of(self, phase: Tensor) -> Tensor:
         """(n, B) bool: which states at `phase` (B,) belong to which segment."""
-        count = len(self.average)
-        index = (phase * count).long().clamp(0, count - 1)
-        return index == torch.arange(count, device=index.device).unsqueeze(1)
+        return of_segments(phase, len(self.average))
 
     def update(self, of_segment: Tensor, returns: Tensor) -> Tensor:
         """Learn from the states' `returns` (B,); the probabilities (n,)."""
@@ -82,13 +101,16 @@ class Importance(InitialStates):
     """Reference states, drawn more often from segments whose states have low returns (eq. 3.9)."""
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase",)
+    records = ("phase", "episode_step")
 
     @dataclass(frozen=True)
     class Options:
         segments: int = 20  #: n of eq. 3.9
         uniform: float = 0.2  #: u of eq. 3.9
         decay: float = 0.9  #: of the running average of returns, per rollout
+        by: By = (
+            "visits"  #: whose returns w are: of states that pass a segment, or that begin in it
+        )
 
         def __post_init__(self) -> None:
             check_range(self, "segments", least=1)
@@ -109,6 +131,7 @@ class Importance(InitialStates):
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
         of_segment = self._segments.of(rollout.records["phase"].flatten())
+        of_segment = counted(rollout, of_segment, self._options.by)
         probabilities = self._segments.update(of_segment, rollout.returns.flatten())
         return {"hardest_segment": float(probabilities.argmax())}
 
@@ -158,7 +181,7 @@ class Evolution(InitialStates):
     """
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase", "motion_time", "qpos", "qvel")
+    records = ("phase", "episode_step", "motion_time", "qpos", "qvel")
 
     @dataclass(frozen=True)
     class Options:
@@ -166,6 +189,7 @@ class Evolution(InitialStates):
         size: int = 32  #: m, states per buffer
         uniform: float = 0.2  #: share of segments drawn uniformly (eq. 3.9)
         decay: float = 0.9
+        by: By = "visits"  #: as of :class:`Importance`
         #: Share of episodes that begin in the reference itself.
         reference_share: float = 0.1
         #: ``low`` prefers states of low return, as eq. 3.10 is printed; ``high`` the opposite.
@@ -206,7 +230,7 @@ class Evolution(InitialStates):
         options, records = self._options, rollout.records
         returns = rollout.returns.flatten()
         of_segment = self._segments.of(records["phase"].flatten())
-        self._segments.update(of_segment, returns)
+        self._segments.update(counted(rollout, of_segment, options.by), returns)
         qpos, qvel, start = self._reference.to_first_cycle(
             records["qpos"].flatten(0, 1),
             records["qvel"].flatten(0, 1),
@@ -235,3 +259,64 @@ class Evolution(InitialStates):
         for name, value in self._buffer.items():
             value.copy_(state["buffer"][name])
         self._draws.load_state_dict(state["draws"])
+
+
+class ClipStart(InitialStates):
+    """The clip's beginning: where somebody who is asked to perform the skill begins it.
+
+    Episodes begin within the first `window` s, so that they are not all the same one.
+    """
+
+    episode_fields = EPISODE_FIELDS
+
+    @dataclass(frozen=True)
+    class Options:
+        window: float = 0.1  #: s; 0 begins at the first frame always
+
+        def __post_init__(self) -> None:
+            check_range(self, "window", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._reference = reference_motion(context)
+        self._window = min(options.window, self._reference.duration)
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        return reference_states(self._reference, streams.uniform(1).squeeze(1) * self._window)
+
+
+class Evolved(InitialStates):
+    """The states into which the initial states of another run have evolved, each as often."""
+
+    episode_fields = EPISODE_FIELDS
+
+    @dataclass(frozen=True)
+    class Options:
+        run: str  #: the folder of a run with ``initial_states=spacetime/evolution``
+
+    def __init__(self, options: Options, context: Context) -> None:
+        states = {k: v.flatten(0, 1) for k, v in evolved_states(options.run).items()}
+        own = reference_states(reference_motion(context), torch.zeros(1, device=context.device))
+        given = {k: v[:1] for k, v in states.items()}
+        for misfit in misshapen(own, given, "state"):
+            raise RunError(f"The states of {options.run} do not fit this character: {misfit}.")
+        self._states = {k: v.to(context.device) for k, v in states.items()}
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        count = len(self._states["motion_start"])
+        row = (streams.uniform(1).squeeze(1) * count).long()
+        return {name: value[row] for name, value in self._states.items()}
+
+
+def evolved_states(run: str) -> dict[str, Tensor]:
+    """The buffers (n, m, …) of the newest checkpoint of the folder `run`: qpos, qvel, motion_start.
+
+    Raises:
+        RunError: it is no run whose initial states evolve.
+    """
+    buffer = newest_state(run).get("environment", {}).get("initial_states", {}).get("buffer", {})
+    if not {"qpos", "qvel", "motion_start"} <= buffer.keys():
+        raise RunError(
+            f"The initial states of {run} do not evolve: train it with "
+            "initial_states=spacetime/evolution."
+        )
+    return {name: buffer[name] for name in ("qpos", "qvel", "motion_start")}

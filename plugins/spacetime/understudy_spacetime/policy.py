@@ -18,13 +18,16 @@ class FeedforwardFeedback(Policy):
 
     @dataclass(frozen=True)
     class Options:
-        feedforward: str = "feedforward"  #: name of the observation that holds q̂
+        #: Name of the observation that holds q̂; null is one network without a feedforward controller.
+        feedforward: str | None = "feedforward"
         feedback: MLPPolicy.Options = field(default_factory=MLPPolicy.Options)
 
     def __init__(self, options: Options, context: Context) -> None:
         super().__init__()
         who = "policy 'spacetime.feedforward_feedback'"
-        size = observation_size(context, options.feedforward, who)
+        size = context.action_size
+        if options.feedforward is not None:
+            size = observation_size(context, options.feedforward, who)
         if size != context.action_size:
             raise ConfigError(
                 f"{who}: the observation '{options.feedforward}' has {size} numbers and the action "
@@ -36,6 +39,8 @@ class FeedforwardFeedback(Policy):
     def distribution(self, observations: Mapping[str, Tensor]) -> DiagonalGaussian:
         offset = self.feedback.distribution(observations)
         assert isinstance(offset, DiagonalGaussian)  # joint targets are one box
+        if self._name is None:
+            return offset
         return DiagonalGaussian(observations[self._name] + offset.mean, offset.std)
 
     def value(self, observations: Mapping[str, Tensor]) -> Tensor:

@@ -199,3 +199,21 @@ def test_a_term_can_be_left_out() -> None:
     environment = build_environment(left_out).environment
     environment.reset()
     assert [term.name for term in environment.parts.rewards] == ["pose", "end_effectors", "com"]
+
+
+def test_all_four_as_one_term() -> None:
+    """Weighted as in the paper, and by other weights."""
+    own, reference = state(0), state(40)
+    mixed = {name: 0.97 * reference[name] + 0.03 * own[name] for name in own}
+    for name in ("root_rotation", "joint_rotations"):
+        mixed[name] = rotations.normalize(mixed[name])
+    mixed["root_heading"] = reference["root_heading"]
+    fields = {**mixed, **{f"reference_{k}": v for k, v in reference.items()}}
+    found = terms(mixed, reference)
+    weights = {"pose": 0.65, "velocity": 0.1, "end_effectors": 0.15, "com": 0.1}
+    expected = sum(weights[name] * found[name] for name in weights)
+    imitation = rewards.Imitation(rewards.Imitation.Options(), CONTEXT)
+    assert imitation(**fields).item() == pytest.approx(expected, rel=1e-5)
+    alone = rewards.Imitation.Options(pose=0.0, velocity=0.0, end_effectors=0.0, com=2.0)
+    given = rewards.Imitation(alone, CONTEXT)(**fields).item()
+    assert given == pytest.approx(2.0 * found["com"], rel=1e-5)

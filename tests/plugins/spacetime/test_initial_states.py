@@ -10,12 +10,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from understudy.errors import RunError
 from understudy.random import WorldStreams
 from understudy.task import Context, Rollout
 from understudy_characters.initial_states import ReferenceStates
 from understudy_characters.scene import reference_motion
+from understudy_spacetime import initial_states
 from understudy_spacetime.initial_states import (
+    ClipStart,
     Evolution,
+    Evolved,
     Importance,
     boltzmann_draws,
     segment_probabilities,
@@ -52,6 +56,7 @@ def walked(
     state = reference.sample(time)
     records = {
         "phase": state["phase"],
+        "episode_step": torch.zeros(len(time), dtype=torch.int64),
         "motion_time": time,
         "qpos": state["reference_qpos"],
         "qvel": state["reference_qvel"],
@@ -267,3 +272,71 @@ def test_state_goes_round(
 def test_impossible_options_are_refused(kind: type, options: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(options))):
         kind.Options(**options)
+
+
+def test_by_starts_only_the_states_in_which_episodes_begin_count(
+    context: Context, make_rollout: MakeRollout
+) -> None:
+    """Eq. 3.9's w is the return from where an episode began: in segment 1 those are bad and all that
+    pass through it are good."""
+    phase = torch.tensor([[0.1, 0.3, 0.3, 0.3]])
+    step = torch.tensor([[0, 0, 5, 9]])
+    returns = torch.tensor([[4.0, 1.0, 9.0, 9.0]])
+    found = {}
+    for by in ("visits", "starts"):
+        states = Importance(Importance.Options(segments=SEGMENTS, by=by), context)  # type: ignore[arg-type]
+        states.update(make_rollout({"phase": phase, "episode_step": step}, returns))
+        found[by] = states.state_dict()["average"].tolist()
+    assert found["visits"] == pytest.approx([4.0, 19 / 3, 0.0, 0.0])
+    assert found["starts"] == [4.0, 1.0, 0.0, 0.0]
+
+
+def test_evolution_weighs_segments_by_starts_and_evolves_by_all_states(
+    context: Context, make_rollout: MakeRollout
+) -> None:
+    options = Evolution.Options(segments=SEGMENTS, size=8, by="starts", reference_share=0.0)
+    states = Evolution(options, context)
+    rollout = walked(context, make_rollout)
+    rollout.records["episode_step"] += 1  # no episode began in this rollout
+    before = states.state_dict()
+    states.update(rollout)
+    after = states.state_dict()
+    assert torch.equal(after["average"], before["average"])
+    assert not torch.equal(after["buffer"]["qpos"], before["buffer"]["qpos"])
+
+
+def test_the_clips_start(context: Context) -> None:
+    reference = reference_motion(context)
+    found = ClipStart(ClipStart.Options(window=0.1), context).sample(streams())
+    start = found["motion_start"]
+    assert start.min() >= 0.0
+    assert start.max() <= 0.1
+    assert start.mean().item() == pytest.approx(0.05, abs=1e-3)
+    assert torch.equal(found["qpos"], reference.sample(start)["reference_qpos"])
+    first = ClipStart(ClipStart.Options(window=0.0), context).sample(streams(4))
+    assert first["motion_start"].tolist() == [0.0] * 4
+
+
+def test_evolved_states_of_another_run(
+    context: Context, make_rollout: MakeRollout, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained = Evolution(Evolution.Options(segments=SEGMENTS, size=8), context)
+    trained.update(walked(context, make_rollout))
+    state = {"environment": {"initial_states": trained.state_dict()}}
+    monkeypatch.setattr(initial_states, "newest_state", lambda run: state)
+    found = Evolved(Evolved.Options(run="runs/it"), context).sample(streams())
+    buffer = trained.state_dict()["buffer"]
+    known = buffer["motion_start"].flatten()
+    counts = (found["motion_start"].unsqueeze(1) == known).sum(0)
+    assert counts.sum() >= WORLDS  # each is one of these …
+    assert counts.min() > 0.7 * WORLDS / len(known)  # … and all are drawn alike
+    row = int((known == found["motion_start"][7]).nonzero()[0, 0])
+    assert torch.equal(found["qpos"][7], buffer["qpos"].flatten(0, 1)[row])
+
+
+def test_a_run_that_does_not_evolve_is_refused(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(initial_states, "newest_state", lambda run: {"policy": {}})
+    with pytest.raises(RunError, match="initial_states=spacetime/evolution"):
+        Evolved(Evolved.Options(run="runs/it"), context)

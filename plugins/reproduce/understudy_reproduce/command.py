@@ -1,0 +1,83 @@
+"""``understudy reproduce PAPER/TABLE``: run what a table compares, and leave its card."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from understudy.command.command import Command
+from understudy.errors import UnderstudyError
+from understudy.setup.composition import replaced
+from understudy.setup.plugins import installed
+from understudy_reproduce.card import Card
+from understudy_reproduce.tables import PaperTable, load_table, table_files
+from understudy_sweeps.sweep import sweep
+from understudy_sweeps.trial import written
+
+
+class Reproduce(Command):
+    """Runs a table's trainings as a sweep: the same command goes on where it was stopped."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("table", nargs="?", help="PAPER/TABLE; without it, all are listed")
+        for name in ("rows", "columns"):
+            parser.add_argument(
+                f"--{name}", type=_names, default=(), metavar="A,B", help=f"only these {name}"
+            )
+        parser.add_argument(
+            "--seeds", type=_numbers, default=(), metavar="0,1", help="in place of the table's"
+        )
+        parser.add_argument(
+            "--card", action="store_true", help="train nothing: the card of what is there"
+        )
+
+    def run(self, options: argparse.Namespace) -> int:
+        plugins = installed()
+        if options.table is None:
+            for name in table_files(plugins):
+                try:
+                    print(f"{name}: {load_table(name, plugins).title}")
+                except UnderstudyError as error:
+                    print(f"{name} cannot be used: {error}")
+            return 0
+        whole = load_table(options.table, plugins)
+        table = whole.only(options.rows, options.columns, options.seeds)
+        folder = Path("runs") / "reproduce" / options.table
+        for override in options.overrides:
+            if override.startswith("run.dir="):
+                folder = Path(override.partition("=")[2])
+        if not options.card:
+            sweep([*experiment_of(whole), *overrides_of(table, folder, options.overrides)])
+        card = Card(options.table, table, folder)
+        path = card.write()
+        print(card.text())
+        print(f"card: {path}")
+        return 0
+
+
+def experiment_of(table: PaperTable) -> list[str]:
+    """What options are checked against before any training: the first row's experiment."""
+    first = next(iter(table.variants().values()))
+    return [o for o in (*table.overrides, *first) if o.startswith("experiment=")][:1]
+
+
+def overrides_of(table: PaperTable, folder: Path, given: list[str]) -> list[str]:
+    """The sweep of `table`: its own overrides, then those of the command line."""
+    own = [
+        *table.overrides,
+        "outer_loop=grid",
+        "executor=in_process",
+        f"outer_loop.variants={written(table.variants())}",
+        f"outer_loop.seeds={written(list(table.seeds))}",
+    ]
+    return replaced(replaced(own, given), [f"run.dir={written(str(folder))}"])
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(part for part in text.split(",") if part)
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in _names(text))

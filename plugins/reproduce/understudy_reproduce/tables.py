@@ -1,0 +1,125 @@
+"""A paper's table as data: ``conf/reproduction/PAPER/TABLE.yaml`` of any plugin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from understudy.errors import ConfigError, FileError, suggestion
+from understudy.options import make_options
+from understudy.setup.composition import option_directories
+from understudy.setup.plugins import Plugins
+
+FOLDER = "reproduction"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that is read off every trial."""
+
+    of: str  #: ``samples``, ``success_rate``, ``objective``, ``seconds``, or a measure
+    title: str = ""  #: in words; empty is the name
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """What is trained and compared: every row with every column with every seed.
+
+    A row and a column are overrides; a trial is ``overrides``, then its row's, then its column's. The
+    first figure is the one that the paper prints.
+    """
+
+    title: str
+    source: str  #: where the paper has it
+    rows: Mapping[str, tuple[str, ...]]
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"ours": ()})
+    figures: tuple[Figure, ...] = (Figure("success_rate"),)
+    #: By row and column: the number that the paper prints, or its words.
+    paper: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    overrides: tuple[str, ...] = ()
+    #: Row and column, ``ROW/COLUMN``, that are left out.
+    without: tuple[str, ...] = ()
+    deviations: tuple[str, ...] = ()  #: known ones, in a sentence each
+
+    def __post_init__(self) -> None:
+        if not self.rows or not self.columns or not self.figures or not self.seeds:
+            raise ValueError("rows, columns, figures and seeds must not be empty.")
+        for name in (*self.rows, *self.columns):
+            if not name.replace("_", "").replace("-", "").replace(".", "").isalnum():
+                raise ValueError(
+                    f"the name {name!r} has other signs than letters, digits, _, - and ."
+                )
+        for row, cells in self.paper.items():
+            unknown = [c for c in cells if c not in self.columns] if row in self.rows else [row]
+            if unknown:
+                raise ValueError(f"paper names '{unknown[0]}', which is no row or column.")
+
+    def variants(self) -> dict[str, tuple[str, ...]]:
+        """By name: what is trained, row by row."""
+        return {
+            variant_name(row, column): (*self.rows[row], *self.columns[column])
+            for row in self.rows
+            for column in self.columns
+            if f"{row}/{column}" not in self.without
+        }
+
+    def only(self, rows: Sequence[str], columns: Sequence[str], seeds: Sequence[int]) -> PaperTable:
+        """The same of these rows, columns and seeds; of all where none are named.
+
+        Raises:
+            ConfigError: there is no such row or column.
+        """
+        chosen: dict[str, Any] = {"seeds": tuple(seeds) or self.seeds}
+        for what, names, all_of in (
+            ("rows", rows, self.rows),
+            ("columns", columns, self.columns),
+        ):
+            for name in names:
+                if name not in all_of:
+                    raise ConfigError(f"--{what}: there is no '{name}'.{suggestion(name, all_of)}")
+            chosen[what] = {k: v for k, v in all_of.items() if not names or k in names}
+        chosen["paper"] = {
+            row: {k: v for k, v in cells.items() if k in chosen["columns"]}
+            for row, cells in self.paper.items()
+            if row in chosen["rows"]
+        }
+        return replace(self, **chosen)
+
+
+def variant_name(row: str, column: str) -> str:
+    return f"{row}/{column}"
+
+
+def table_files(plugins: Plugins) -> dict[str, Path]:
+    """Every table that a plugin offers, by name (``spacetime/table_3_1``)."""
+    found = {}
+    for directory in option_directories(plugins):
+        folder = directory / FOLDER
+        for file in sorted(folder.rglob("*.yaml")):
+            found[file.relative_to(folder).with_suffix("").as_posix()] = file
+    return found
+
+
+def load_table(name: str, plugins: Plugins) -> PaperTable:
+    """The table `name`.
+
+    Raises:
+        ConfigError: there is none, or something in it is unknown or of the wrong type.
+        FileError: its file cannot be read.
+    """
+    files = table_files(plugins)
+    if name not in files:
+        raise ConfigError(
+            f"There is no table '{name}'.{suggestion(name, files)} `understudy reproduce` lists them."
+        )
+    try:
+        raw = yaml.safe_load(files[name].read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        reason = str(error).partition("\n")[0]
+        raise FileError(f"{files[name]} is no table: {reason}.") from error
+    return make_options(PaperTable, raw, f"{FOLDER}/{name}")

@@ -1,0 +1,191 @@
+"""A table of two rows and two columns, run on a miniature by one command: its card, and going on."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError, FileError
+from understudy.running.trials import Report, Trial
+from understudy.setup.plugins import installed
+from understudy_report.markup import check_markup
+from understudy_reproduce import card as card_module
+from understudy_reproduce import command, tables
+from understudy_reproduce.card import Card, Cell
+from understudy_reproduce.tables import PaperTable, load_table
+from understudy_sweeps.journal import Journal
+from understudy_sweeps.results import Result
+
+TABLE = """
+title: How near a point gets, <b>by far</b>
+source: A paper, table 1
+overrides: [budget.samples=1024, evaluation.every_samples=1024, evaluation.gate=0.0]
+rows:
+  calm: [experiment=miniature/go]
+  quick: [experiment=miniature/go, 'learner={name: ppo, rollout_steps: 8, minibatches: 4}']
+columns:
+  small: []
+  large: ['policy.hidden=[64, 64]']
+without: [quick/large]
+figures:
+  - {of: distance, title: 'Distance, m'}
+  - {of: return}
+  - {of: seconds}
+paper:
+  calm: {small: 0.5, large: much nearer}
+seeds: [0, 1]
+deviations: [The paper's point is heavier.]
+"""
+SMALL = ("evaluation.episodes=4", "evaluation.final_episodes=4", "evaluation.seconds=0.5")
+
+
+@pytest.fixture
+def offered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], Path]:
+    """Makes its text the table ``mine/one`` of some plugin."""
+    file = tmp_path / "one.yaml"
+
+    def offer(text: str) -> Path:
+        file.write_text(text, encoding="utf-8")
+        monkeypatch.setattr(tables, "table_files", lambda plugins: {"mine/one": file})
+        monkeypatch.setattr(command, "table_files", lambda plugins: {"mine/one": file})
+        return file
+
+    return offer
+
+
+def reproduce(*words: str) -> int:
+    return main(["reproduce", *words])
+
+
+def rows_of(folder: Path) -> dict[tuple[str, str, str], dict[str, str]]:
+    with open(folder / "card.csv", encoding="utf-8") as file:
+        return {(r["row"], r["column"], r["figure"]): r for r in csv.DictReader(file)}
+
+
+def test_one_command_runs_the_table_and_leaves_its_card(
+    offered: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered(TABLE)
+    folder = tmp_path / "out"
+    words = ("mine/one", *SMALL, f"run.dir={folder}")
+    assert reproduce(*words, "--rows", "calm", "--seeds", "0") == 0
+    asked = [t.key for t in Journal.read(folder / "journal.jsonl").asked]
+    assert asked == ["calm/small/seed0", "calm/large/seed0"]
+    assert reproduce(*words) == 0  # goes on with the rest
+    asked = [t.key for t in Journal.read(folder / "journal.jsonl").asked]
+    assert sorted(asked) == sorted(
+        f"{v}/seed{s}" for v in ("calm/small", "calm/large", "quick/small") for s in (0, 1)
+    )
+    found = rows_of(folder)
+    reports = Journal.read(folder / "journal.jsonl").finished
+    of_seeds = [reports[f"calm/small/seed{s}"].measures["distance"] for s in (0, 1)]
+    cell = found["calm", "small", "distance"]
+    assert float(cell["mean"]) == pytest.approx(sum(of_seeds) / 2)
+    assert float(cell["low"]) < float(cell["mean"]) < float(cell["high"])
+    assert (cell["paper"], cell["seeds"]) == ("0.5", "2")
+    assert found["calm", "large", "distance"]["paper"] == "much nearer"
+    assert found["calm", "small", "return"]["paper"] == ""
+    assert found["quick", "large", "distance"]["seeds"] == "0"
+    text = (folder / "card.md").read_text()
+    assert "6 of 6 trainings are finished" in text
+    assert "minutes of training on cpu" in text
+    assert "The paper's point is heavier." in text
+    assert "| calm | 0.5 |" in text
+    page = (folder / "card.html").read_text()
+    assert "<b>by far</b>" not in page
+    assert "&lt;b&gt;by far&lt;/b&gt;" in page
+    run = json.loads((folder / "quick%2Fsmall%2Fseed1" / "run.json").read_text())
+    assert run["config"]["learner"]["rollout_steps"] == 8
+    before = (folder / "card.csv").read_text()
+    assert reproduce(*words, "--card") == 0
+    assert (folder / "card.csv").read_text() == before
+    assert "card: " in capsys.readouterr().out
+
+
+def result(samples: float, outcome: str = "criterion", status: str = "ok") -> Result:
+    report = Report("x", status, 1.0, {"success_from_here": 0.5}, samples, "", outcome)
+    return Result(Trial("x", variant="a/b", seed=0), report, Path("nowhere"))
+
+
+def test_samples_of_what_did_not_get_there_are_not_averaged() -> None:
+    cell = Cell([result(2e6), result(4e6), result(8e6, "budget"), result(1.0, "", "failed: why")])
+    assert cell.values("samples") == [2e6, 4e6]
+    text = cell.text("samples")
+    assert text.startswith("3M [0, ")
+    assert text.endswith("(2); 1 not within 8M; 1 failed")
+    assert Cell([result(8e6, "budget")]).text("samples") == "1 not within 8M"
+    assert cell.text("success_from_here").startswith("50 %")
+    assert Cell([]).text("samples") == "–"
+
+
+def test_an_unfinished_table_has_a_card(tmp_path: Path) -> None:
+    table = PaperTable("A title", "a paper", {"a": ("experiment=miniature/go",)})
+    card = Card("mine/one", table, tmp_path)
+    assert "0 of 3 trainings are finished" in card.headline()
+    assert card.write().exists()
+    check_markup((tmp_path / "card.html").read_text().partition("<main")[2].partition(">")[2].partition("</main>")[0])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (("rows:", "raws:"), "has no option 'raws'"),
+        (("seeds: [0, 1]", "seeds: []"), "must not be empty"),
+        (("  calm: {small: 0.5,", "  calm: {smal: 0.5,"), "paper names 'smal'"),
+        (("calm: [exp", "'ca;lm': [exp"), "other signs than letters"),
+        (("{of: return}", "{fo: return}"), "has no option 'fo'"),
+    ],
+)
+def test_a_wrong_table_is_refused_with_its_place(
+    offered: Callable[[str], Path], change: tuple[str, str], why: str
+) -> None:
+    offered(TABLE.replace(*change))
+    with pytest.raises(ConfigError, match=why) as caught:
+        load_table("mine/one", installed())
+    assert "reproduction/mine/one" in str(caught.value)
+
+
+def test_a_file_that_is_no_table(offered: Callable[[str], Path]) -> None:
+    offered("title: [")
+    with pytest.raises(FileError, match="is no table"):
+        load_table("mine/one", installed())
+    offered("!!python/object/apply:os.system ['true']")
+    with pytest.raises(FileError, match="is no table"):
+        load_table("mine/one", installed())
+
+
+def test_what_is_not_there_is_named(
+    offered: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered(TABLE)
+    assert reproduce("mine/on") == 2
+    assert "Did you mean 'mine/one'?" in capsys.readouterr().err
+    assert reproduce("mine/one", "--rows", "clam") == 2
+    assert "--rows: there is no 'clam'. Did you mean 'calm'?" in capsys.readouterr().err
+    assert reproduce() == 0
+    assert capsys.readouterr().out == "mine/one: How near a point gets, <b>by far</b>\n"
+
+
+def test_a_variant_that_cannot_be_composed_stops_it_before_anything_runs(
+    offered: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered(TABLE.replace("policy.hidden=[64, 64]", "policy.hiden=[64, 64]"))
+    assert reproduce("mine/one", *SMALL, f"run.dir={tmp_path / 'out'}") == 2
+    assert "Variant 'calm/large' cannot be run" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "calm%2Fsmall%2Fseed0").exists()
+
+
+def test_every_bundled_table_can_be_composed() -> None:
+    """Their first cells; all are when a sweep begins."""
+    names = list(tables.table_files(installed()))
+    assert "spacetime/table_3_1" in names
+    for name in names:
+        table = load_table(name, installed())
+        assert table.variants()
+        assert command.experiment_of(table)
+        assert card_module.Card(name, table, Path("nowhere")).text()
