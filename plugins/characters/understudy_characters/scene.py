@@ -19,6 +19,7 @@ from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.servos import ServoOptions, drive
 from understudy_characters.state import Poses
+from understudy_characters.surroundings import Surroundings
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
 
@@ -28,9 +29,9 @@ _BESIDE, _DISTANCE, _AIM = 0.74, 2.4, 0.52
 
 
 class CharacterScene(MujocoScene):
-    """One character on a floor, each of its joints driven by a position servo."""
+    """One character on a floor, each of its joints driven by a position servo, and its surroundings."""
 
-    recorded = ("qpos", "reference_qpos", "phase")
+    recorded: tuple[str, ...] = ("qpos", "reference_qpos", "phase")
 
     @dataclass(frozen=True)
     class Options:
@@ -44,6 +45,11 @@ class CharacterScene(MujocoScene):
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self._options = options
         name, spec = character_spec(options.character, installed().registry)
+        sections = context.sections.values() if context else ()
+        self._surroundings = [section for section in sections if isinstance(section, Surroundings)]
+        for around in self._surroundings:
+            around.build(spec)
+            self.recorded += around.recorded
         timestep = context.control_dt / context.substeps if context else 1 / 600
         character = _compiled(name, spec)
         drive(spec, character, timestep, options.servos)
@@ -98,6 +104,8 @@ class CharacterScene(MujocoScene):
         try:
             for frame, qpos in enumerate(tracks["qpos"]):
                 own.qpos[:] = qpos
+                for around in self._surroundings:
+                    around.place(model, {name: tracks[name][frame] for name in around.recorded})
                 mujoco.mj_kinematics(model, own)
                 mujoco.mj_camlight(model, own)
                 aim = np.array([qpos[at], qpos[at + 1] + 0.5 * beside, _AIM * length])
