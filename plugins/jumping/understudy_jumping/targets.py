@@ -29,9 +29,11 @@ RANGES: dict[str, tuple[Range, ...]] = {
 
 
 class Targets(Actuation):
-    """The action is the target of every servo, cut to the joints' `ranges` and `margin` beyond.
+    """The action, from the pose `rest` on, is the target of every servo, cut to the joints' `ranges`
+    and `margin` beyond.
 
-    Within the margin a servo still gives its whole torque at the end of the range.
+    Within the margin a servo still gives its whole torque at the end of the range. The rest is where
+    exploration begins: a swing leg that is not bent there stamps on the ground at once.
     """
 
     @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class Targets(Actuation):
         #: By joint instead of :data:`RANGES`: (least, most) of each axis, no margin added.
         ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
         margin: float = 0.5  #: rad
+        rest: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  #: rad, by joint; else 0
 
         def __post_init__(self) -> None:
             check_range(self, "margin", least=0)
@@ -50,28 +53,32 @@ class Targets(Actuation):
             for name, ranges in (RANGES | _left(RANGES)).items()
         }
         joints = scene.layout.joint_names
+        for option, names in (("ranges", options.ranges), ("rest", options.rest)):
+            for name in names:
+                if name not in joints:
+                    raise ConfigError(
+                        f"actuation.{option}: there is no joint '{name}'.{suggestion(name, joints)}"
+                    )
         for name, ranges in options.ranges.items():
-            if name not in joints:
-                raise ConfigError(
-                    f"actuation.ranges: there is no joint '{name}'.{suggestion(name, joints)}"
-                )
             if any(low > high for low, high in ranges):
                 raise ConfigError(f"actuation.ranges.{name}={ranges}: the first is the lower one.")
             known[name] = ranges
         model, counted = scene.model, dict.fromkeys(joints, 0)
-        found: list[Range] = []
+        found: list[tuple[float, float, float]] = []
         for actuator in range(model.nu):
             body = int(model.jnt_bodyid[model.actuator_trnid[actuator, 0]])
             name = model.body(body).name
             ranges = known.get(name, ())
             axis = counted[name]
             counted[name] += 1
-            found.append(ranges[axis] if axis < len(ranges) else (-torch.pi, torch.pi))
-        self._low, self._high = torch.tensor(found, device=context.device).unbind(1)
+            least, most = ranges[axis] if axis < len(ranges) else (-torch.pi, torch.pi)
+            rest = (*options.rest.get(name, ()), 0.0, 0.0, 0.0)[axis]
+            found.append((least, most, rest))
+        self._low, self._high, self._rest = torch.tensor(found, device=context.device).unbind(1)
         self.action_space = box(model.nu)
 
     def control(self, action: Tensor) -> Tensor:
-        return action.clamp(self._low, self._high)
+        return (self._rest + action).clamp(self._low, self._high)
 
 
 def _left(right: Mapping[str, tuple[Range, ...]]) -> dict[str, tuple[Range, ...]]:
