@@ -29,7 +29,6 @@ def understudy_register(register: Registrar) -> None:
     add("reward", "spin", "terms:spin", "little rotation of the root")
     add("reward", "safety", "terms:safety", "not on the head")
     add("reward", "naturalness", "terms:naturalness", "few and small offsets")
-    add("measure", "cleared_height", "terms:cleared_height", "the highest bar it had cleared")
     add("measure", "of_takeoff", "terms:of_takeoff", "a field of one take-off's worlds")
     add("curriculum", "accumulated", "curriculum:Accumulated", "a higher bar for enough reward")
     register.task("jumping.high", "jump over a bar from a take-off state")

@@ -21,9 +21,6 @@ from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import arena_of
 from understudy_jumping.body import FEET, HEAD, TRUNK, body_of, lowest_between
 
-#: m: clearance of an athlete that has not come to the obstacle.
-NOT_THERE = -1.0
-
 
 class Attempt(Memory):
     """What happened so far.
@@ -34,6 +31,7 @@ class Attempt(Memory):
     - ``head_first`` () 1 once the head has touched the mat
     - ``lowest_pass`` () m: the least height at which any part of the body passed over the obstacle, the
       height of the highest bar that the same movement had cleared; infinite before
+    - ``cleared`` () m: this of an attempt that has landed, else 0
     - ``body_ends`` (S, 2, 2): where the ends of the body's segments were, x and z
     """
 
@@ -61,13 +59,14 @@ class Attempt(Memory):
         segments = len(self._widths)
         self.keeps: Mapping[str, Shape] = {
             "crashed": (), "landed": (), "beyond": (), "head_first": (), "lowest_pass": (),
-            "body_ends": (segments, 2, 2),
+            "cleared": (), "body_ends": (segments, 2, 2),
         }  # fmt: skip
 
     def begin(self, geom_xpos: Tensor, geom_xmat: Tensor, **fields: Tensor) -> dict[str, Tensor]:
         nothing = torch.zeros_like(fields["mat_height"])
         ends = self._body.ends(geom_xpos, geom_xmat)[..., ::2]
-        flags = dict.fromkeys(("crashed", "landed", "beyond", "head_first"), nothing)
+        names = ("crashed", "landed", "beyond", "head_first", "cleared")
+        flags = dict.fromkeys(names, nothing)
         return {**flags, "lowest_pass": nothing + torch.inf, "body_ends": ends}
 
     def advance(
@@ -101,12 +100,15 @@ class Attempt(Memory):
         landed, wrong = self._landing(mat)
         crashed = (kept["crashed"] != 0) | struck | fallen | (wrong & (kept["landed"] == 0))
         head = (kept["head_first"] != 0) | (mat & self._head).any(dim=1)
+        landed = (kept["landed"] != 0) | (landed & beyond & ~crashed)
+        lowest = torch.minimum(kept["lowest_pass"], passed)
         return {
             "crashed": crashed.float(),
-            "landed": ((kept["landed"] != 0) | (landed & beyond & ~crashed)).float(),
+            "landed": landed.float(),
             "beyond": beyond.float(),
             "head_first": head.float(),
-            "lowest_pass": torch.minimum(kept["lowest_pass"], passed),
+            "lowest_pass": lowest,
+            "cleared": torch.where(landed, lowest, 0.0),
             "body_ends": ends,
         }
 

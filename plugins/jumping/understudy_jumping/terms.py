@@ -35,11 +35,6 @@ def naturalness(mean_offset: Tensor, offset_limit: Tensor) -> Tensor:
     return 1.0 - (mean_offset / offset_limit).square().clamp(0.0, 1.0)
 
 
-def cleared_height(landed: Tensor, lowest_pass: Tensor) -> Tensor:
-    """m: the highest bar that this jump had cleared, 0 if it did not land."""
-    return torch.where(landed != 0, lowest_pass, 0.0)
-
-
 def of_takeoff(value: Tensor, takeoff: Tensor, *, number: int) -> Tensor:
     """The field in worlds that began in take-off `number`, no number in others: means leave them out."""
     return torch.where(takeoff == number, value.float(), torch.nan)
