@@ -105,7 +105,8 @@ class CharacterScene(MujocoScene):
             for frame, qpos in enumerate(tracks["qpos"]):
                 own.qpos[:] = qpos
                 for around in self._surroundings:
-                    around.place(model, {name: tracks[name][frame] for name in around.recorded})
+                    seen = {name: tracks[name][frame] for name in around.recorded}
+                    around.place(model, own, seen)
                 mujoco.mj_kinematics(model, own)
                 mujoco.mj_camlight(model, own)
                 aim = np.array([qpos[at], qpos[at + 1] + 0.5 * beside, _AIM * length])

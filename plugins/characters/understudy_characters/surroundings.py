@@ -20,5 +20,7 @@ class Surroundings(ABC):
         """Add to the model what is there, in bodies of its own."""
 
     @abstractmethod
-    def place(self, model: mujoco.MjModel, frame: Mapping[str, np.ndarray]) -> None:
+    def place(
+        self, model: mujoco.MjModel, data: mujoco.MjData, frame: Mapping[str, np.ndarray]
+    ) -> None:
         """Put it, in a compiled model that is drawn, where one recorded `frame` has it."""

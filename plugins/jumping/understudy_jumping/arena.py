@@ -100,7 +100,7 @@ class Arena(Surroundings):
             rgba=[0.28, 0.42, 0.66, 1.0],
             solref=[options.softness, 1.0],
         )
-        obstacle = spec.worldbody.add_body(name=_OBSTACLE, mocap=True)
+        obstacle = spec.worldbody.add_body(name=_OBSTACLE)
         obstacle.add_geom(
             name=_OBSTACLE,
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -110,12 +110,14 @@ class Arena(Surroundings):
             rgba=[0.85, 0.3, 0.25, 0.55],
         )
 
-    def place(self, model: mujoco.MjModel, frame: Mapping[str, np.ndarray]) -> None:
+    def place(
+        self, model: mujoco.MjModel, data: mujoco.MjData, frame: Mapping[str, np.ndarray]
+    ) -> None:
         height, width, mat = (float(frame[name]) for name in self.recorded)
-        box, flat = model.geom(_OBSTACLE).id, model.body(MAT).id
-        model.geom_size[box] = 0.5 * width, 0.5 * self.options.length, 0.5 * height
+        size = 0.5 * width, 0.5 * self.options.length, 0.5 * height
+        model.geom_size[model.geom(_OBSTACLE).id] = size
         model.body_pos[model.body(_OBSTACLE).id] = 0.5 * width, 0.0, 0.5 * height
-        model.body_pos[flat] = self.mat_x(width), 0.0, mat
+        data.mocap_pos[model.body(MAT).mocapid] = self.mat_x(width), 0.0, mat
 
 
 def arena_of(context: Context, who: str) -> Arena:
