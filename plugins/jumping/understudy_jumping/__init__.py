@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "mujoco", "motion", "characters", "humanoid", "ppo")
+REQUIRES = ("basics", "mujoco", "motion", "characters", "humanoid", "ppo", "deepmimic", "report")
 
 _HERE = "understudy_jumping"
 
@@ -30,9 +30,18 @@ def understudy_register(register: Registrar) -> None:
     add("reward", "safety", "terms:safety", "not on the head")
     add("reward", "naturalness", "terms:naturalness", "few and small offsets")
     add("measure", "of_takeoff", "terms:of_takeoff", "a field of one take-off's worlds")
+    add("initial_states", "run_up", "run_up:Beginnings", "in the run-up's clip")
+    add("actuation", "offset_targets", "run_up:OffsetTargets", "the reference's targets and offsets")
+    add("fields", "arrival", "run_up:Arrival", "how near the take-off is to the one wanted")
+    add("termination", "arrived", "run_up:arrived", "the take-off has come")
+    add("reward", "match", "run_up:match", "the take-off that is wanted")
     add("curriculum", "accumulated", "curriculum:Accumulated", "a higher bar for enough reward")
     register.task("jumping.high", "jump over a bar from a take-off state")
     register.task("jumping.obstacle", "jump over a box from a take-off state")
+    register.task("jumping.run_up", "imitate a run-up, and arrive at a take-off state")
+    register.component(
+        "command", "jumping join", f"{_HERE}.join:Join", "join a run-up and its jump in one motion"
+    )
     register.citation(
         "yin2021jumping",
         "Yin, Yang, van de Panne, Yin. Discovering diverse athletic jumping strategies. ACM Transactions "

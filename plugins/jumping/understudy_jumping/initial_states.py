@@ -16,6 +16,7 @@ from understudy.task import Context, InitialStates, Shape
 from understudy_basics import bank, rotations
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import MAT, Arena, arena_of
+from understudy_jumping.run_up import takeoff_features
 from understudy_jumping.takeoff import POSES, Takeoff, takeoff_states
 
 EPISODE_FIELDS: Mapping[str, Shape] = {
@@ -119,15 +120,9 @@ class Harvested(InitialStates):
         heading = rotations.heading(root)
         wanted = torch.full_like(heading, Takeoff(alpha=options.alpha).heading)
         turn = rotations.from_heading(wanted - heading)
-        ahead = rotations.from_heading(-heading)
-        linear = rotations.rotate(ahead, qvel[:, dof : dof + 3])
-        angular = rotations.rotate(
-            ahead, rotations.rotate(root, qvel[:, dof + 3 : dof + 6])
-        )
-        self._features = torch.stack(
-            [-linear[:, 1], angular[:, 0], angular[:, 2], -angular[:, 1],
-             torch.full_like(heading, options.alpha)], dim=1,
-        )  # fmt: skip
+        features = takeoff_features(root, qvel[:, dof : dof + 6])
+        alpha = torch.full_like(heading, options.alpha).unsqueeze(1)
+        self._features = torch.cat([features, alpha], dim=1)
         self._qpos, self._qvel = qpos.clone(), qvel.clone()
         self._qpos[:, at : at + 2] = 0.0
         self._qpos[:, at + 3 : at + 7] = rotations.multiply(turn, root)
