@@ -92,11 +92,12 @@ def _body(scene: CharacterScene, device: torch.device) -> Body:
 def lowest_between(start: Tensor, end: Tensor, low: Tensor | float, high: Tensor) -> Tensor:
     """(…,) m: the least z of the straight line from `start` to `end` (…, 2), each (x, z), where
     `low` <= x <= `high`; infinite where it does not come there."""
-    across = end[..., 0] - start[..., 0]
-    safe = torch.where(across.abs() < 1e-9, 1e-9, across)
-    first, second = (low - start[..., 0]) / safe, (high - start[..., 0]) / safe
-    begin = torch.minimum(first, second).clamp(min=0.0)
-    finish = torch.maximum(first, second).clamp(max=1.0)
+    x, across = start[..., 0], end[..., 0] - start[..., 0]
+    upright = across.abs() < 1e-6
+    first, second = ((edge - x) / torch.where(upright, 1.0, across) for edge in (low, high))
+    whole = torch.where((x >= low) & (x <= high), 1.0, -1.0)  # of an upright line all or nothing
+    begin = torch.where(upright, 0.0, torch.minimum(first, second).clamp(min=0.0))
+    finish = torch.where(upright, whole, torch.maximum(first, second).clamp(max=1.0))
     slope = end[..., 1] - start[..., 1]
     least = start[..., 1] + torch.minimum(begin * slope, finish * slope)
     return torch.where(begin <= finish, least, torch.inf)
