@@ -31,7 +31,9 @@ def understudy_register(register: Registrar) -> None:
     add("reward", "naturalness", "terms:naturalness", "few and small offsets")
     add("measure", "of_takeoff", "terms:of_takeoff", "a field of one take-off's worlds")
     add("initial_states", "run_up", "run_up:Beginnings", "in the run-up's clip")
-    add("actuation", "offset_targets", "run_up:OffsetTargets", "the reference's targets and offsets")
+    add(
+        "actuation", "offset_targets", "run_up:OffsetTargets", "the reference's targets and offsets"
+    )
     add("fields", "arrival", "run_up:Arrival", "how near the take-off is to the one wanted")
     add("termination", "arrived", "run_up:arrived", "the take-off has come")
     add("reward", "match", "run_up:match", "the take-off that is wanted")

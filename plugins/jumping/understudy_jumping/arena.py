@@ -30,7 +30,10 @@ _OBSTACLE, _GAP, _THICK = "obstacle", 0.02, 0.8
 
 @dataclass(frozen=True)
 class ArenaOptions:
-    height: tuple[float, float] = (0.5, 2.0)  #: m, of the obstacle at difficulty 0 and 1 (table 4.1)
+    height: tuple[float, float] = (
+        0.5,
+        2.0,
+    )  #: m, of the obstacle at difficulty 0 and 1 (table 4.1)
     width: tuple[float, float] = (0.02, 0.02)  #: m, along the jump, likewise
     #: Difficulties at which ρ, by which control rate and offsets are scheduled, is 0 and 1.
     schedule: tuple[float, float] = (0.0, 1 / 3)
@@ -91,7 +94,9 @@ class Arena(Surroundings):
     def build(self, spec: mujoco.MjSpec) -> None:
         options = self.options
         spec.option.gravity = [0.0, 0.0, -options.gravity]
-        mat = spec.worldbody.add_body(name=MAT, mocap=True, pos=[self.mat_x(options.width[0]), 0, 0])
+        mat = spec.worldbody.add_body(
+            name=MAT, mocap=True, pos=[self.mat_x(options.width[0]), 0, 0]
+        )
         mat.add_geom(
             name=MAT,
             type=mujoco.mjtGeom.mjGEOM_BOX,

@@ -140,7 +140,15 @@ class Jump(Fields):
     - ``offset_limit`` () rad: c_offset = 48 - 33 ρ
     """
 
-    reads = ("qpos", "qvel", "subtree_com", "obstacle_width", "ctrl", "actuator_length", "difficulty")
+    reads = (
+        "qpos",
+        "qvel",
+        "subtree_com",
+        "obstacle_width",
+        "ctrl",
+        "actuator_length",
+        "difficulty",
+    )
     provides: Mapping[str, Shape] = {
         "root_orientation": (3,), "root_quaternion": (4,), "facing_up": (), "crossing": (), "root_spin": (),
         "target_offset": (), "offset_limit": (),

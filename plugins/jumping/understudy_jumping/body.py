@@ -7,6 +7,7 @@ trunk's spheres is one too, so that no bar passes between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -28,7 +29,9 @@ class Body:
 
     names: tuple[str, ...]  #: (G,) of the bodies that carry the geoms
     geoms: Tensor  #: (G,) ids
-    offsets: Tensor  #: (G, 3) m: from a geom's centre to one end, in its frame; the other is opposite
+    offsets: (
+        Tensor  #: (G, 3) m: from a geom's centre to one end, in its frame; the other is opposite
+    )
     radii: Tensor  #: (G,) m
     boxes: Tensor  #: (G, 3) m, half sizes; 0 where it is no box
     links: Tensor  #: (K, 2) rows of geoms whose centres a segment joins
@@ -81,11 +84,17 @@ def _body(scene: CharacterScene, device: torch.device) -> Body:
             if model.geom_type[geom] == types.mjGEOM_CAPSULE:
                 offsets[row, 2] = size[1]
     trunk = [names.index(name) for name in TRUNK if name in names]
+
+    def constant(values: np.ndarray) -> Tensor:
+        return torch.tensor(values, dtype=torch.float32, device=device)
+
     return Body(
         names,
         torch.tensor(ids, device=device),
-        *(torch.tensor(v, dtype=torch.float32, device=device) for v in (offsets, radii, boxes)),
-        torch.tensor([*zip(trunk, trunk[1:], strict=False)], device=device).view(-1, 2),
+        constant(offsets),
+        constant(radii),
+        constant(boxes),
+        torch.tensor([*pairwise(trunk)], device=device).view(-1, 2),
     )
 
 

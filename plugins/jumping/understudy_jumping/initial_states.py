@@ -38,12 +38,14 @@ class Takeoffs(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: Takeoff = Takeoff()
+        takeoff: Takeoff = field(default_factory=Takeoff)
         others: Mapping[str, Takeoff] = field(default_factory=dict)  #: in the order of their names
         pose: Literal["plant", "step"] = "plant"
         #: m from the root to the obstacle, at ρ = 0 and 1.
         distance: tuple[float, float] = (0.8, 1.2)
-        noise: float = 0.02  #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
+        noise: float = (
+            0.02  #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
+        )
 
         def __post_init__(self) -> None:
             check_range(self, "noise", least=0)
@@ -66,7 +68,8 @@ class Takeoffs(InitialStates):
         self._hinges = layout.hinge_qpos[layout.hinge_used.bool()].to(context.device)
         self._balls = layout.ball_qpos.to(context.device)
 
-    def sample(self, streams: WorldStreams, difficulty: Tensor) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        difficulty = fields["difficulty"]
         qpos, count = self._qpos.clone(), self._balls.shape[0]
         size = 3 * count + len(self._hinges) + self._qvel.shape[1]
         moved = self._noise * (2.0 * streams.uniform(size) - 1.0)
@@ -128,7 +131,8 @@ class Harvested(InitialStates):
         self._qpos[:, at + 3 : at + 7] = rotations.multiply(turn, root)
         self._qvel[:, dof : dof + 3] = rotations.rotate(turn, qvel[:, dof : dof + 3])
 
-    def sample(self, streams: WorldStreams, difficulty: Tensor) -> dict[str, Tensor]:
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        difficulty = fields["difficulty"]
         count = len(self._qpos)
         row = (streams.uniform(1).squeeze(1) * count).long().clamp(max=count - 1)
         qpos = self._qpos[row]

@@ -31,7 +31,9 @@ def test_lines_over_an_interval() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(numbers, numbers, numbers, numbers, st.floats(0.02, 1.0))
-def test_no_point_of_the_line_is_lower(x0: float, z0: float, x1: float, z1: float, w: float) -> None:
+def test_no_point_of_the_line_is_lower(
+    x0: float, z0: float, x1: float, z1: float, w: float
+) -> None:
     t = np.linspace(0, 1, 400)
     x, z = x0 + t * (x1 - x0), z0 + t * (z1 - z0)
     inside = z[(x >= 0) & (x <= w)]

@@ -38,11 +38,11 @@ def test_it_rises_when_the_sum_is_beyond_the_threshold() -> None:
     """R_T = 30 with a mean return of 0.7: in the 43rd iteration of 4096 samples, by 1 cm of 150."""
     curriculum = Accumulated(Accumulated.Options(batch=8), context())
     for iteration in range(1, 44):
-        assert curriculum.update(of(0.7))["difficulty"] == pytest.approx(0.0 if iteration < 43 else 1 / 150)
+        assert curriculum.update(of(0.7))["difficulty"] == pytest.approx(
+            0.0 if iteration < 43 else 1 / 150
+        )
     streams = WorldStreams(0, "a test", 4, "cpu")
-    torch.testing.assert_close(
-        curriculum.begin(streams)["difficulty"], torch.full((4,), 1 / 150)
-    )
+    torch.testing.assert_close(curriculum.begin(streams)["difficulty"], torch.full((4,), 1 / 150))
     assert curriculum.state_dict()["sums"] == [0.0], "the sum begins anew"
 
 
@@ -68,8 +68,7 @@ def test_groups_have_bars_of_their_own() -> None:
     curriculum = Accumulated(options, context())
     returns = torch.tensor([[0.9, 0.0, 0.9, 0.0]] * 2)
     ended = torch.tensor([[False] * 4, [True] * 4])
-    for _ in range(4):
-        found = curriculum.update(rollout(ended, returns))
+    found = [curriculum.update(rollout(ended, returns)) for _ in range(4)][-1]
     assert found["difficulty_0"] == pytest.approx(0.2)
     assert found["difficulty_1"] == 0.0
     assert found["difficulty"] == pytest.approx(0.1)
@@ -80,8 +79,7 @@ def test_groups_have_bars_of_their_own() -> None:
 def test_it_ends_at_the_tasks_difficulty_and_stands_there_in_evaluations() -> None:
     options = Accumulated.Options(threshold=0.1, batch=8, step=0.3)
     curriculum = Accumulated(options, context(difficulty=0.5))
-    for _ in range(5):
-        found = curriculum.update(of(0.9))
+    found = [curriculum.update(of(0.9)) for _ in range(5)][-1]
     assert found["difficulty"] == 0.5
     judged = Accumulated(options, context(difficulty=0.5, evaluating=True))
     assert judged.begin(WorldStreams(0, "a test", 4, "cpu"))["difficulty"].tolist() == [0.5] * 4

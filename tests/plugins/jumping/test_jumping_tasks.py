@@ -57,7 +57,9 @@ def test_rates_and_obstacles_are_those_of_the_paper(
         size = 0.5 + 0.5 * rho if task == "high" else max(rho, 0.05)
         difficulty = (size - low) / (high - low)
         found = Arena(arena).rho(torch.tensor([difficulty]))
-        assert float(found) == pytest.approx(max(rho, 0.05 if task == "obstacle" else 0.0), abs=1e-5)
+        assert float(found) == pytest.approx(
+            max(rho, 0.05 if task == "obstacle" else 0.0), abs=1e-5
+        )
         reached = [n for at, n in curriculum.decision if at <= difficulty + 1e-4]
         assert frequency / reached[-1] == rate
     learner = experiment.need("learner").options
@@ -68,9 +70,7 @@ def test_rates_and_obstacles_are_those_of_the_paper(
 
 def test_the_mat_is_lower_than_the_bar_and_behind_it(plugins: Plugins) -> None:
     for difficulty, height, mat in ((0.0, 0.5, 0.1), (0.4, 1.1, 0.4), (1.0, 2.0, 0.75)):
-        env = environment(
-            plugins, "task=jumping/high", f"difficulty={difficulty}", evaluating=True
-        )
+        env = environment(plugins, "task=jumping/high", f"difficulty={difficulty}", evaluating=True)
         np.testing.assert_allclose(env.table["obstacle_height"], height, rtol=1e-6)
         np.testing.assert_allclose(env.table["mat_height"], mat, rtol=1e-5)
         np.testing.assert_allclose(env.table["mocap_pos/mat"][:, 2], mat, rtol=1e-5)
@@ -81,9 +81,7 @@ def test_the_mat_is_lower_than_the_bar_and_behind_it(plugins: Plugins) -> None:
 
 def test_it_begins_as_far_from_the_bar_as_the_schedule_says(plugins: Plugins) -> None:
     for difficulty, distance in ((0.0, 0.8), (1 / 6, 1.0), (0.9, 1.2)):
-        env = environment(
-            plugins, "task=jumping/high", f"difficulty={difficulty}", evaluating=True
-        )
+        env = environment(plugins, "task=jumping/high", f"difficulty={difficulty}", evaluating=True)
         np.testing.assert_allclose(env.table["qpos"][:, 0], -distance, rtol=1e-5)
         env.close()
 
@@ -255,7 +253,7 @@ def test_the_bar_is_drawn_where_it_is(plugins: Plugins) -> None:
     data = mujoco.MjData(model)
     arena = Arena(experiment.sections["arena"])
     frame = {"obstacle_height": 1.5, "obstacle_width": 0.1, "mat_height": 0.6}
-    arena.place(model, data, {name: np.float32(value) for name, value in frame.items()})
+    arena.place(model, data, {name: np.array(value) for name, value in frame.items()})
     mujoco.mj_kinematics(model, data)
     box, mat = model.geom("obstacle").id, model.geom("mat").id
     assert data.geom_xpos[box, 2] + model.geom_size[box, 2] == pytest.approx(1.5)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from arena_worlds import arena_context
 
 import understudy_jumping
-from arena_worlds import arena_context
 from understudy.errors import ConfigError
 from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
