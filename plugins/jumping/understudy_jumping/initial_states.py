@@ -25,6 +25,26 @@ EPISODE_FIELDS: Mapping[str, Shape] = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Distance:
+    """How far the root is from the obstacle at the take-off, m: near + (far - near) ρ + ahead sin α.
+
+    What is straight in front is reached in half the time of what is beside, hence the last term.
+    """
+
+    near: float = 0.8
+    far: float = 1.2
+    ahead: float = 0.8
+
+    def __post_init__(self) -> None:
+        check_range(self, "near", "far", above=0)
+        check_range(self, "ahead", least=0)
+
+    def at(self, rho: Tensor, alpha: Tensor) -> Tensor:
+        """(N,)"""
+        return self.near + (self.far - self.near) * rho + self.ahead * alpha.sin().clamp(min=0.0)
+
+
 class Takeoffs(InitialStates):
     """At the take-off; the obstacle is as the difficulty has it.
 
@@ -41,8 +61,7 @@ class Takeoffs(InitialStates):
         takeoff: Takeoff = field(default_factory=Takeoff)
         others: Mapping[str, Takeoff] = field(default_factory=dict)  #: in the order of their names
         pose: Literal["plant", "step"] = "plant"
-        #: m from the root to the obstacle, at ρ = 0 and 1.
-        distance: tuple[float, float] = (0.8, 1.2)
+        distance: Distance = field(default_factory=Distance)
         noise: float = (
             0.02  #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
         )
@@ -79,8 +98,8 @@ class Takeoffs(InitialStates):
         turned = rotations.from_exponential_map(balls.unflatten(1, (count, 3)))
         qpos[:, self._balls] = rotations.multiply(qpos[:, self._balls], turned)
         qpos[:, self._hinges] += hinges
-        near, far = self._distance
-        qpos[:, self._at] = -(near + (far - near) * self._arena.rho(difficulty))
+        alpha = self._features[:, -1]
+        qpos[:, self._at] = -self._distance.at(self._arena.rho(difficulty), alpha)
         return {
             "qpos": qpos,
             "qvel": self._qvel + velocities,
@@ -102,7 +121,7 @@ class Harvested(InitialStates):
     class Options:
         file: str  #: the bank, or the folder of the run that has one
         alpha: float = -0.05  #: rad, as :class:`~understudy_jumping.takeoff.Takeoff` has it
-        distance: tuple[float, float] = (0.8, 1.2)  #: m, as take-offs have it
+        distance: Distance = field(default_factory=Distance)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping.harvested'"
@@ -136,8 +155,8 @@ class Harvested(InitialStates):
         count = len(self._qpos)
         row = (streams.uniform(1).squeeze(1) * count).long().clamp(max=count - 1)
         qpos = self._qpos[row]
-        near, far = self._distance
-        qpos[:, self._at] = -(near + (far - near) * self._arena.rho(difficulty))
+        alpha = self._features[row, -1]
+        qpos[:, self._at] = -self._distance.at(self._arena.rho(difficulty), alpha)
         return {
             "qpos": qpos,
             "qvel": self._qvel[row],

@@ -84,6 +84,9 @@ def test_it_begins_as_far_from_the_bar_as_the_schedule_says(plugins: Plugins) ->
         env = environment(plugins, "task=jumping/high", f"difficulty={difficulty}", evaluating=True)
         np.testing.assert_allclose(env.table["qpos"][:, 0], -distance, rtol=1e-5)
         env.close()
+    env = environment(plugins, "task=jumping/obstacle", "difficulty=0", evaluating=True)
+    np.testing.assert_allclose(env.table["qpos"][:, 0], -1.62, atol=1e-3)  # ρ = 0.05
+    env.close()
 
 
 def test_a_jump_that_does_nothing_ends_within_two_seconds(plugins: Plugins) -> None:
