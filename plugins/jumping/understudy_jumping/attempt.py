@@ -1,0 +1,188 @@
+"""An attempt: what happened to it so far, judged at the end of every control period.
+
+Section 4.6.1: it succeeds when the athlete lands on the mat with all of its body at least 20 cm
+behind the obstacle. It fails if any part touches the obstacle, if any but the take-off foot touches
+the ground, or if it takes too long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Context, Fields, Memory, Shape
+from understudy_basics import rotations
+from understudy_characters.scene import CharacterScene
+from understudy_jumping.arena import arena_of
+from understudy_jumping.body import FEET, HEAD, TRUNK, body_of, lowest_between
+
+
+class Attempt(Memory):
+    """What happened so far.
+
+    - ``crashed`` () 1 once it has touched what it must not
+    - ``landed`` () 1 once it has landed as it should
+    - ``beyond`` () 1 once all of the body was `behind` m behind the obstacle
+    - ``head_first`` () 1 once the head has touched the mat
+    - ``lowest_pass`` () m: the least height at which any part of the body passed over the obstacle, the
+      height of the highest bar that the same movement had cleared; infinite before
+    - ``cleared`` () m: this of an attempt that has landed, else 0
+    - ``body_ends`` (S, 2, 2): where the ends of the body's segments were, x and z
+    """
+
+    reads = ("geom_xpos", "geom_xmat", "obstacle_height", "obstacle_width", "mat_height")
+
+    @dataclass(frozen=True)
+    class Options:
+        behind: float = 0.2  #: m behind the obstacle, before anything touches the mat
+        take_off: str = "right_ankle"  #: the foot that may touch the ground
+        #: ``trunk``: the trunk or four links lie on the mat; ``feet``: both feet stand on it, and
+        #: nothing else has touched it (section 4.7.2).
+        landing: Literal["trunk", "feet"] = "trunk"
+        tolerance: float = 0.003  #: m above a surface that still touches it
+
+        def __post_init__(self) -> None:
+            check_range(self, "behind", "tolerance", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        who = "memory 'jumping.attempt'"
+        self._options, self._arena = options, arena_of(context, who)
+        self._body = body = body_of(context, who)
+        self._widths = body.widths
+        self._foot, self._head = body.rows(options.take_off), body.rows(HEAD)
+        self._trunk, self._feet = body.rows(*TRUNK), body.rows(*FEET)
+        segments = len(self._widths)
+        self.keeps: Mapping[str, Shape] = {
+            "crashed": (), "landed": (), "beyond": (), "head_first": (), "lowest_pass": (),
+            "cleared": (), "body_ends": (segments, 2, 2),
+        }  # fmt: skip
+
+    def begin(self, geom_xpos: Tensor, geom_xmat: Tensor, **fields: Tensor) -> dict[str, Tensor]:
+        nothing = torch.zeros_like(fields["mat_height"])
+        ends = self._body.ends(geom_xpos, geom_xmat)[..., ::2]
+        names = ("crashed", "landed", "beyond", "head_first", "cleared")
+        flags = dict.fromkeys(names, nothing)
+        return {**flags, "lowest_pass": nothing + torch.inf, "body_ends": ends}
+
+    def advance(
+        self,
+        kept: Mapping[str, Tensor],
+        geom_xpos: Tensor,
+        geom_xmat: Tensor,
+        obstacle_height: Tensor,
+        obstacle_width: Tensor,
+        mat_height: Tensor,
+    ) -> dict[str, Tensor]:
+        body, before = self._body, kept["body_ends"]
+        ends = body.ends(geom_xpos, geom_xmat)[..., ::2]
+        width = obstacle_width.unsqueeze(1)
+        # lines of the body as it is, and lines along which its ends came here
+        along = lowest_between(ends[:, :, 0], ends[:, :, 1], 0.0, width)
+        came = lowest_between(before, ends, 0.0, width.unsqueeze(2)).amin(dim=2)
+        passed = (torch.minimum(along, came) - self._widths).amin(dim=1)
+        corner = self._from_edge(ends, obstacle_height, width)
+        struck = (passed < obstacle_height) | (corner < self._widths).any(dim=1)
+
+        centre = geom_xpos[:, body.geoms]
+        on_mat = self._arena.on_mat(centre[..., 0], centre[..., 1], width)
+        surface = torch.where(on_mat, mat_height.unsqueeze(1), 0.0)
+        touches = body.lowest(geom_xpos, geom_xmat) <= surface + self._options.tolerance
+        mat, ground = touches & on_mat, touches & ~on_mat
+        was_beyond = kept["beyond"] != 0
+        behind = (ends[..., 0].amin(dim=2) - self._widths).amin(dim=1)
+        beyond = was_beyond | (behind >= obstacle_width + self._options.behind)
+        fallen = (ground & ~self._foot).any(dim=1) | (mat.any(dim=1) & ~beyond)
+        landed, wrong = self._landing(mat)
+        crashed = (kept["crashed"] != 0) | struck | fallen | (wrong & (kept["landed"] == 0))
+        head = (kept["head_first"] != 0) | (mat & self._head).any(dim=1)
+        landed = (kept["landed"] != 0) | (landed & beyond & ~crashed)
+        lowest = torch.minimum(kept["lowest_pass"], passed)
+        return {
+            "crashed": crashed.float(),
+            "landed": landed.float(),
+            "beyond": beyond.float(),
+            "head_first": head.float(),
+            "lowest_pass": lowest,
+            "cleared": torch.where(landed, lowest, 0.0),
+            "body_ends": ends,
+        }
+
+    def _from_edge(self, ends: Tensor, height: Tensor, width: Tensor) -> Tensor:
+        """(N, S) m: how far the nearer end of each segment is from the obstacle."""
+        x, z = ends.unbind(-1)
+        beside = torch.maximum(-x, x - width.unsqueeze(2)).clamp(min=0.0)
+        above = (z - height.view(-1, 1, 1)).clamp(min=0.0)
+        return torch.hypot(beside, above).amin(dim=2)
+
+    def _landing(self, mat: Tensor) -> tuple[Tensor, Tensor]:
+        """(N,) bool: whether the links (N, G) that touch the mat are a landing; a wrong one."""
+        if self._options.landing == "feet":
+            others = (mat & ~self._feet).any(dim=1)
+            return (mat | ~self._feet).all(dim=1) & ~others, others
+        lies = (mat & self._trunk).any(dim=1) | (mat.sum(dim=1) >= 4)
+        return lies, torch.zeros_like(lies)
+
+
+class Jump(Fields):
+    """How the athlete is over the obstacle, and what of its movement counts.
+
+    - ``root_orientation`` (3,) rad: the root's rotation in the world, as a rotation vector; and
+      ``root_quaternion`` (4,), of the two that with w >= 0
+    - ``facing_up`` () rad, in [0, pi]: between where the root faces and up; 0 is on its back
+    - ``crossing`` () bool: the centre of mass is past the middle of the obstacle
+    - ``root_spin`` () rad/s, the size of the root's angular velocity
+    - ``target_offset`` () rad: sum of how far all servos' targets are from where the joints are
+    - ``offset_limit`` () rad: c_offset = 48 - 33 ρ
+    """
+
+    reads = (
+        "qpos",
+        "qvel",
+        "subtree_com",
+        "obstacle_width",
+        "ctrl",
+        "actuator_length",
+        "difficulty",
+    )
+    provides: Mapping[str, Shape] = {
+        "root_orientation": (3,), "root_quaternion": (4,), "facing_up": (), "crossing": (), "root_spin": (),
+        "target_offset": (), "offset_limit": (),
+    }  # fmt: skip
+
+    @dataclass(frozen=True)
+    class Options:
+        limit: tuple[float, float] = (48.0, 15.0)  #: rad, c_offset at ρ = 0 and 1
+
+    def __init__(self, options: Options, context: Context) -> None:
+        who = "fields 'jumping.jump'"
+        layout = context.need_scene(CharacterScene, who).layout
+        self._at, self._dof, self._root = layout.root_address, layout.root_dof, layout.root_body
+        self._arena, self._limit = arena_of(context, who), options.limit
+
+    def compute(
+        self,
+        qpos: Tensor,
+        qvel: Tensor,
+        subtree_com: Tensor,
+        obstacle_width: Tensor,
+        ctrl: Tensor,
+        actuator_length: Tensor,
+        difficulty: Tensor,
+    ) -> dict[str, Tensor]:
+        rotation = qpos[:, self._at + 3 : self._at + 7]
+        facing = rotations.to_matrix(rotation)[:, 2, 0]
+        low, high = self._limit
+        return {
+            "root_orientation": rotations.to_exponential_map(rotation),
+            "root_quaternion": rotations.canonical(rotation),
+            "facing_up": torch.acos(facing.clamp(-1.0, 1.0)),
+            "crossing": (subtree_com[:, self._root, 0] >= 0.5 * obstacle_width).float(),
+            "root_spin": torch.linalg.vector_norm(qvel[:, self._dof + 3 : self._dof + 6], dim=1),
+            "target_offset": (ctrl - actuator_length).abs().sum(dim=1),
+            "offset_limit": low + (high - low) * self._arena.rho(difficulty),
+        }

@@ -1,0 +1,112 @@
+"""The athlete's body as G rounded segments: two ends and a radius each.
+
+Spheres and capsules are what they are; a foot is a capsule along its length, and what joins the
+trunk's spheres is one too, so that no bar passes between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy.task import Context
+from understudy_characters.scene import CharacterScene
+
+#: Links, as :class:`Body` counts them, that tell one from another.
+TRUNK, HEAD, FEET = ("root", "chest", "neck"), "neck", ("right_ankle", "left_ankle")
+#: m: of what joins the spheres of the trunk.
+_SPINE = 0.05
+
+
+@dataclass(frozen=True)
+class Body:
+    """G geoms and the S >= G segments that they and the trunk are."""
+
+    names: tuple[str, ...]  #: (G,) of the bodies that carry the geoms
+    geoms: Tensor  #: (G,) ids
+    offsets: (
+        Tensor  #: (G, 3) m: from a geom's centre to one end, in its frame; the other is opposite
+    )
+    radii: Tensor  #: (G,) m
+    boxes: Tensor  #: (G, 3) m, half sizes; 0 where it is no box
+    links: Tensor  #: (K, 2) rows of geoms whose centres a segment joins
+
+    def ends(self, xpos: Tensor, xmat: Tensor) -> Tensor:
+        """(N, S, 2, 3) m of both ends of all segments, world, from ``geom_xpos`` and ``geom_xmat``."""
+        centre = xpos[:, self.geoms]
+        matrix = xmat[:, self.geoms].reshape(*centre.shape[:2], 3, 3)
+        reach = (matrix @ self.offsets.unsqueeze(-1)).squeeze(-1)
+        own = torch.stack([centre - reach, centre + reach], dim=2)
+        return torch.cat([own, centre[:, self.links]], dim=1)
+
+    def lowest(self, xpos: Tensor, xmat: Tensor) -> Tensor:
+        """(N, G) m: how high the lowest point of each geom is."""
+        up = xmat[:, self.geoms].reshape(len(xpos), -1, 3, 3)[:, :, 2]
+        along = (up * self.offsets).sum(-1).abs() + self.radii
+        reach = torch.where(self.boxes[:, 0] > 0, (up.abs() * self.boxes).sum(-1), along)
+        return xpos[:, self.geoms, 2] - reach
+
+    @property
+    def widths(self) -> Tensor:
+        """(S,) m, the radii of all segments."""
+        return torch.cat([self.radii, torch.full_like(self.radii[: len(self.links)], _SPINE)])
+
+    def rows(self, *names: str) -> Tensor:
+        """(G,) bool: the geoms of these bodies."""
+        return torch.tensor([n in names for n in self.names], device=self.radii.device)
+
+
+def body_of(context: Context, who: str) -> Body:
+    """The body of the task's character, built once."""
+    scene = context.need_scene(CharacterScene, who)
+    return context.once("jumping.body", lambda: _body(scene, context.device))
+
+
+def _body(scene: CharacterScene, device: torch.device) -> Body:
+    model, types = scene.model, mujoco.mjtGeom
+    ids = [geom.id for geom in scene.character.geoms]
+    names = tuple(model.body(int(model.geom_bodyid[geom])).name for geom in ids)
+    offsets, radii, boxes = np.zeros((len(ids), 3)), np.zeros(len(ids)), np.zeros((len(ids), 3))
+    for row, geom in enumerate(ids):
+        size = model.geom_size[geom]
+        if model.geom_type[geom] == types.mjGEOM_BOX:
+            boxes[row] = size
+            longest = int(size.argmax())
+            radii[row] = np.delete(size, longest).mean()
+            offsets[row, longest] = size[longest] - radii[row]
+        else:
+            radii[row] = size[0]
+            if model.geom_type[geom] == types.mjGEOM_CAPSULE:
+                offsets[row, 2] = size[1]
+    trunk = [names.index(name) for name in TRUNK if name in names]
+
+    def constant(values: np.ndarray) -> Tensor:
+        return torch.tensor(values, dtype=torch.float32, device=device)
+
+    return Body(
+        names,
+        torch.tensor(ids, device=device),
+        constant(offsets),
+        constant(radii),
+        constant(boxes),
+        torch.tensor([*pairwise(trunk)], device=device).view(-1, 2),
+    )
+
+
+def lowest_between(start: Tensor, end: Tensor, low: Tensor | float, high: Tensor) -> Tensor:
+    """(…,) m: the least z of the straight line from `start` to `end` (…, 2), each (x, z), where
+    `low` <= x <= `high`; infinite where it does not come there."""
+    x, across = start[..., 0], end[..., 0] - start[..., 0]
+    upright = across.abs() < 1e-6
+    first, second = ((edge - x) / torch.where(upright, 1.0, across) for edge in (low, high))
+    whole = torch.where((x >= low) & (x <= high), 1.0, -1.0)  # of an upright line all or nothing
+    begin = torch.where(upright, 0.0, torch.minimum(first, second).clamp(min=0.0))
+    finish = torch.where(upright, whole, torch.maximum(first, second).clamp(max=1.0))
+    slope = end[..., 1] - start[..., 1]
+    least = start[..., 1] + torch.minimum(begin * slope, finish * slope)
+    return torch.where(begin <= finish, least, torch.inf)

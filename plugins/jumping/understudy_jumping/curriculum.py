@@ -1,0 +1,98 @@
+"""The curriculum of section 4.6.1: the bar rises when enough reward has come together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from understudy import distributed
+from understudy.options import check_range
+from understudy.random import WorldStreams
+from understudy.task import Context, Curriculum, Rollout, Shape, State
+
+
+class Accumulated(Curriculum):
+    """Each iteration's mean return of the episodes that ended is added up; beyond R_T (table 4.1) the
+    difficulty rises by a step and the sum begins anew.
+
+    The paper's iteration is of 4096 samples; one of more counts as so many. With `groups`, world i
+    belongs to group i mod groups, and each group has a difficulty of its own; how long decisions last
+    follows from their mean.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        threshold: float = 30.0  #: R_T
+        step: float = 1 / 150  #: of the difficulty: Δz over z_max - z_min
+        start: float = 0.0
+        batch: int = 4096  #: samples of the paper's iteration
+        groups: int = 1
+        #: Control periods of a decision: (difficulty, periods) with rising difficulties.
+        decision: tuple[tuple[float, int], ...] = field(default_factory=tuple)
+
+        def __post_init__(self) -> None:
+            check_range(self, "threshold", above=0)
+            check_range(self, "step", above=0, most=1)
+            check_range(self, "start", least=0, most=1)
+            check_range(self, "batch", "groups", least=1)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._options, self._target = options, context.difficulty
+        first = self._target if context.evaluating else min(options.start, self._target)
+        self._difficulty = [first] * options.groups
+        self._sums = [0.0] * options.groups
+        self._group = torch.arange(context.num_worlds, device=context.device) % options.groups
+        self._on_device = torch.full((context.num_worlds,), first, device=context.device)
+        self.provides: Mapping[str, Shape] = {"difficulty": ()}
+
+    def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
+        return {"difficulty": self._on_device}
+
+    def decision(self) -> int | None:
+        mean = sum(self._difficulty) / len(self._difficulty)
+        reached = [n for at, n in self._options.decision if at <= mean + 1e-9]
+        return reached[-1] if reached else None
+
+    def _set(self) -> None:
+        values = torch.tensor(self._difficulty, device=self._on_device.device)
+        self._on_device.copy_(values[self._group])
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        options, before = self._options, self.decision()
+        ended = (rollout.terminated | rollout.truncated).double()
+        returns = (ended * rollout.episode_returns).sum(dim=0)
+        sums = torch.zeros(2, options.groups, dtype=torch.float64, device=returns.device)
+        sums[0].index_add_(0, self._group, ended.sum(dim=0))
+        sums[1].index_add_(0, self._group, returns)
+        counts, totals = distributed.total(sums).tolist()
+        share = rollout.rewards.numel() * distributed.size() / options.batch
+        rose = False
+        for group, (count, total) in enumerate(zip(counts, totals, strict=True)):
+            self._sums[group] += share * total / count if count else 0.0
+            if self._sums[group] > options.threshold and self._difficulty[group] < self._target:
+                self._sums[group], rose = 0.0, True
+                raised = self._difficulty[group] + options.step
+                self._difficulty[group] = min(self._target, raised)
+        if rose:
+            self._set()
+        found = {"difficulty": sum(self._difficulty) / options.groups}
+        if options.groups > 1:
+            found |= {f"difficulty_{i}": value for i, value in enumerate(self._difficulty)}
+        if before != self.decision():
+            found[f"mark/{self.stage()}"] = 1.0
+        return found
+
+    def stage(self) -> str:
+        if len(self._difficulty) == 1:
+            return f"difficulty {self._difficulty[0]:.2f}"
+        return f"difficulties {min(self._difficulty):.2f} to {max(self._difficulty):.2f}"
+
+    def state_dict(self) -> State:
+        return {"difficulty": list(self._difficulty), "sums": list(self._sums)}
+
+    def load_state_dict(self, state: State) -> None:
+        self._difficulty, self._sums = list(state["difficulty"]), list(state["sums"])
+        self._set()

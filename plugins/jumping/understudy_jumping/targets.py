@@ -1,0 +1,96 @@
+"""Servo targets that stay near what a person's joints can do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
+from understudy.task import Actuation, Context, box
+from understudy_characters.scene import CharacterScene
+
+Range = tuple[float, float]
+
+#: rad, of the right side: about the axes forward, left and up of the zero pose for balls. Ours, from
+#: tables of the ranges of motion of athletes; the left side mirrors the first and the last axis.
+RANGES: dict[str, tuple[Range, ...]] = {
+    "chest": ((-0.5, 0.5), (-0.6, 0.8), (-0.6, 0.6)),
+    "neck": ((-0.5, 0.5), (-0.7, 0.6), (-0.7, 0.7)),
+    "right_hip": ((-0.9, 0.4), (-2.0, 0.6), (-0.5, 0.5)),
+    "right_knee": ((0.0, 2.5),),
+    "right_ankle": ((-0.3, 0.3), (-0.5, 0.8), (-0.3, 0.3)),
+    "right_shoulder": ((-2.6, 0.4), (-2.9, 1.0), (-1.0, 1.0)),
+    "right_elbow": ((0.0, 2.5),),
+}
+
+
+class Targets(Actuation):
+    """The action, from the pose `rest` on, is the target of every servo, cut to the joints' `ranges`
+    and `margin` beyond.
+
+    Within the margin a servo still gives its whole torque at the end of the range. The rest is where
+    exploration begins: a swing leg that is not bent there stamps on the ground at once.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        #: By joint instead of :data:`RANGES`: (least, most) of each axis, no margin added.
+        ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
+        margin: float = 0.5  #: rad
+        rest: Mapping[str, tuple[float, ...]] = field(
+            default_factory=dict
+        )  #: rad, by joint; else 0
+
+        def __post_init__(self) -> None:
+            check_range(self, "margin", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        scene = context.need_scene(CharacterScene, "actuation 'jumping.targets'")
+        known = {
+            name: tuple((low - options.margin, high + options.margin) for low, high in ranges)
+            for name, ranges in (RANGES | _left(RANGES)).items()
+        }
+        joints = scene.layout.joint_names
+        for option, names in (("ranges", options.ranges), ("rest", options.rest)):
+            for name in names:
+                if name not in joints:
+                    raise ConfigError(
+                        f"actuation.{option}: there is no joint '{name}'.{suggestion(name, joints)}"
+                    )
+        for name, ranges in options.ranges.items():
+            if any(low > high for low, high in ranges):
+                raise ConfigError(f"actuation.ranges.{name}={ranges}: the first is the lower one.")
+            known[name] = ranges
+        model, counted = scene.model, dict.fromkeys(joints, 0)
+        found: list[tuple[float, float, float]] = []
+        for actuator in range(model.nu):
+            body = int(model.jnt_bodyid[model.actuator_trnid[actuator, 0]])
+            name = model.body(body).name
+            ranges = known.get(name, ())
+            axis = counted[name]
+            counted[name] += 1
+            least, most = ranges[axis] if axis < len(ranges) else (-torch.pi, torch.pi)
+            rest = (*options.rest.get(name, ()), 0.0, 0.0, 0.0)[axis]
+            found.append((least, most, rest))
+        self._low, self._high, self._rest = torch.tensor(found, device=context.device).unbind(1)
+        self.action_space = box(model.nu)
+
+    def control(self, action: Tensor) -> Tensor:
+        return (self._rest + action).clamp(self._low, self._high)
+
+
+def _left(right: Mapping[str, tuple[Range, ...]]) -> dict[str, tuple[Range, ...]]:
+    """The ranges of the left side."""
+    mirrored: dict[str, tuple[Range, ...]] = {}
+    for name, ranges in right.items():
+        if name.startswith("right_"):
+            other = ranges
+            if len(ranges) == 3:
+                (a, b), middle, (c, d) = ranges
+                other = ((-b, -a), middle, (-d, -c))
+            mirrored[name.replace("right_", "left_")] = other
+    return mirrored

@@ -1,0 +1,40 @@
+"""Terminations, rewards and measures of a jump (thesis, section 4.6.1)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def crashed(crashed: Tensor) -> Tensor:
+    """It has touched what it must not."""
+    return crashed != 0
+
+
+def landed(landed: Tensor) -> Tensor:
+    """It has landed behind the obstacle; to be used with ``outcome: success``."""
+    return landed != 0
+
+
+def spin(mean_spin: Tensor, *, scale: float = 0.02) -> Tensor:
+    """r_ω = exp(-0.02 ‖ω‖) (eq. 4.15), of the mean of the root's angular speed over the episode."""
+    return torch.exp(-scale * mean_spin)
+
+
+def safety(head_first: Tensor, *, unsafe: float = 0.7) -> Tensor:
+    """r_safety (eq. 4.15): `unsafe` of a landing on the head, else 1."""
+    return torch.where(head_first != 0, unsafe, 1.0)
+
+
+def naturalness(mean_offset: Tensor, offset_limit: Tensor) -> Tensor:
+    """r_naturalness = 1 - clip((ō / c_offset)², 0, 1) (eq. 4.3), ō the mean over the episode.
+
+    Where no pose auto-encoder gives a pose, ō is of how far the servos' targets are from the pose
+    that the athlete has.
+    """
+    return 1.0 - (mean_offset / offset_limit).square().clamp(0.0, 1.0)
+
+
+def of_takeoff(value: Tensor, takeoff: Tensor, *, number: int) -> Tensor:
+    """The field in worlds that began in take-off `number`, no number in others: means leave them out."""
+    return torch.where(takeoff == number, value.float(), torch.nan)

@@ -1,0 +1,266 @@
+"""The tasks as they are composed, and that they run, learn and resume."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from worlds import SMALL, assert_same_state, make_training
+
+from understudy.errors import ConfigError
+from understudy.running.environment import Environment
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import Plugins
+from understudy.testing import check_plugin
+from understudy_basics import bank
+from understudy_characters.scene import CharacterScene
+from understudy_jumping.arena import Arena
+from understudy_jumping.curriculum import Accumulated
+
+#: f_control = 10 + 20 ρ Hz where ρ is 0, 0.5 and 1: bars of 0.5, 0.75 and 1 m, boxes of 0, 0.5 and 1 m.
+RATES = {0.0: 10.0, 0.5: 20.0, 1.0: 30.0}
+
+
+def environment(plugins: Plugins, *overrides: str, evaluating: bool = False) -> Environment:
+    experiment = load_experiment(["num_worlds=4", *overrides], plugins)
+    built = build_environment(experiment, evaluating=evaluating)
+    built.environment.reset(seed=0)
+    return built.environment
+
+
+def test_the_plugin_conforms(plugins: Plugins) -> None:
+    check_plugin("jumping", plugins)
+
+
+@pytest.mark.parametrize(("task", "low", "high"), [("high", 0.5, 2.0), ("obstacle", 0.05, 2.5)])
+def test_rates_and_obstacles_are_those_of_the_paper(
+    plugins: Plugins, task: str, low: float, high: float
+) -> None:
+    """Table 4.1, and the schedule of the control rate."""
+    experiment = load_experiment([f"experiment=jumping/{task}"], plugins)
+    arena = experiment.sections["arena"]
+    sizes = arena.height if task == "high" else arena.width
+    assert sizes == (low, high)
+    curriculum = experiment.need("curriculum").options
+    assert isinstance(curriculum, Accumulated.Options)
+    assert curriculum.threshold == {"high": 30.0, "obstacle": 50.0}[task]
+    step = {"high": 0.01, "obstacle": 0.05}[task]
+    assert curriculum.step * (high - low) == pytest.approx(step, rel=1e-5)
+    frequency = experiment.root.control.frequency
+    assert frequency * experiment.root.control.substeps == 600
+    for rho, rate in RATES.items():
+        size = 0.5 + 0.5 * rho if task == "high" else max(rho, 0.05)
+        difficulty = (size - low) / (high - low)
+        found = Arena(arena).rho(torch.tensor([difficulty]))
+        assert float(found) == pytest.approx(
+            max(rho, 0.05 if task == "obstacle" else 0.0), abs=1e-5
+        )
+        reached = [n for at, n in curriculum.decision if at <= difficulty + 1e-4]
+        assert frequency / reached[-1] == rate
+    learner = experiment.need("learner").options
+    assert (learner.gamma, learner.gae_lambda, learner.epochs) == (1.0, 0.95, 5)
+    assert experiment.root.num_worlds * learner.rollout_steps == 4096
+    assert 4096 // learner.minibatches == 256
+
+
+def test_the_mat_is_lower_than_the_bar_and_behind_it(plugins: Plugins) -> None:
+    for difficulty, height, mat in ((0.0, 0.5, 0.1), (0.4, 1.1, 0.4), (1.0, 2.0, 0.75)):
+        env = environment(plugins, "task=jumping/high", f"difficulty={difficulty}", evaluating=True)
+        np.testing.assert_allclose(env.table["obstacle_height"], height, rtol=1e-6)
+        np.testing.assert_allclose(env.table["mat_height"], mat, rtol=1e-5)
+        np.testing.assert_allclose(env.table["mocap_pos/mat"][:, 2], mat, rtol=1e-5)
+        assert float(env.table["mocap_pos/mat"][0, 0]) == pytest.approx(0.02 + 0.02 + 2.5)
+        assert env.decision == {0.0: 6, 0.4: 2, 1.0: 2}[difficulty]
+        env.close()
+
+
+def test_it_begins_as_far_from_the_bar_as_the_schedule_says(plugins: Plugins) -> None:
+    for difficulty, distance in ((0.0, 0.8), (1 / 6, 1.0), (0.9, 1.2)):
+        env = environment(plugins, "task=jumping/high", f"difficulty={difficulty}", evaluating=True)
+        np.testing.assert_allclose(env.table["qpos"][:, 0], -distance, rtol=1e-5)
+        env.close()
+    env = environment(plugins, "task=jumping/obstacle", "difficulty=0", evaluating=True)
+    np.testing.assert_allclose(env.table["qpos"][:, 0], -1.62, atol=1e-3)  # ρ = 0.05
+    env.close()
+
+
+def test_a_jump_that_does_nothing_ends_within_two_seconds(plugins: Plugins) -> None:
+    env = environment(plugins, "task=jumping/high", "control.substeps=5", "difficulty=1")
+    for _ in range(60):
+        step = env.step(torch.zeros(4, env.action_size))
+        assert float(step.rewards.max()) == 0.0
+        assert not step.truncated.any()
+        if step.failed.all():
+            break
+    assert env.statistics.collect()["episodes"] >= 4
+    env.close()
+
+
+def test_worlds_are_divided_among_take_offs(plugins: Plugins) -> None:
+    env = environment(plugins, "experiment=jumping/high_many", "num_worlds=12")
+    number = env.table["takeoff"]
+    np.testing.assert_array_equal(number, [*range(6), *range(6)])
+    features = env.table["takeoff_features"]
+    np.testing.assert_allclose(features[4], [-2.21, 1.0, -3.0, 0.88, 1.65])
+    np.testing.assert_array_equal(features[:6], features[6:])
+    size = env.observation_shapes["state"][0]
+    assert size == 3 + 2 + 15 * 15 + 5
+    np.testing.assert_array_equal(env.observations["state"][:, -5:], features)
+    heights = env.measure()
+    assert {"fosbury", "straddle", "western_roll"} <= heights.keys()
+    assert heights["straddle"].isnan().sum() == 10
+    env.close()
+
+
+def test_observations_are_of_the_world(plugins: Plugins) -> None:
+    """Of another approach the same movement is seen turned, not the same; links' velocities are
+    MuJoCo's."""
+    env = environment(plugins, "task=jumping/high", "initial_states.noise=0.0", "num_worlds=1")
+    scene = env.parts.simulator
+    model = scene.model  # type: ignore[attr-defined]
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = env.table["qpos"][0], env.table["qvel"][0]
+    mujoco.mj_forward(model, data)
+    seen = env.observations["state"][0]
+    np.testing.assert_allclose(seen[:3], data.qpos[:3], atol=1e-6)
+    links = [b for b in range(1, model.nbody) if model.body(b).name not in ("mat", "obstacle")]
+    linear, angular = np.zeros((2, len(links), 3))
+    for row, body in enumerate(links):
+        velocity = np.zeros(6)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
+        angular[row], linear[row] = velocity[:3], velocity[3:]
+    parts = seen[5:].split([45, 90, 45, 45])
+    np.testing.assert_allclose(parts[2], linear.ravel(), atol=1e-3)
+    np.testing.assert_allclose(parts[3], angular.ravel(), atol=1e-3)
+    env.close()
+
+
+def test_variations_are_what_they_say(plugins: Plugins) -> None:
+    """Section 4.7.2."""
+
+    def scene_of(*overrides: str) -> tuple[CharacterScene, Environment]:
+        experiment = load_experiment(["num_worlds=1", *overrides], plugins)
+        built = build_environment(experiment)
+        assert isinstance(built.scene, CharacterScene)
+        return built.scene, built.environment
+
+    strong, env = scene_of("experiment=jumping/high")
+    wide = env.parts.actuation.part.control(torch.full((1, 28), -9.0))[0]
+    env.close()
+    weak, env = scene_of("experiment=jumping/weak_leg")
+    env.close()
+    names = [strong.model.actuator(i).name for i in range(strong.model.nu)]
+    for i, name in enumerate(names):
+        share = 0.6 if name.startswith(("right_hip", "right_knee", "right_ankle")) else 1.0
+        expected = share * strong.model.actuator_forcerange[i]
+        np.testing.assert_allclose(weak.model.actuator_forcerange[i], expected)
+    _, env = scene_of("experiment=jumping/stiff_spine")
+    stiff = env.parts.actuation.part.control(torch.full((1, 28), -9.0))[0]
+    env.close()
+    changed = [names[i] for i in range(28) if wide[i] != stiff[i] and names[i] == "chest_y"]
+    assert changed == ["chest_y"]
+    assert float(stiff[names.index("chest_y")]) == 0.0
+    _, env = scene_of("experiment=jumping/fixed_knee")
+    for action in (-9.0, 9.0):
+        control = env.parts.actuation.part.control(torch.full((1, 28), action))[0]
+        assert float(control[names.index("left_knee")]) == pytest.approx(1.6)
+    env.close()
+    mars, env = scene_of("experiment=jumping/mars")
+    assert mars.model.opt.gravity[2] == -3.711
+    env.close()
+    experiment = load_experiment(["experiment=jumping/landing_on_feet"], plugins)
+    (attempt,) = (c for c in experiment.many("memory") if c.name == "attempt")
+    assert attempt.options.landing == "feet"
+    assert experiment.need("initial_states").options.takeoff.omega_z == -0.26
+
+
+def test_a_training_learns_and_resumes_exactly(plugins: Plugins) -> None:
+    """In the middle of an episode, with random starts, a bar that rises and another control rate."""
+    overrides = [
+        "task=jumping/high", *SMALL, "num_worlds=8", "control.substeps=5",
+        "learner.rollout_steps=12", "curriculum.threshold=1e-9", "curriculum.step=0.1",
+        # so that something is rewarded at once
+        "arena.height=[0.01,2.0]", "policy.noise={start: 0.5, end: 0.5}",
+        "reward.terms.complete={name: jumping.spin}",
+    ]  # fmt: skip
+    whole = make_training(plugins, overrides)
+    environment = whole.job.environment  # type: ignore[attr-defined]
+    assert environment.decision == 6
+    before = [p.clone() for p in whole.job.policy.parameters()]  # type: ignore[attr-defined]
+    for _ in range(2):
+        assert whole.iterate()["skipped_steps"] == 0
+    after = list(whole.job.policy.parameters())  # type: ignore[attr-defined]
+    assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    assert environment.decision == 3, "the bar has risen, and with it the control rate"
+    assert (environment.episode_step > 0).any(), "in the middle of episodes"
+    continued = make_training(plugins, overrides)
+    continued.load_state_dict(copy.deepcopy(whole.state_dict()))
+    for _ in range(2):
+        for training in (whole, continued):
+            training.iterate()
+    assert_same_state(whole.state_dict(), continued.state_dict())
+    whole.close()
+    continued.close()
+
+
+def test_a_jump_begins_where_a_run_up_ended(plugins: Plugins, tmp_path: Path) -> None:
+    """A bank's states, turned to the approach, at the bar."""
+    env = environment(
+        plugins, "task=jumping/high", "initial_states.takeoff.alpha=1.0", "initial_states.noise=0.0"
+    )
+    states = {name: env.table[name].clone() for name in ("qpos", "qvel")}
+    env.close()
+    states["qpos"][:, :2] += 7.0
+    bank.save(tmp_path / "bank", states, {})
+    given = f"initial_states={{name: jumping.harvested, file: {tmp_path / 'bank'}, alpha: 0.3}}"
+    there = environment(
+        plugins, "task=jumping/high", "initial_states=null", f"+{given}", evaluating=False
+    )
+    straight = environment(
+        plugins, "task=jumping/high", "initial_states.takeoff.alpha=0.3", "initial_states.noise=0.0"
+    )
+    for name, tolerance in (("qpos", 0.03), ("qvel", 0.2)):
+        # the heading of a leaning root is not quite that of the take-off
+        np.testing.assert_allclose(there.table[name], straight.table[name], atol=tolerance)
+    np.testing.assert_allclose(
+        there.table["takeoff_features"], straight.table["takeoff_features"], atol=0.15
+    )
+    there.close()
+    straight.close()
+
+
+def test_a_bank_of_another_figure_is_refused(plugins: Plugins, tmp_path: Path) -> None:
+    bank.save(tmp_path / "bank", {"qpos": torch.zeros(2, 9), "qvel": torch.zeros(2, 8)}, {})
+    given = f"initial_states={{name: jumping.harvested, file: {tmp_path / 'bank'}}}"
+    with pytest.raises(ConfigError, match="no states of this athlete"):
+        environment(plugins, "task=jumping/high", "initial_states=null", f"+{given}")
+
+
+def test_a_joint_that_has_no_range_is_named(plugins: Plugins) -> None:
+    with pytest.raises(ConfigError, match="there is no joint 'tail'"):
+        environment(plugins, "task=jumping/high", "+actuation.ranges={tail: [[0.0, 1.0]]}")
+
+
+def test_the_bar_is_drawn_where_it_is(plugins: Plugins) -> None:
+    env = environment(plugins, "task=jumping/high")
+    experiment = load_experiment(["task=jumping/high", "num_worlds=1"], plugins)
+    scene = build_environment(experiment).scene
+    assert isinstance(scene, CharacterScene)
+    assert set(scene.recorded) >= {"qpos", "obstacle_height", "mat_height"}
+    model = scene.shown().compile()
+    data = mujoco.MjData(model)
+    arena = Arena(experiment.sections["arena"])
+    frame = {"obstacle_height": 1.5, "obstacle_width": 0.1, "mat_height": 0.6}
+    arena.place(model, data, {name: np.array(value) for name, value in frame.items()})
+    mujoco.mj_kinematics(model, data)
+    box, mat = model.geom("obstacle").id, model.geom("mat").id
+    assert data.geom_xpos[box, 2] + model.geom_size[box, 2] == pytest.approx(1.5)
+    assert data.geom_xpos[box, 2] == pytest.approx(model.geom_size[box, 2]), "from the ground up"
+    assert data.geom_xpos[mat, 2] + model.geom_size[mat, 2] == pytest.approx(0.6)
+    assert data.geom_xpos[mat, 0] - model.geom_size[mat, 0] == pytest.approx(0.12)
+    env.close()
