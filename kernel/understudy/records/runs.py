@@ -3,6 +3,7 @@
 ::
 
     run.json           composed config, overrides, versions, seed, sources and licences
+    inputs/            copies of the files that its parts read
     metrics.jsonl      one row an iteration
     checkpoints/       see :mod:`understudy.records.checkpoint`
     faults/            what led to the first numerical failure, to be replayed
@@ -28,8 +29,10 @@ from pathlib import Path
 from typing import Any
 
 from understudy.errors import RunError
+from understudy.inputs import Inputs
 from understudy.records.checkpoint import write_atomically
-from understudy.setup.config import Experiment, refuse_code
+from understudy.setup.config import Experiment, refuse_code, validate
+from understudy.setup.registry import Registry
 
 #: Version of the folder's layout.
 LAYOUT = 2
@@ -72,13 +75,24 @@ class Run:
     def config(self) -> dict[str, Any]:
         return self.info["config"]
 
+    def experiment(self, registry: Registry, config: Mapping[str, Any] | None = None) -> Experiment:
+        """Its configuration, or this one, validated; what parts read is what the run has copies of."""
+        inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
+        return validate(config or self.config, registry, inputs)
+
+    def keep(self, inputs: Inputs) -> None:
+        """Copy the files that parts read, and write down everything that is known of the run."""
+        try:
+            self.info["inputs"] = inputs.copy(self.path / "inputs")
+        except OSError as error:
+            raise RunError(f"{self.path} takes no copies of inputs: {error.strerror}.") from error
+        self.write_json("run.json", self.info)
+
     def lock(self) -> None:
         """Hold the folder for this process.
 
-        Raises
-        ------
-        RunError
-            if another process trains in it.
+        Raises:
+            RunError: if another process trains in it.
         """
         try:
             self._lock = open(self.path / ".lock", "w")  # noqa: SIM115 - held until the run ends
@@ -132,10 +146,8 @@ class Run:
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
     """Make the run folder of a new training.
 
-    Raises
-    ------
-    RunError
-        if the folder holds a run already or cannot be written.
+    Raises:
+        RunError: if the folder holds a run already or cannot be written.
     """
     root = experiment.root
     path = (
@@ -177,7 +189,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         ) from error
     run = Run(path, info)
     run.lock()
-    run.write_json("run.json", info)
+    run.keep(experiment.inputs)
     return run
 
 
@@ -199,10 +211,8 @@ def _free_folder(name: str) -> Path:
 def open_run(path: str | Path) -> Run:
     """Open an existing run folder.
 
-    Raises
-    ------
-    RunError
-        if there is none, it is damaged, or a newer understudy wrote it.
+    Raises:
+        RunError: if there is none, it is damaged, or a newer understudy wrote it.
     """
     path = Path(path)
     file = path / "run.json"
@@ -215,7 +225,10 @@ def open_run(path: str | Path) -> Run:
         refuse_code(config)
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        for names in info.get("inputs", {}).values():
+            if not names or not all(isinstance(n, str) for n in (*names, *names.values())):
+                raise ValueError("its inputs are no names and digests")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
     if not isinstance(layout, int) or layout > LAYOUT:
         raise RunError(

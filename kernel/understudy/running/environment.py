@@ -142,10 +142,8 @@ class Environment:
         the field ``difficulty``, unless the curriculum provides it.
     known_fields : mapping from field name to the components that provide it, for errors.
 
-    Raises
-    ------
-    ConfigError
-        if a part reads a field that nothing provides, or a term has the wrong shape.
+    Raises:
+        ConfigError: if a part reads a field that nothing provides, or a term has the wrong shape.
     """
 
     def __init__(

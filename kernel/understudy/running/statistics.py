@@ -75,10 +75,8 @@ class EpisodeStatistics:
 def refuse_hopeless(unsound: float, steps: int, num_worlds: int) -> None:
     """Stop a training in which most worlds fail numerically all the time.
 
-    Raises
-    ------
-    TrainingError
-        if more than a quarter of all world-steps of an iteration were quarantined.
+    Raises:
+        TrainingError: if more than a quarter of all world-steps of an iteration were quarantined.
     """
     share = unsound / max(1, steps * num_worlds)
     if share > 0.25:

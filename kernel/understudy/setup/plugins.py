@@ -80,10 +80,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     one provides already is recorded in ``registry.broken``, with nothing of it kept; the others
     still load. The bundled plugins come first, then the others by name.
 
-    Raises
-    ------
-    PluginError
-        if two distributions provide a plugin of the same name.
+    Raises:
+        PluginError: if two distributions provide a plugin of the same name.
     """
     allowed = _names("UNDERSTUDY_PLUGINS") if only is None else set(only)
     disabled = _names("UNDERSTUDY_DISABLE_PLUGINS") or set()

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.errors import ConfigError, PluginError, suggestion
+from understudy.inputs import Inputs
 from understudy.options import Option, options_of
 
 
@@ -95,13 +96,13 @@ class Component:
 class Section:
     """A top-level part of the configuration that a plugin owns (for example ``motion``).
 
-    ``build(options, registry)`` makes the object that components find under
+    ``build(options, registry, inputs)`` makes the object that components find under
     ``context.sections[name]``.
     """
 
     name: str
     options: type | str
-    build: Callable[[Any, Registry], Any] | str
+    build: Callable[[Any, Registry, Inputs], Any] | str
     plugin: str
 
     def _resolve(self, target: Any) -> Any:
@@ -112,8 +113,8 @@ class Section:
     def schema(self) -> type:
         return self._resolve(self.options)
 
-    def make(self, options: Any, registry: Registry) -> Any:
-        return self._resolve(self.build)(options, registry)
+    def make(self, options: Any, registry: Registry, inputs: Inputs) -> Any:
+        return self._resolve(self.build)(options, registry, inputs)
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,7 @@ class Registrar:
         )
 
     def section(
-        self, name: str, options: type | str, build: Callable[[Any, Registry], Any] | str
+        self, name: str, options: type | str, build: Callable[[Any, Registry, Inputs], Any] | str
     ) -> None:
         """Register a top-level config section and what is built from it."""
         _refuse_twice(self.registry.sections.get(name), self.plugin, f"section '{name}'")

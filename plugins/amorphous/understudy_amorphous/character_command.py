@@ -193,7 +193,7 @@ def _recorded(run: Run) -> _Recorded:
 
 
 def _scene(run: Run) -> AmorphousScene:
-    experiment = validate(run.config, installed().registry)
+    experiment = run.experiment(installed().registry)
     control = experiment.root.control
     context = Context(
         seed=0,
@@ -201,6 +201,7 @@ def _scene(run: Run) -> AmorphousScene:
         num_worlds=1,
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
+        inputs=experiment.inputs,
     )
     chosen = experiment.need("scene")
     scene = chosen.build(context)
