@@ -53,7 +53,8 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     if not leading:
         training.detach()
     elif overrides:  # what trains the weights from here on is what the folder says
-        run.keep(experiment.inputs)
+        run.info["inputs"] = experiment.inputs.copy(run.path / "inputs")
+        run.write_json("run.json", run.info)
     return _carry_out(training)
 
 

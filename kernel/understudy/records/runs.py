@@ -23,7 +23,7 @@ import re
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -78,15 +78,7 @@ class Run:
     def experiment(self, registry: Registry, config: Mapping[str, Any] | None = None) -> Experiment:
         """Its configuration, or this one, validated; what parts read is what the run has copies of."""
         inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
-        return validate(config or self.config, registry, inputs)
-
-    def keep(self, inputs: Inputs) -> None:
-        """Copy the files that parts read, and write down everything that is known of the run."""
-        try:
-            self.info["inputs"] = inputs.copy(self.path / "inputs")
-        except OSError as error:
-            raise RunError(f"{self.path} takes no copies of inputs: {error.strerror}.") from error
-        self.write_json("run.json", self.info)
+        return replace(validate(config or self.config, registry), inputs=inputs)
 
     def lock(self) -> None:
         """Hold the folder for this process.
@@ -183,13 +175,14 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     try:
         for folder in ("checkpoints", "faults"):
             (path / folder).mkdir(parents=True, exist_ok=True)
+        info["inputs"] = experiment.inputs.copy(path / "inputs")
     except OSError as error:
         raise RunError(
             f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one."
         ) from error
     run = Run(path, info)
     run.lock()
-    run.keep(experiment.inputs)
+    run.write_json("run.json", info)
     return run
 
 
@@ -230,15 +223,14 @@ def open_run(path: str | Path) -> Run:
                 raise ValueError("its inputs are no names and digests")
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
-    if not isinstance(layout, int) or layout > LAYOUT:
-        raise RunError(
-            f"{path} was written by a newer understudy (layout {layout}; this one reads {LAYOUT}). "
-            "Install that version or a newer one."
+    if layout != LAYOUT:
+        newer = not isinstance(layout, int) or layout > LAYOUT
+        who = (
+            "a newer understudy" if newer else "an older understudy, whose tasks mean other things"
         )
-    if layout < LAYOUT:
+        what = "Install that version." if newer else "Use that version for it, or train anew."
         raise RunError(
-            f"{path} was written by an older understudy, whose tasks and states mean other things "
-            f"(layout {layout}; this one reads {LAYOUT}). Use that version for it, or train anew."
+            f"{path} was written by {who} (layout {layout}; this one reads {LAYOUT}). {what}"
         )
     if not isinstance(config, dict):
         raise RunError(f"{file} is damaged: its config is no mapping.")
@@ -248,14 +240,9 @@ def open_run(path: str | Path) -> Run:
 def differences(old: Any, new: Any, where: str = "") -> list[str]:
     """Key paths at which two nested configurations differ, with both values."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
-        found = []
-        for key in sorted({*old, *new}, key=str):
-            path = f"{where}.{key}" if where else str(key)
-            if key not in old:
-                found.append(f"{path}: added ({new[key]!r})")
-            elif key not in new:
-                found.append(f"{path}: removed (was {old[key]!r})")
-            else:
-                found.extend(differences(old[key], new[key], path))
-        return found
+        return [
+            difference
+            for key in sorted({*old, *new}, key=str)
+            for difference in differences(old.get(key), new.get(key), f"{where}.{key}".lstrip("."))
+        ]
     return [] if old == new else [f"{where}: {old!r} → {new!r}"]

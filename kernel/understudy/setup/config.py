@@ -194,7 +194,7 @@ class Experiment:
     choices: Mapping[str, tuple[Chosen, ...]]  #: by slot
     sections: Mapping[str, Any]
     registry: Registry
-    inputs: Inputs
+    inputs: Inputs = field(default_factory=Inputs)
 
     def one(self, slot: str) -> Chosen | None:
         """What fills `slot`, which takes one component."""
@@ -290,10 +290,8 @@ EXTRAS: dict[str, dict[str, Option]] = {
 }
 
 
-def validate(
-    raw: Mapping[str, Any], registry: Registry, inputs: Inputs | None = None
-) -> Experiment:
-    """Look up every component that `raw` names and check every option; its parts read `inputs`.
+def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
+    """Look up every component that `raw` names and check every option.
 
     Raises:
         ConfigError: for an unknown key or component, a missing or wrong value; the message has the
@@ -324,7 +322,6 @@ def validate(
             if raw.get(name) is not None
         },
         registry=registry,
-        inputs=inputs or Inputs(),
     )
     if root.evaluation.objective != "success_rate":
         experiment.need_measure(root.evaluation.objective, "evaluation.objective")

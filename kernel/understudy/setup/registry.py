@@ -102,7 +102,7 @@ class Section:
 
     name: str
     options: type | str
-    build: Callable[[Any, Registry, Inputs], Any] | str
+    build: Callable[..., Any] | str
     plugin: str
 
     def _resolve(self, target: Any) -> Any:
@@ -230,9 +230,7 @@ class Registrar:
             name, summary, self.plugin, self.distribution, self.version
         )
 
-    def section(
-        self, name: str, options: type | str, build: Callable[[Any, Registry, Inputs], Any] | str
-    ) -> None:
+    def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""
         _refuse_twice(self.registry.sections.get(name), self.plugin, f"section '{name}'")
         self.registry.sections[name] = Section(name, options, build, self.plugin)

@@ -19,7 +19,6 @@ from understudy.errors import ConfigError, FileError, PluginError, UnderstudyErr
 from understudy.options import make_options
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.setup.config import validate
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_amorphous.character import GRIPS, TOOL, Figure, Grip, figure, placed

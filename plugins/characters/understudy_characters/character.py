@@ -20,6 +20,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
+from understudy.task import Context
 from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton, sample
 from understudy_mujoco.scene import MjcfFile

@@ -30,9 +30,9 @@ class Motion:
     """The chosen clip and where it came from."""
 
     def __init__(self, options: MotionOptions, registry: Registry, inputs: Inputs) -> None:
-        skeleton = None if options.skeleton is None else Path(options.skeleton)
-        if skeleton is not None:
-            skeleton = inputs.file(f"motion.skeleton={skeleton}", lambda: [Path(skeleton)])
+        skeleton = None
+        if (given := options.skeleton) is not None:
+            skeleton = inputs.file(f"motion.skeleton={given}", lambda: [Path(given)])
         reading = ReadOptions(options.unit, options.up, skeleton, options.loop, options.rate)
         name, file = options.name, options.file
         if file is not None or name not in registry.names("clip"):
