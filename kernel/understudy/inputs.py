@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from understudy.errors import RunError
-from understudy.records.checkpoint import write_atomically
 
 
 @dataclass
@@ -46,7 +45,7 @@ class Inputs:
                 below = path.relative_to(top) if path.is_relative_to(top) else Path(path.name)
                 name, content = f"{len(self.kept)}/{below.as_posix()}", path.read_bytes()
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                write_atomically(folder / name, content)
+                (folder / name).write_bytes(content)
                 self.kept[asked][name] = hashlib.sha256(content).hexdigest()
         self._read, self.folder = {}, folder
         return self.kept

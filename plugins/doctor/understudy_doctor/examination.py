@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from understudy_characters.character import Character
@@ -14,6 +15,7 @@ from understudy_doctor.clip_checks import check_clip, closes
 from understudy_doctor.clip_repairs import undamaged
 from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.measurements import Measurements
+from understudy_doctor.proportions import check_proportions, leg_scale, scaled
 from understudy_motion.clip import Clip
 
 NEEDS_CHARACTER = (
@@ -57,6 +59,9 @@ def examine(clip: Clip, character: Character | None) -> Examination:
                 moving = replace(moving, loop=False)
                 skipped.append(OPEN_LOOP)
             measured = Measurements(moving, character)
+            if (scale := leg_scale(measured)) != 1.0:
+                found += check_proportions(clip, scale)
+                measured = Measurements(scaled(moving, scale), character, math.sqrt(scale))
             found += check_on_character(clip, measured)
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
     return Examination(clip, character, measured, tuple(found), tuple(skipped))
