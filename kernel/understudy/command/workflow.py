@@ -149,6 +149,8 @@ def _load(path: str, overrides: Sequence[str]) -> tuple[Training, Run, Reporter]
         config = compose_raw(replaced(run.info["overrides"], overrides))
     reporter = Reporter(_tell)
     state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
+    if run.metrics() and not state["progress"]["samples"]:
+        raise RunError(f"{path}: only the checkpoint before training is intact. Resume it first.")
     training = Training(run.experiment(installed().registry, config), reporter)
     training.load_learned(state)
     return training, run, reporter

@@ -41,15 +41,8 @@ class EpisodeStatistics:
     ) -> None:
         """Digest one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
         self.returns.add_(rewards)
-        columns = [
-            ended,
-            seconds * ended,
-            self.returns * ended,
-            succeeded,
-            truncated,
-            unsound,
-            *(endings[t] & ended for t in self.terms),
-        ]
+        columns = [ended, seconds * ended, self.returns * ended, succeeded, truncated, unsound]
+        columns += [endings[t] & ended for t in self.terms]
         self._sums += torch.stack([c.to(torch.float32) for c in columns]).sum(1)
 
     def collect(self) -> dict[str, float]:

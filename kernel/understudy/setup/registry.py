@@ -226,9 +226,8 @@ class Registrar:
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name with />.yaml``."""
         _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
-        self.registry.tasks[name] = TaskEntry(
-            name, summary, self.plugin, self.distribution, self.version
-        )
+        entry = TaskEntry(name, summary, self.plugin, self.distribution, self.version)
+        self.registry.tasks[name] = entry
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""
@@ -238,9 +237,7 @@ class Registrar:
     def kind(self, name: str, summary: str) -> None:
         """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
         if name in self.registry.kinds:
-            raise PluginError(
-                f"Plugin '{self.plugin}' adds the kind '{name}', which exists already."
-            )
+            raise PluginError(f"Plugin '{self.plugin}' adds the kind '{name}', which there is.")
         self.registry.kinds[name] = summary
         self.registry.owners[f"kind {name}"] = self.plugin
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+import torch
+from torch import Tensor
+
 from understudy_characters.character import Character
 from understudy_doctor.character_checks import (
     check_mapping,
@@ -23,6 +27,9 @@ NEEDS_CHARACTER = (
     "(give one with --character, or retarget the clip)"
 )
 NORMALISED = "lengths of the file's quaternions: reading normalises them"
+UNMENDED = (
+    "The repairs there are leave it, or would do harm; capture or retarget it anew, or cut it."
+)
 OPEN_LOOP = "what happens across the seam, because the loop does not close"
 
 
@@ -43,6 +50,15 @@ class Examination:
         return next((s for s in (Severity.MAJOR, Severity.MINOR) if s in found), None)
 
 
+def final(examined: Examination) -> Examination:
+    """The examination of a repaired clip: what it still has, no repair makes better."""
+    findings = (
+        replace(f, remedy=UNMENDED) if f.remedy.startswith("--fix") else f
+        for f in examined.findings
+    )
+    return replace(examined, findings=tuple(findings))
+
+
 def examine(clip: Clip, character: Character | None) -> Examination:
     """Examine `clip`, on `character` if there is one."""
     found = list(check_clip(clip))
@@ -54,14 +70,33 @@ def examine(clip: Clip, character: Character | None) -> Examination:
         if missing_joints(clip, character):
             skipped.append("ground, feet, joint limits, torques: joints are missing")
         else:
-            moving = undamaged(clip)
             if clip.loop and not closes(clip):
-                moving = replace(moving, loop=False)
                 skipped.append(OPEN_LOOP)
-            measured = Measurements(moving, character)
-            if (scale := leg_scale(measured)) != 1.0:
-                found += check_proportions(clip, scale)
-                measured = Measurements(scaled(moving, scale), character, math.sqrt(scale))
-            found += check_on_character(clip, measured)
+            measured, scale = measure(clip, character)
+            found += [*check_proportions(clip, scale), *check_on_character(clip, measured)]
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
     return Examination(clip, character, measured, tuple(found), tuple(skipped))
+
+
+def measure(clip: Clip, character: Character) -> tuple[Measurements, float]:
+    """What can be measured of `clip`, its damage interpolated over, on a character that has its joints;
+    scaled to the character's legs, and by how much."""
+    moving = undamaged(clip)
+    if clip.loop and not closes(clip):
+        moving = replace(moving, loop=False)
+    measured = Measurements(moving, character)
+    scale = leg_scale(measured)
+    if scale != 1.0:
+        measured = Measurements(scaled(moving, scale), character, math.sqrt(scale))
+    return measured, scale
+
+
+def foot_contacts(clip: Clip, character: Character, times: Tensor) -> tuple[np.ndarray, float]:
+    """When the character's feet touch the ground in `clip`, (F, feet) bool at `times` (F,) s, and the
+    height of that ground, m. A looping clip goes on, another one holds its ends."""
+    measured, scale = measure(clip, character)
+    within = times % clip.duration if clip.loop else times.clamp(0.0, clip.duration)
+    if clip.loop:  # its last frame is of this cycle
+        within = torch.where((times > 0.0) & (within == 0.0), clip.duration, within)
+    nearest = np.abs(measured.times - within[:, None].numpy()).argmin(1)
+    return measured.touching[nearest][:, list(measured.feet)], measured.ground / scale

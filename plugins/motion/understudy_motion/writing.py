@@ -62,7 +62,11 @@ def write_clip(clip: Clip, path: Path, registry: Registry, shapes: Sequence[Shap
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
             temporary = Path(folder) / path.name
-            writer.write(clip, temporary, shapes)
+            try:
+                writer.write(clip, temporary, shapes)
+            except FileError as error:
+                raise FileError(str(error).replace(str(temporary), str(path))) from error
             os.replace(temporary, path)
     except OSError as error:
-        raise FileError(f"Clip {path}: cannot be written: {error}.") from error
+        reason = error.strerror or type(error).__name__
+        raise FileError(f"Clip {path}: cannot be written: {reason}.") from error

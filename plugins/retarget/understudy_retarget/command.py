@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,8 @@ from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_characters.character import load_character
+from understudy_doctor.clip_checks import check_clip
+from understudy_doctor.findings import Severity
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip
 from understudy_motion.editing import cut
@@ -54,7 +58,12 @@ class Retarget(Command):
         registry = installed().registry
         how = Options(map=_pairs(options.map), scale=options.scale)
         character = load_character(options.character, registry)
-        result, report = retarget(_load(options, registry), character, how)
+        clip = _load(options, registry)
+        for finding in check_clip(clip):
+            if finding.severity == Severity.MAJOR:
+                print(f"{clip.name}: {finding.line()}", file=sys.stderr)
+        result, report = retarget(clip, character, how)
+        result = replace(result, name=options.destination.stem)
         write_clip(result, options.destination, registry)
         if options.json:
             print(json.dumps(_as_json(report, options.destination), indent=1))
