@@ -42,6 +42,7 @@ class Examination:
     measured: Measurements | None
     findings: tuple[Finding, ...]
     skipped: tuple[str, ...]
+    scale: float = 1.0  #: of the clip, for the character's legs, at which it was measured
 
     @property
     def worst(self) -> Severity | None:
@@ -62,7 +63,7 @@ def final(examined: Examination) -> Examination:
 def examine(clip: Clip, character: Character | None) -> Examination:
     """Examine `clip`, on `character` if there is one."""
     found = list(check_clip(clip))
-    skipped, measured = [NORMALISED], None
+    skipped, measured, scale = [NORMALISED], None, 1.0
     if character is None:
         skipped.append(NEEDS_CHARACTER)
     else:
@@ -75,7 +76,7 @@ def examine(clip: Clip, character: Character | None) -> Examination:
             measured, scale = measure(clip, character)
             found += [*check_proportions(clip, scale), *check_on_character(clip, measured)]
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
-    return Examination(clip, character, measured, tuple(found), tuple(skipped))
+    return Examination(clip, character, measured, tuple(found), tuple(skipped), scale)
 
 
 def measure(clip: Clip, character: Character) -> tuple[Measurements, float]:

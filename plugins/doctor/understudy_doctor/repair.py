@@ -11,6 +11,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,7 +27,7 @@ from understudy_doctor.clip_repairs import mend_frames, mend_seam, mend_spikes
 from understudy_doctor.examination import Examination, examine
 from understudy_doctor.findings import Severity, intervals
 from understudy_doctor.measurements import Measurements
-from understudy_doctor.proportions import leg_scale, scaled
+from understudy_doctor.proportions import scaled
 from understudy_motion.clip import Clip, cycle_transform, sample
 from understudy_motion.editing import (
     close_loop,
@@ -109,8 +110,8 @@ class _Step:
     """A repair, and the findings for which it is made."""
 
     kinds: frozenset[str]
-    mend: Callable[..., tuple[Clip, list[str]]]  #: of a clip; on a body, of measurements too
-    on_body: bool = True
+    mend: Callable[..., tuple[Clip, list[str]]]
+    on_body: bool = True  #: whether it takes a clip and its measurements, or the examination
 
 
 def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
@@ -119,7 +120,7 @@ def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
         examined = state.examined
         kinds = {finding.kind for finding in examined.findings}
         # Where legs are of another length, everything on the ground follows from that.
-        if not step.kinds & kinds or (step.on_body and "proportions" in kinds - step.kinds):
+        if not step.kinds & kinds or (step.on_body and "proportions" in kinds):
             continue
         clip, character = examined.clip, examined.character
         if step.on_body:
@@ -127,7 +128,7 @@ def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
                 continue
             mended, words = _over_the_seam(clip, character, step.mend)
         else:
-            mended, words = step.mend(clip)
+            mended, words = step.mend(examined)
         if words:
             state = _State(examine(mended, character), (*state.done, *words))
     return state
@@ -157,8 +158,8 @@ def straying(before: Examination, after: Examination) -> float:
     """m: how far a repair moves the centre of mass, in flight, from a parabola: from where it was, but
     for a constant and for a steady velocity."""
     old, new = before.measured, after.measured
-    if old is None or new is None or abs(new.clip.duration / old.clip.duration - 1.0) > 0.01:
-        return 0.0
+    if old is None or new is None or abs(new.clip.duration - old.clip.duration) > old.dt:
+        return 0.0  # frames were taken out
     times, most = old.clip.times.numpy(), 0.0
     there = CubicSpline(new.clip.times.numpy(), new.centre)(times)
     for first, last in old.flights:
@@ -222,10 +223,10 @@ def _mend_hinges(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
     return replace(clip, rotations=result), done
 
 
-def _mend_proportions(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
-    scale = leg_scale(measured)
+def _mend_proportions(examined: Examination) -> tuple[Clip, list[str]]:
+    scale = examined.scale
     what = f"scaled travel and height by {scale:.2f}, and time by {math.sqrt(scale):.2f}"
-    return scaled(clip, scale), [f"{what}, for legs of another length"]
+    return scaled(examined.clip, scale), [f"{what}, for legs of another length"]
 
 
 def _mend_level(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
@@ -367,11 +368,15 @@ def _foot_path(measured: Measurements, foot: int) -> np.ndarray:
     return PchipInterpolator(known, values)(every)
 
 
+def _on_clip(mend: Callable[[Clip], tuple[Clip, list[str]]]) -> Callable[[Examination], Any]:
+    return lambda examined: mend(examined.clip)
+
+
 _FIRST = (
-    _Step(frozenset({"duplicate_frames", "uneven_frames"}), mend_frames, on_body=False),
-    _Step(frozenset({"spike"}), mend_spikes, on_body=False),
-    _Step(frozenset({"seam_pose", "seam_velocity"}), mend_seam, on_body=False),
-    _Step(frozenset({"proportions"}), _mend_proportions),
+    _Step(frozenset({"proportions"}), _mend_proportions, on_body=False),
+    _Step(frozenset({"duplicate_frames", "uneven_frames"}), _on_clip(mend_frames), on_body=False),
+    _Step(frozenset({"spike"}), _on_clip(mend_spikes), on_body=False),
+    _Step(frozenset({"seam_pose", "seam_velocity"}), _on_clip(mend_seam), on_body=False),
     _Step(frozenset({"ground_offset"}), _mend_level),
     _Step(frozenset({"penetration", "float"}), _mend_ground),
     _Step(frozenset({"foot_skate"}), _mend_travel),
