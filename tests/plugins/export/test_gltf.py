@@ -99,7 +99,7 @@ def test_in_the_rest_pose_it_stands_on_the_ground(tmp_path: Path) -> None:
         file.document["accessors"][p["attributes"]["POSITION"]]["min"]
         for p in file.document["meshes"][0]["primitives"]
     ]
-    assert np.array(lows)[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+    assert np.array(lows)[:, 1].min() == pytest.approx(0.0, abs=1e-6)
     foot = file.world(file.document["skins"][0]["joints"][3])[:3, 3]
     assert foot[1] == pytest.approx(0.45, abs=0.01)
 
