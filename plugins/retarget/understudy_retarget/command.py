@@ -21,6 +21,7 @@ from understudy_doctor.findings import Severity
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip
 from understudy_motion.editing import cut
+from understudy_motion.reading import readers
 from understudy_motion.writing import write_clip
 from understudy_retarget.retarget import Options, Report, retarget
 
@@ -121,7 +122,6 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
     worst = max(report.errors, key=lambda part: report.errors[part][1])
     speed, joint = report.speed
     before, joint_before = report.source_speed
-    target = shlex.quote(str(destination))
     lines += [
         f"Scale {report.scale:.3f}. Key points are met within {100 * report.mean_error:.1f} cm on "
         f"average, {100 * report.worst_error:.1f} cm at worst ({worst}).",
@@ -130,10 +130,23 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
         "below the floor.",
         f"The fastest joint: {speed:.1f} rad/s ({joint}); in the clip {before:.1f} ({joint_before}).",
         f"Written: {destination}, {result.num_frames} frames, {result.duration:.2f} s.",
-        f"Next: understudy motion check {target} --character {shlex.quote(character)}; to learn it, "
-        f"train a task of this character with motion.file={target}",
     ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_next(result, character, destination)])
+
+
+def _next(result: Clip, character: str, destination: Path) -> list[str]:
+    """What can be done with the file, as commands, if it is of a format that is read."""
+    known = readers(installed().registry).values()
+    if destination.suffix.lower() not in {ending for reader in known for ending in reader.suffixes}:
+        return [f"'{destination.suffix}' files are only shown: to learn the clip, write .npz."]
+    said = " --unit cm --up y" if destination.suffix.lower() == ".bvh" else ""
+    file, who = shlex.quote(str(destination)), shlex.quote(character)
+    lines = [f"Next: understudy motion check {file}{said} --character {who}"]
+    settings = [f"scene.character={character}", f"motion.file={destination}"]
+    settings += ["motion.unit=cm", "motion.up=y"] if said else []
+    settings += ["motion.loop=true"] if said and result.loop else []
+    words = " ".join(map(shlex.quote, ["experiment=spacetime/walk", *settings]))
+    return [*lines, f"To learn it: understudy train {words}"]
 
 
 def _row(part: str, ours: str, theirs: str, mean: str = "", worst: str = "") -> str:

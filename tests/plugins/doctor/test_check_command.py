@@ -95,7 +95,7 @@ def test_a_repaired_copy(sunk: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert cli.main(["motion", "check", str(sunk), "--fix", str(out)]) == 0
     shown = capsys.readouterr().out
     assert "repaired: interpolated neck over frames 90–90" in shown
-    assert "repaired: moved the root up or down by +5.0 cm" in shown
+    assert "repaired: moved the clip up or down by +5.0 cm" in shown
     assert "ground_offset: 1, at worst 0.05 m → none" in shown
     assert shown.endswith(f"{out}: No findings.\n")
     assert sunk.read_bytes() == before

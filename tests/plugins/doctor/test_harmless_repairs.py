@@ -14,8 +14,9 @@ import torch
 from understudy.setup.plugins import installed
 from understudy_characters.character import Character
 from understudy_doctor import repair as repairs
+from understudy_doctor.character_checks import LASTING, check_on_character
 from understudy_doctor.examination import Examination, examine
-from understudy_doctor.findings import Severity
+from understudy_doctor.findings import Severity, intervals
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.proportions import scaled
 from understudy_doctor.repair import harm, repair, straying
@@ -59,8 +60,10 @@ def of_a_body(clip: Clip, legs: float) -> Clip:
 # ---------------------------------------------------------------------- another body
 
 
-@pytest.mark.parametrize("name", JUMPS)
-@pytest.mark.parametrize("legs", [0.77, 1.25])
+@pytest.mark.parametrize(
+    ("name", "legs"),
+    [("hop", 0.77), ("hop", 1.25), ("run", 0.77), ("cartwheel", 1.25), ("backflip", 0.77)],
+)
 def test_a_jump_of_another_body_is_scaled(name: str, legs: float, humanoid: Character) -> None:
     clip = generated(name)
     examined = examine(of_a_body(clip, legs), humanoid)
@@ -98,11 +101,15 @@ def test_nearly_the_same_legs_are_the_same(legs: float, humanoid: Character) -> 
 def test_a_flip_does_not_float(humanoid: Character) -> None:
     """Nor on a body whose centre of mass is elsewhere, where it seems to be pushed around."""
     clip = generated("backflip")
-    for legs in (0.77, 1.0, 1.3):
-        measured = Measurements(of_a_body(clip, legs), humanoid)
+    for legs in (0.77, 1.3):
+        moving = of_a_body(clip, legs)
+        measured = Measurements(moving, humanoid)
         high = measured.heights.min(1) - measured.ground > 0.3
         assert high.sum() > 10
-        assert not measured.supported[high].any()
+        lasting = intervals(measured.supported & high, least=round(LASTING / measured.dt))
+        assert not lasting
+        for found in check_on_character(moving, measured):
+            assert found.kind != "float" or not high[found.first : found.last + 1].any()
 
 
 def test_what_hangs_in_the_air_floats_still(humanoid: Character) -> None:
