@@ -33,6 +33,9 @@ RATE = 30.0
 """Frames per second that both trainers take a table to have."""
 
 
+_ANGLES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
 class ExportColumns(Command):
     """Writes a clip as a table in the order of columns of another trainer."""
 
@@ -77,7 +80,7 @@ def joint_columns(character: Character) -> list[str]:
         if int(model.jnt_qposadr[joint]) == character.root_address:
             continue
         name = model.joint(joint).name
-        if model.jnt_type[joint] not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        if int(model.jnt_type[joint]) not in _ANGLES:
             raise ConfigError(
                 f"Character {character.name}: its joint '{name}' is no hinge, and tables for other "
                 "trainers have an angle for each joint; give a robot of hinges."

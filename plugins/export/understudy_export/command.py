@@ -79,7 +79,7 @@ class Export(Command):
         figures = [Shown(clip, surface)]
         if options.beside:
             figures.append(_beside(options, surface))
-        if Path(options.source).is_dir() and options.unit not in (None, "m"):
+        if Path(options.source).is_dir() and options.unit is not None:
             figures = [replace(f, clip=_in_unit(f.clip, options)) for f in figures]
         write_figures(figures, options.destination, registry)
         print(_summary(clip, options.destination, character))
@@ -107,6 +107,8 @@ def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:
 def _in_unit(clip: Clip, options: argparse.Namespace) -> Clip:
     """The motion of a run, so that a BVH file of it has lengths in the unit that is asked for."""
     if options.destination.suffix.lower() != ".bvh":
+        if options.unit == "m":
+            return clip
         raise ConfigError(
             f"--unit {options.unit} is not possible: '{options.destination.suffix}' files are in "
             "metres; only .bvh has a unit of its own."
