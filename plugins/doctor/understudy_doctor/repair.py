@@ -75,26 +75,43 @@ def repair(examined: Examination) -> Repair:
     """Repair what can be repaired of what was found, and nothing that would do harm.
 
     All repairs together are taken if that does no harm; else one after another, each by itself or, if
-    it needs those that come after it, with all of them.
+    it needs those that come after it, with them. What was left is tried once more in the end.
     """
     feet = examined.measured.feet if examined.measured else ()
     steps = [*_FIRST, *map(_foot_step, feet), _LAST]
-    whole = _carry_out(steps, _State(examined))
+    state = _State(examined)
+    whole = _carry_out(steps, state)
     if not harm(examined, whole.examined):
         return Repair(whole.examined.clip, whole.done)
-    state, left = _State(examined), []
+    left: list[_Step] = []
     for number, step in enumerate(steps):
         tried = _carry_out([step], state)
-        if tried is state:
-            continue
+        if harm(state.examined, tried.examined):
+            later = steps[number + 1 :]
+            together = _carry_out(later, tried)
+            for after in (together, _harmless(later, tried)[0]):
+                if not harm(state.examined, after.examined):
+                    state = after
+                    break
+            else:
+                left.append(step)
+                continue
+            break
+        state = tried
+    state, reasons = _harmless(left, state)
+    return Repair(state.examined.clip, state.done, reasons)
+
+
+def _harmless(steps: Sequence[_Step], state: _State) -> tuple[_State, tuple[str, ...]]:
+    """Those of the `steps` that do no harm, one after another; and why each of the others does."""
+    reasons: list[str] = []
+    for step in steps:
+        tried = _carry_out([step], state)
         if reason := harm(state.examined, tried.examined):
-            rest = _carry_out(steps[number + 1 :], tried)
-            if not harm(state.examined, rest.examined):
-                return Repair(rest.examined.clip, rest.done, tuple(left))
-            left += [f"not {words}: {reason}" for words in tried.done[len(state.done) :]]
+            reasons += [f"not {words}: {reason}" for words in tried.done[len(state.done) :]]
         else:
             state = tried
-    return Repair(state.examined.clip, state.done, tuple(left))
+    return state, tuple(reasons)
 
 
 @dataclass(frozen=True)
