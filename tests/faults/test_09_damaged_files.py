@@ -9,6 +9,7 @@ import pytest
 import torch
 from worlds import SMALL, assert_same_state, make_training, resumed
 
+from understudy.command import workflow
 from understudy.errors import RunError
 from understudy.records import checkpoint
 from understudy.setup.plugins import Plugins
@@ -98,3 +99,21 @@ def test_all_damaged(plugins: Plugins, tmp_path: Path) -> None:
         RunError, match=r"no usable checkpoint\. The newest: .*00000001\.json is damaged"
     ):
         resumed(plugins, run)
+
+
+def test_an_untrained_policy_is_not_judged_as_the_trained_one(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workflow, "installed", lambda: plugins)
+    run = tmp_path / "run"
+    training = make_training(plugins, [*FAKE_TASK, *SMALL, "evaluation.final_episodes=4"], run)
+    training.save()
+    assert training.run is not None
+    training.run.unlock()
+    assert workflow.evaluate(str(run), []) == 0  # nothing was trained, and that is what is judged
+    training.run.append_metrics(training.iterate())
+    training.save()
+    (run / "checkpoints/00000001.json").write_bytes(b"")
+    for command in (workflow.evaluate, workflow.render):
+        with pytest.raises(RunError, match="only the checkpoint before training is intact"):
+            command(str(run), [])

@@ -12,7 +12,7 @@ import pytest
 from worlds import SMALL
 
 from understudy.command.cli import main
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, PluginError
 from understudy.setup import plugins as plugins_module
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -237,3 +237,14 @@ def test_disabled(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not {"stranger", "mujoco"} & {p.name for p in load().loaded}
     monkeypatch.setenv("UNDERSTUDY_PLUGINS", "ppo,stranger")
     assert [p.name for p in load().loaded] == ["ppo"]
+
+
+def test_a_name_that_is_no_plugin_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDERSTUDY_PLUGINS", "ppo,nope")
+    with pytest.raises(
+        PluginError, match="UNDERSTUDY_PLUGINS names 'nope', which is no plugin here"
+    ):
+        load()
+    monkeypatch.setenv("UNDERSTUDY_PLUGINS", "moton")
+    with pytest.raises(PluginError, match="Did you mean 'motion'"):
+        load()

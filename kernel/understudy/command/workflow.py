@@ -41,7 +41,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         run.info["overrides"] = replaced(run.info["overrides"], overrides)
         experiment = validate(compose_raw(run.info["overrides"]), installed().registry)
         run.info["config"] = experiment.effective() | {"run": run.config["run"]}
-    experiment = validate(run.config, installed().registry)
+    experiment = run.experiment(installed().registry)
     distributed.start(experiment.root.device)
     leading = distributed.rank() == 0
     with _together(experiment):
@@ -53,6 +53,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     if not leading:
         training.detach()
     elif overrides:  # what trains the weights from here on is what the folder says
+        run.info["inputs"] = experiment.inputs.copy(run.path / "inputs")
         run.write_json("run.json", run.info)
     return _carry_out(training)
 
@@ -143,11 +144,13 @@ def render(path: str, overrides: Sequence[str]) -> int:
 
 def _load(path: str, overrides: Sequence[str]) -> tuple[Training, Run, Reporter]:
     run = runs.open_run(path)
-    config = run.config
+    config = None
     if overrides:
         config = compose_raw(replaced(run.info["overrides"], overrides))
     reporter = Reporter(_tell)
     state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
-    training = Training(validate(config, installed().registry), reporter)
+    if run.metrics() and not state["progress"]["samples"]:
+        raise RunError(f"{path}: only the checkpoint before training is intact. Resume it first.")
+    training = Training(run.experiment(installed().registry, config), reporter)
     training.load_learned(state)
     return training, run, reporter

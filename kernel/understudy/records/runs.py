@@ -3,6 +3,7 @@
 ::
 
     run.json           composed config, overrides, versions, seed, sources and licences
+    inputs/            copies of the files that its parts read
     metrics.jsonl      one row an iteration
     checkpoints/       see :mod:`understudy.records.checkpoint`
     faults/            what led to the first numerical failure, to be replayed
@@ -22,14 +23,16 @@ import re
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from understudy.errors import RunError
+from understudy.inputs import Inputs
 from understudy.records.checkpoint import write_atomically
-from understudy.setup.config import Experiment, refuse_code
+from understudy.setup.config import Experiment, refuse_code, validate
+from understudy.setup.registry import Registry
 
 #: Version of the folder's layout.
 LAYOUT = 2
@@ -72,13 +75,16 @@ class Run:
     def config(self) -> dict[str, Any]:
         return self.info["config"]
 
+    def experiment(self, registry: Registry, config: Mapping[str, Any] | None = None) -> Experiment:
+        """Its configuration, or this one, validated; what parts read is what the run has copies of."""
+        inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
+        return replace(validate(config or self.config, registry), inputs=inputs)
+
     def lock(self) -> None:
         """Hold the folder for this process.
 
-        Raises
-        ------
-        RunError
-            if another process trains in it.
+        Raises:
+            RunError: if another process trains in it.
         """
         try:
             self._lock = open(self.path / ".lock", "w")  # noqa: SIM115 - held until the run ends
@@ -132,10 +138,8 @@ class Run:
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
     """Make the run folder of a new training.
 
-    Raises
-    ------
-    RunError
-        if the folder holds a run already or cannot be written.
+    Raises:
+        RunError: if the folder holds a run already or cannot be written.
     """
     root = experiment.root
     path = (
@@ -171,6 +175,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     try:
         for folder in ("checkpoints", "faults"):
             (path / folder).mkdir(parents=True, exist_ok=True)
+        info["inputs"] = experiment.inputs.copy(path / "inputs")
     except OSError as error:
         raise RunError(
             f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one."
@@ -199,10 +204,8 @@ def _free_folder(name: str) -> Path:
 def open_run(path: str | Path) -> Run:
     """Open an existing run folder.
 
-    Raises
-    ------
-    RunError
-        if there is none, it is damaged, or a newer understudy wrote it.
+    Raises:
+        RunError: if there is none, it is damaged, or a newer understudy wrote it.
     """
     path = Path(path)
     file = path / "run.json"
@@ -215,17 +218,19 @@ def open_run(path: str | Path) -> Run:
         refuse_code(config)
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        for names in info.get("inputs", {}).values():
+            if not names or not all(isinstance(n, str) for n in (*names, *names.values())):
+                raise ValueError("its inputs are no names and digests")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
-    if not isinstance(layout, int) or layout > LAYOUT:
-        raise RunError(
-            f"{path} was written by a newer understudy (layout {layout}; this one reads {LAYOUT}). "
-            "Install that version or a newer one."
+    if layout != LAYOUT:
+        newer = not isinstance(layout, int) or layout > LAYOUT
+        who = (
+            "a newer understudy" if newer else "an older understudy, whose tasks mean other things"
         )
-    if layout < LAYOUT:
+        what = "Install that version." if newer else "Use that version for it, or train anew."
         raise RunError(
-            f"{path} was written by an older understudy, whose tasks and states mean other things "
-            f"(layout {layout}; this one reads {LAYOUT}). Use that version for it, or train anew."
+            f"{path} was written by {who} (layout {layout}; this one reads {LAYOUT}). {what}"
         )
     if not isinstance(config, dict):
         raise RunError(f"{file} is damaged: its config is no mapping.")
@@ -235,14 +240,9 @@ def open_run(path: str | Path) -> Run:
 def differences(old: Any, new: Any, where: str = "") -> list[str]:
     """Key paths at which two nested configurations differ, with both values."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
-        found = []
-        for key in sorted({*old, *new}, key=str):
-            path = f"{where}.{key}" if where else str(key)
-            if key not in old:
-                found.append(f"{path}: added ({new[key]!r})")
-            elif key not in new:
-                found.append(f"{path}: removed (was {old[key]!r})")
-            else:
-                found.extend(differences(old[key], new[key], path))
-        return found
+        return [
+            difference
+            for key in sorted({*old, *new}, key=str)
+            for difference in differences(old.get(key), new.get(key), f"{where}.{key}".lstrip("."))
+        ]
     return [] if old == new else [f"{where}: {old!r} → {new!r}"]

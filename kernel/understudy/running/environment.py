@@ -127,25 +127,18 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
 class Environment:
     """N worlds of one task.
 
-    Parameters
-    ----------
-    parts : Parts
-        what the task consists of.
-    num_worlds, device, seed
-        N; where the tensors live; the root of the environment's random streams.
-    control_dt, substeps, decision
-        seconds and physics steps of a control period; control periods of a decision.
-    episode_seconds : float
-        episodes are truncated at this length, unless the curriculum provides ``episode_limit``
-        (which it does not when `evaluating`).
-    difficulty : float
-        the field ``difficulty``, unless the curriculum provides it.
-    known_fields : mapping from field name to the components that provide it, for errors.
+    Args:
+        parts: what the task consists of.
+        num_worlds, device, seed: N; where tensors live; the root of its random streams.
+        control_dt, substeps, decision: seconds and physics steps of a control period; control
+            periods of a decision.
+        episode_seconds: episodes are truncated at this length, unless the curriculum provides
+            ``episode_limit`` (which it does not when `evaluating`).
+        difficulty: the field ``difficulty``, unless the curriculum provides it.
+        known_fields: from a field's name to the components that provide it, for errors.
 
-    Raises
-    ------
-    ConfigError
-        if a part reads a field that nothing provides, or a term has the wrong shape.
+    Raises:
+        ConfigError: if a part reads a field that nothing provides, or a term has the wrong shape.
     """
 
     def __init__(

@@ -99,10 +99,8 @@ class Evaluation:
         if self.success_rate is None:
             return "; ".join(figures) + "."
         early = "" if self.complete else " (stopped early: out of reach)"
-        text = (
-            f"{self.success_rate:.0%} of {self.episodes} episodes succeeded{early} ({self.success})"
-        )
-        return "; ".join([text, *figures]) + "."
+        text = f"{self.success_rate:.0%} of {self.episodes} episodes succeeded{early}"
+        return "; ".join([f"{text} ({self.success})", *figures]) + "."
 
 
 def wilson_interval(rate: float, n: int, z: float = 1.96) -> tuple[float, float]:

@@ -18,12 +18,7 @@ from understudy.running.evaluation import Evaluation, Evaluator, success_of
 from understudy.running.jobs import Job
 from understudy.running.statistics import refuse_hopeless
 from understudy.running.warm_start import misshapen, take_over
-from understudy.setup.building import (
-    Built,
-    build_environment,
-    build_policy,
-    device_of,
-)
+from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Learner, Policy, State
 

@@ -41,15 +41,8 @@ class EpisodeStatistics:
     ) -> None:
         """Digest one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
         self.returns.add_(rewards)
-        columns = [
-            ended,
-            seconds * ended,
-            self.returns * ended,
-            succeeded,
-            truncated,
-            unsound,
-            *(endings[t] & ended for t in self.terms),
-        ]
+        columns = [ended, seconds * ended, self.returns * ended, succeeded, truncated, unsound]
+        columns += [endings[t] & ended for t in self.terms]
         self._sums += torch.stack([c.to(torch.float32) for c in columns]).sum(1)
 
     def collect(self) -> dict[str, float]:
@@ -75,10 +68,8 @@ class EpisodeStatistics:
 def refuse_hopeless(unsound: float, steps: int, num_worlds: int) -> None:
     """Stop a training in which most worlds fail numerically all the time.
 
-    Raises
-    ------
-    TrainingError
-        if more than a quarter of all world-steps of an iteration were quarantined.
+    Raises:
+        TrainingError: if more than a quarter of all world-steps of an iteration were quarantined.
     """
     share = unsound / max(1, steps * num_worlds)
     if share > 0.25:

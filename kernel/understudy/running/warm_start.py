@@ -44,10 +44,9 @@ def take_over(
     """Put the parts that `start` names, from the newest checkpoint of its run, in place; returns what
     was taken from where, for provenance.
 
-    Raises
-    ------
-    RunError
-        if the run lacks one of them, or it has another shape here; names the first that does not fit.
+    Raises:
+        RunError: if the run lacks one of them, or it has another shape here; names the first that
+            does not fit.
     """
     state = newest_state(start.run)
     given: Mapping[str, Tensor] = state.get("policy", {})

@@ -45,7 +45,7 @@ def build_sections(experiment: Experiment) -> dict[str, Any]:
     """What the config sections of plugins become."""
     registry = experiment.registry
     return {
-        name: registry.sections[name].make(options, registry)
+        name: registry.sections[name].make(options, registry, experiment.inputs)
         for name, options in experiment.sections.items()
     }
 
@@ -76,6 +76,7 @@ def build_environment(
         evaluating=evaluating,
         registry=registry,
         sections=sections or build_sections(experiment),
+        inputs=experiment.inputs,
     )
     context.scene = scene or experiment.need("scene").build(context)
     simulator: Simulator = experiment.need("simulator").build(context)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from understudy.errors import ConfigError, suggestion
+from understudy.inputs import Inputs
 from understudy.options import Option, check_range, checked_options, make_options
 from understudy.setup.registry import Component, Registry, Slot
 from understudy.task.terms import Outcome, Reduction
@@ -194,6 +195,7 @@ class Experiment:
     choices: Mapping[str, tuple[Chosen, ...]]  #: by slot
     sections: Mapping[str, Any]
     registry: Registry
+    inputs: Inputs = field(default_factory=Inputs)
 
     def one(self, slot: str) -> Chosen | None:
         """What fills `slot`, which takes one component."""
@@ -292,10 +294,9 @@ EXTRAS: dict[str, dict[str, Option]] = {
 def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
     """Look up every component that `raw` names and check every option.
 
-    Raises
-    ------
-    ConfigError
-        for an unknown key or component, a missing or wrong value; the message has the key path.
+    Raises:
+        ConfigError: for an unknown key or component, a missing or wrong value; the message has the
+            key path.
     """
     refuse_code(raw)
     own = {f.name for f in dataclasses.fields(Root)}

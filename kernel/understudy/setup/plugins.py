@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pluggy
 
-from understudy.errors import PluginError
+from understudy.errors import PluginError, suggestion
 from understudy.setup.registry import Registrar, Registry
 
 if TYPE_CHECKING:
@@ -80,10 +80,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     one provides already is recorded in ``registry.broken``, with nothing of it kept; the others
     still load. The bundled plugins come first, then the others by name.
 
-    Raises
-    ------
-    PluginError
-        if two distributions provide a plugin of the same name.
+    Raises:
+        PluginError: if two distributions provide a plugin of the same name.
     """
     allowed = _names("UNDERSTUDY_PLUGINS") if only is None else set(only)
     disabled = _names("UNDERSTUDY_DISABLE_PLUGINS") or set()
@@ -94,6 +92,10 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         metadata.entry_points(group=GROUP),
         key=lambda e: (e.dist is None or e.dist.name != "understudy", e.name),
     )
+    names = {entry.name for entry in found}
+    for name in sorted((allowed or set()) - names if only is None else ()):
+        hint = suggestion(name, names)
+        raise PluginError(f"UNDERSTUDY_PLUGINS names '{name}', which is no plugin here.{hint}")
     seen: dict[str, str] = {}
     for entry in found:
         if (allowed is not None and entry.name not in allowed) or entry.name in disabled:

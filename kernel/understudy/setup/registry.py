@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.errors import ConfigError, PluginError, suggestion
+from understudy.inputs import Inputs
 from understudy.options import Option, options_of
 
 
@@ -96,13 +97,13 @@ class Component:
 class Section:
     """A top-level part of the configuration that a plugin owns (for example ``motion``).
 
-    ``build(options, registry)`` makes the object that components find under
+    ``build(options, registry, inputs)`` makes the object that components find under
     ``context.sections[name]``.
     """
 
     name: str
     options: type | str
-    build: Callable[[Any, Registry], Any] | str
+    build: Callable[..., Any] | str
     plugin: str
 
     def _resolve(self, target: Any) -> Any:
@@ -113,8 +114,8 @@ class Section:
     def schema(self) -> type:
         return self._resolve(self.options)
 
-    def make(self, options: Any, registry: Registry) -> Any:
-        return self._resolve(self.build)(options, registry)
+    def make(self, options: Any, registry: Registry, inputs: Inputs) -> Any:
+        return self._resolve(self.build)(options, registry, inputs)
 
 
 @dataclass(frozen=True)
@@ -226,13 +227,10 @@ class Registrar:
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name with />.yaml``."""
         _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
-        self.registry.tasks[name] = TaskEntry(
-            name, summary, self.plugin, self.distribution, self.version
-        )
+        entry = TaskEntry(name, summary, self.plugin, self.distribution, self.version)
+        self.registry.tasks[name] = entry
 
-    def section(
-        self, name: str, options: type | str, build: Callable[[Any, Registry], Any] | str
-    ) -> None:
+    def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""
         _refuse_twice(self.registry.sections.get(name), self.plugin, f"section '{name}'")
         self.registry.sections[name] = Section(name, options, build, self.plugin)
@@ -240,9 +238,7 @@ class Registrar:
     def kind(self, name: str, summary: str) -> None:
         """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
         if name in self.registry.kinds:
-            raise PluginError(
-                f"Plugin '{self.plugin}' adds the kind '{name}', which exists already."
-            )
+            raise PluginError(f"Plugin '{self.plugin}' adds the kind '{name}', which there is.")
         self.registry.kinds[name] = summary
         self.registry.owners[f"kind {name}"] = self.plugin
 

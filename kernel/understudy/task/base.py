@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import torch
 
 from understudy.errors import ConfigError
+from understudy.inputs import Inputs
 
 if TYPE_CHECKING:
     from understudy.setup.registry import Registry
@@ -42,6 +43,7 @@ class Context:
     evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
     registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)
+    inputs: Inputs = field(default_factory=Inputs)  #: through which parts read files
     scene: Scene | None = None
     simulator: Simulator | None = None
     action_space: ActionSpace | None = None

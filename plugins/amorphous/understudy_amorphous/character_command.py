@@ -19,7 +19,6 @@ from understudy.errors import ConfigError, FileError, PluginError, UnderstudyErr
 from understudy.options import make_options
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.setup.config import validate
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_amorphous.character import GRIPS, TOOL, Figure, Grip, figure, placed
@@ -193,7 +192,7 @@ def _recorded(run: Run) -> _Recorded:
 
 
 def _scene(run: Run) -> AmorphousScene:
-    experiment = validate(run.config, installed().registry)
+    experiment = run.experiment(installed().registry)
     control = experiment.root.control
     context = Context(
         seed=0,
@@ -201,6 +200,7 @@ def _scene(run: Run) -> AmorphousScene:
         num_worlds=1,
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
+        inputs=experiment.inputs,
     )
     chosen = experiment.need("scene")
     scene = chosen.build(context)

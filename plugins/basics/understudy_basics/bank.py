@@ -20,6 +20,12 @@ def save(path: Path, states: Mapping[str, Tensor], about: Mapping[str, Any]) -> 
     checkpoint.save(path, {"states": dict(states)}, {"bank": dict(about)})
 
 
+def files(path: str | Path) -> list[Path]:
+    """The files of a bank, given by one of them or by the run folder that has it."""
+    file = Path(path) / NAME if Path(path).is_dir() else Path(path)
+    return [file.with_suffix(".json"), file.with_suffix(".safetensors")]
+
+
 def load(path: str | Path) -> dict[str, Tensor]:
     """The states of a bank, (M, …) by name: of its file, or of the run folder that has it.
 
@@ -28,10 +34,8 @@ def load(path: str | Path) -> dict[str, Tensor]:
     FileError
         if it is missing, damaged, empty, or no bank.
     """
-    path = Path(path)
-    file = path / NAME if path.is_dir() else path
     try:
-        state, _ = checkpoint.load(file)
+        state, _ = checkpoint.load(files(path)[0])
     except RunError as error:
         raise FileError(f"The bank {path} cannot be used: {error}") from error
     states = state.get("states")

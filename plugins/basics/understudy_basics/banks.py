@@ -28,7 +28,9 @@ class Bank(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         simulator = context.simulator
         assert simulator is not None
-        states = bank.load(options.file)
+        states = bank.load(
+            context.inputs.file(f"bank {options.file}", lambda: bank.files(options.file))
+        )
         self._states = {
             name: value.to(context.device)
             for name, value in states.items()

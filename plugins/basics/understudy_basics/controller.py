@@ -12,7 +12,7 @@ from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import build_policy, build_sections
-from understudy.setup.config import Chosen, Experiment, validate
+from understudy.setup.config import Chosen, Experiment
 from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Bound, renamed
 
@@ -44,7 +44,7 @@ class Controller(nn.Module):
             if there is no such run, or its checkpoint does not fit its configuration.
         """
         assert context.registry is not None
-        experiment = validate(runs.open_run(run).config, context.registry)
+        experiment = runs.open_run(run).experiment(context.registry)
         control = experiment.root.control
         if abs(1.0 / control.frequency - context.control_dt) > 1e-9 or control.decision != 1:
             raise ConfigError(
@@ -52,7 +52,9 @@ class Controller(nn.Module):
                 f"task's control periods are {1.0 / context.control_dt:g} a second. Set "
                 f"control.frequency={control.frequency:g}, or train that run for this task's rate."
             )
-        own = replace(context, sections=build_sections(experiment), _shared={})
+        own = replace(
+            context, sections=build_sections(experiment), inputs=experiment.inputs, _shared={}
+        )
 
         def bound(chosen: Chosen) -> Bound[Any]:
             part = chosen.build(own)

@@ -20,7 +20,7 @@ from understudy.running.jobs import Job
 from understudy.running.recorded import Recorded
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import Built, build_environment, build_policy, device_of
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.task import Policy, State
 from understudy_basics import bank
 
@@ -55,7 +55,7 @@ class Harvest(Job):
         self._source = runs.open_run(options.run)
         own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
         config = {**self._source.config, **own, "start": None}
-        self._experiment = validate(config, experiment.registry)
+        self._experiment = self._source.experiment(experiment.registry, config)
         self._built: Built | None = None
         self._found: dict[str, Tensor] = {}
         self._barren = 0  #: iterations in a row that found nothing

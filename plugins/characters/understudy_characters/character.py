@@ -20,6 +20,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
+from understudy.task import Context
 from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton, sample
 from understudy_mujoco.scene import MjcfFile
@@ -46,8 +47,11 @@ def load_character(named: str, registry: Registry) -> Character:
         raise FileError(f"The model {named} does not compile: {reason}") from error
 
 
-def character_spec(named: str, registry: Registry) -> tuple[str, mujoco.MjSpec]:
-    """Name and model specification of the registered character, or of this MJCF file.
+def character_spec(
+    named: str, registry: Registry, context: Context | None = None
+) -> tuple[str, mujoco.MjSpec]:
+    """Name and model specification of the registered character, or of this MJCF file, which is read
+    through the `context` of the task that it is for.
 
     Raises:
         ConfigError: no such name.
@@ -56,7 +60,7 @@ def character_spec(named: str, registry: Registry) -> tuple[str, mujoco.MjSpec]:
     if named in registry.names("character"):
         return named, registry.find("character", named).factory()
     if Path(named).suffix == ".xml":
-        return Path(named).stem, MjcfFile(MjcfFile.Options(named)).spec()
+        return Path(named).stem, MjcfFile(MjcfFile.Options(named), context).spec()
     known = registry.names("character")
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF "

@@ -10,7 +10,7 @@ import torch
 from understudy.errors import ConfigError, FileError
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_characters.character import Character
@@ -74,7 +74,7 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
 
 
 def _experiment(run: Run) -> Experiment:
-    return validate(run.config, installed().registry)
+    return run.experiment(installed().registry)
 
 
 def _character(experiment: Experiment) -> Character:
@@ -85,6 +85,7 @@ def _character(experiment: Experiment) -> Character:
         num_worlds=1,
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
+        inputs=experiment.inputs,
     )
     chosen = experiment.need("scene")
     scene, name = chosen.build(context), chosen.component.name

@@ -12,7 +12,7 @@ from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.dynamics import CUTOFF
 from understudy_doctor.findings import Finding, Places, Severity, intervals, severity
-from understudy_doctor.measurements import GROUND, Contact, Measurements
+from understudy_doctor.measurements import CONTACT_SPEED, GROUND, Contact, Measurements
 from understudy_doctor.ranges import beyond, range_of
 from understudy_motion.clip import Clip
 
@@ -139,7 +139,9 @@ class _Checks:
         height = measured.heights.min(1) - measured.ground
         least = max(3, self.frames_in(LASTING))
         afloat = measured.supported & (height > FLOAT)
-        for first, last in intervals(afloat, close=least, least=least):
+        # What rises or sinks under the body does not carry it.
+        still = np.abs(np.gradient(height)) < CONTACT_SPEED * measured.dt
+        for first, last in intervals(afloat & still, close=least, least=least):
             value = float(np.median(height[first : last + 1]))
             yield self.finding(
                 "float",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import typing
+from dataclasses import replace
 from pathlib import Path
 
 from understudy.command.command import Command
@@ -14,7 +15,7 @@ from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_doctor.character_checks import missing_joints
-from understudy_doctor.examination import Examination, examine
+from understudy_doctor.examination import Examination, examine, final
 from understudy_doctor.findings import Severity
 from understudy_doctor.page import page
 from understudy_doctor.repair import Repair, make_loop, repair
@@ -59,8 +60,9 @@ class Check(Command):
         after, done = before, None
         if options.fix is not None:
             done = _repaired(before, options.loop)
+            done = replace(done, clip=replace(done.clip, name=options.fix.stem))
             _write(done.clip, options, registry)
-            after = examine(done.clip, character)
+            after = final(examine(done.clip, character))
         if options.page is not None:
             content = page(after, done.done if done else ())
             write_atomically(options.page, content.encode(errors="replace"))
@@ -88,7 +90,7 @@ def _repaired(before: Examination, loop: bool) -> Repair:
     mended = repair(before)
     cut = make_loop(mended.clip, before.character)
     again = repair(examine(cut.clip, before.character))
-    return Repair(again.clip, (*mended.done, *cut.done, *again.done))
+    return Repair(again.clip, (*mended.done, *cut.done, *again.done), again.left)
 
 
 def _write(clip: Clip, options: argparse.Namespace, registry: Registry) -> None:
@@ -109,6 +111,7 @@ def _as_json(
         result["repair"] = {
             "file": str(file),
             "done": list(done.done),
+            "left": list(done.left),
             "before": findings_as_json(before.findings),
         }
     return result
@@ -121,6 +124,7 @@ def _as_text(
         return text(before)
     lines = [text(before), ""]
     lines += [f"repaired: {what}" for what in done.done] or ["repaired: nothing"]
+    lines += [f"left: {what}" for what in done.left]
     for kind, (was, now) in comparison(before.findings, after.findings).items():
         lines.append(f"{kind}: {was} → {now}")
     lines += [f"remains: {finding.line()}" for finding in after.findings]

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
 
 from understudy_characters.character import Character
 from understudy_doctor.character_checks import (
@@ -15,6 +20,7 @@ from understudy_doctor.clip_repairs import undamaged
 from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.flight_check import check_flights
 from understudy_doctor.measurements import Measurements
+from understudy_doctor.proportions import check_proportions, leg_scale, scaled
 from understudy_motion.clip import Clip
 
 NEEDS_CHARACTER = (
@@ -22,6 +28,9 @@ NEEDS_CHARACTER = (
     "(give one with --character, or retarget the clip)"
 )
 NORMALISED = "lengths of the file's quaternions: reading normalises them"
+UNMENDED = (
+    "The repairs there are leave it, or would do harm; capture or retarget it anew, or cut it."
+)
 OPEN_LOOP = "what happens across the seam, because the loop does not close"
 
 
@@ -34,6 +43,7 @@ class Examination:
     measured: Measurements | None
     findings: tuple[Finding, ...]
     skipped: tuple[str, ...]
+    scale: float = 1.0  #: of the clip, for the character's legs, at which it was measured
 
     @property
     def worst(self) -> Severity | None:
@@ -42,10 +52,19 @@ class Examination:
         return next((s for s in (Severity.MAJOR, Severity.MINOR) if s in found), None)
 
 
+def final(examined: Examination) -> Examination:
+    """The examination of a repaired clip: what it still has, no repair makes better."""
+    findings = (
+        replace(f, remedy=UNMENDED) if f.remedy.startswith("--fix") else f
+        for f in examined.findings
+    )
+    return replace(examined, findings=tuple(findings))
+
+
 def examine(clip: Clip, character: Character | None) -> Examination:
     """Examine `clip`, on `character` if there is one."""
     found = list(check_clip(clip))
-    skipped, measured = [NORMALISED], None
+    skipped, measured, scale = [NORMALISED], None, 1.0
     if character is None:
         skipped.append(NEEDS_CHARACTER)
     else:
@@ -53,12 +72,34 @@ def examine(clip: Clip, character: Character | None) -> Examination:
         if missing_joints(clip, character):
             skipped.append("ground, feet, joint limits, torques: joints are missing")
         else:
-            moving = undamaged(clip)
             if clip.loop and not closes(clip):
-                moving = replace(moving, loop=False)
                 skipped.append(OPEN_LOOP)
-            measured = Measurements(moving, character)
-            found += check_on_character(clip, measured)
+            measured, scale = measure(clip, character)
+            found += [*check_proportions(clip, scale), *check_on_character(clip, measured)]
             found += check_flights(clip, measured)
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
-    return Examination(clip, character, measured, tuple(found), tuple(skipped))
+    return Examination(clip, character, measured, tuple(found), tuple(skipped), scale)
+
+
+def measure(clip: Clip, character: Character) -> tuple[Measurements, float]:
+    """What can be measured of `clip`, its damage interpolated over, on a character that has its joints;
+    scaled to the character's legs, and by how much."""
+    moving = undamaged(clip)
+    if clip.loop and not closes(clip):
+        moving = replace(moving, loop=False)
+    measured = Measurements(moving, character)
+    scale = leg_scale(measured)
+    if scale != 1.0:
+        measured = Measurements(scaled(moving, scale), character, math.sqrt(scale))
+    return measured, scale
+
+
+def foot_contacts(clip: Clip, character: Character, times: Tensor) -> tuple[np.ndarray, float]:
+    """When the character's feet touch the ground in `clip`, (F, feet) bool at `times` (F,) s, and the
+    height of that ground, m. A looping clip goes on, another one holds its ends."""
+    measured, scale = measure(clip, character)
+    within = times % clip.duration if clip.loop else times.clamp(0.0, clip.duration)
+    if clip.loop:  # its last frame is of this cycle
+        within = torch.where((times > 0.0) & (within == 0.0), clip.duration, within)
+    nearest = np.abs(measured.times - within[:, None].numpy()).argmin(1)
+    return measured.touching[nearest][:, list(measured.feet)], measured.ground / scale

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import mujoco
 import numpy as np
 import torch
 from torch import Tensor
@@ -18,10 +19,12 @@ from understudy_characters.contacts import feet
 from understudy_characters.shapes import shapes
 from understudy_doctor.dynamics import Effort, Support, effort, support
 from understudy_doctor.findings import intervals
-from understudy_motion.clip import Clip
+from understudy_motion.clip import Clip, velocities
 from understudy_motion.editing import evenly_spaced
 from understudy_motion.kinematics import forward_kinematics
 
+GRAVITY = 9.81
+"""m/s²."""
 GROUND = 0.01
 """m: what motion capture is good for, in height."""
 CONTACT_HEIGHT = 0.03
@@ -33,6 +36,11 @@ over 2 m/s, and even badly sliding ones in stance at under this."""
 BALLISTIC = 0.5
 """Share of the character's weight: a body whose centre of mass needs less support than this from the
 ground can be in flight. In flight it needs none; standing, all; the estimate is good to about 0.2."""
+OFF_CENTRE = 0.1
+"""m by which a centre of mass may be off where the body's proportions are not quite the clip's. Turning
+at ω, what is off by r seems to be pushed at ω² r, which is no support."""
+SHORTEST_FLIGHT = 0.1
+"""s."""
 SHORTEST_CONTACT = 0.05
 """s. Gaps and touches shorter than this are noise: the shortest contacts, a sprinter's, take 0.08."""
 
@@ -54,12 +62,13 @@ class Measurements:
     Args:
         clip: has the character's joints; looping if it closes.
         character: moves as the clip says, as far as its joints can.
+        slower: how many times as long as the motion asked about the clip takes.
     """
 
-    def __init__(self, clip: Clip, character: Character) -> None:
+    def __init__(self, clip: Clip, character: Character, slower: float = 1.0) -> None:
         self.character = character
         self.clip = evenly_spaced(clip)
-        self.times = self.clip.times.numpy()
+        self.times = self.clip.times.numpy() / slower  #: of the motion asked about
         self.dt = self.clip.duration / (self.clip.num_frames - 1)
 
     @cached_property
@@ -97,8 +106,27 @@ class Measurements:
 
     @cached_property
     def supported(self) -> np.ndarray:
-        """(F,) bool: frames in which the centre of mass falls too slowly to be in flight."""
-        return self.effort.lift > BALLISTIC
+        """(F,) bool: frames in which the centre of mass falls too slowly to be in flight, the more so
+        the faster the trunk turns over."""
+        spin = velocities(self.figure)[1][:, 0, :2].square().sum(-1).numpy()
+        return self.effort.lift > BALLISTIC + OFF_CENTRE * spin / GRAVITY
+
+    @cached_property
+    def flights(self) -> list[tuple[int, int]]:
+        """(first, last) frames of the stretches in which nothing touches the ground and the body falls."""
+        least = max(3, round(SHORTEST_FLIGHT / self.dt))
+        return intervals(~self.supported & ~self.touching.any(1), least=least)
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """(F, 3) m: the centre of mass."""
+        model, data = self.character.model, mujoco.MjData(self.character.model)
+        result = np.zeros((len(self.qpos), 3))
+        for row, data.qpos[:] in zip(result, self.qpos.numpy(), strict=True):
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            row[:] = data.subtree_com[self.character.root]
+        return result
 
     @cached_property
     def ground(self) -> float:

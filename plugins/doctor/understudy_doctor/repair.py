@@ -7,12 +7,15 @@ so that what they change at the seam fits.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
@@ -22,8 +25,9 @@ from understudy_characters.character import Character
 from understudy_doctor.character_checks import STANDS_ON
 from understudy_doctor.clip_repairs import mend_frames, mend_seam, mend_spikes
 from understudy_doctor.examination import Examination, examine
-from understudy_doctor.findings import intervals
+from understudy_doctor.findings import Severity, intervals
 from understudy_doctor.measurements import Measurements
+from understudy_doctor.proportions import scaled
 from understudy_motion.clip import Clip, cycle_transform, sample
 from understudy_motion.editing import (
     close_loop,
@@ -45,10 +49,16 @@ FARTHEST_LOCK = 0.15
 SMOOTH_SECONDS = 0.04
 """s: the width (standard deviation) over which the turns that lock a foot are spread."""
 
-TRAVEL = 0.3
-"""m/s: when the feet slide back at this all the time, the clip was made to stay in place."""
+TRAVEL, IN_PLACE, ALIKE = 0.3, 0.25, 0.75
+"""m/s, a share, a share: when feet slide back at this nearly all the time they stand, and the root goes
+less than that share of their way, the clip was made to stay in place."""
 
-_ClipRepair = Callable[[Clip], tuple[Clip, list[str]]]
+WORSE = 1.05
+"""Times: by how much a repair may raise the worst value of a kind; less is noise."""
+BALLISTIC_MARGIN = 0.008
+"""m by which it may bend a flight: 1 cm, with room for how the centre of mass is measured."""
+_STRAIGHT = 1e6  # times: how much stiffer a curve is where it must be straight
+
 _BodyRepair = Callable[[Clip, Measurements], tuple[Clip, list[str]]]
 
 
@@ -58,24 +68,124 @@ class Repair:
 
     clip: Clip
     done: tuple[str, ...]
+    left: tuple[str, ...] = ()  #: what was left undone, for the harm it would do
 
 
 def repair(examined: Examination) -> Repair:
-    """Repair what can be repaired of what was found."""
-    clip, character = examined.clip, examined.character
-    kinds = {finding.kind for finding in examined.findings}
-    done: list[str] = []
-    for applies, step in _CLIP_REPAIRS:
-        if applies & kinds:
-            clip, words = step(clip)
-            done += words
-    if character is None or examined.measured is None:
-        return Repair(clip, tuple(done))
-    for applies, mend in _BODY_REPAIRS:  # each looks at the clip as the one before left it
-        if applies & {finding.kind for finding in examine(clip, character).findings}:
-            clip, words = _over_the_seam(clip, character, mend)
-            done += words
-    return Repair(clip, tuple(done))
+    """Repair what can be repaired of what was found, and nothing that would do harm.
+
+    All repairs together are taken if that does no harm; else one after another, each by itself or, if
+    it needs those that come after it, with them. What was left is tried once more in the end.
+    """
+    feet = examined.measured.feet if examined.measured else ()
+    steps = [*_FIRST, *map(_foot_step, feet), _LAST]
+    state = _State(examined)
+    whole = _carry_out(steps, state)
+    if not harm(examined, whole.examined):
+        return Repair(whole.examined.clip, whole.done)
+    left: list[_Step] = []
+    for number, step in enumerate(steps):
+        tried = _carry_out([step], state)
+        if harm(state.examined, tried.examined):
+            later = steps[number + 1 :]
+            together = _carry_out(later, tried)
+            for after in (together, _harmless(later, tried)[0]):
+                if not harm(state.examined, after.examined):
+                    state = after
+                    break
+            else:
+                left.append(step)
+                continue
+            break
+        state = tried
+    state, reasons = _harmless(left, state)
+    return Repair(state.examined.clip, state.done, reasons)
+
+
+def _harmless(steps: Sequence[_Step], state: _State) -> tuple[_State, tuple[str, ...]]:
+    """Those of the `steps` that do no harm, one after another; and why each of the others does."""
+    reasons: list[str] = []
+    for step in steps:
+        tried = _carry_out([step], state)
+        if reason := harm(state.examined, tried.examined):
+            reasons += [f"not {words}: {reason}" for words in tried.done[len(state.done) :]]
+        else:
+            state = tried
+    return state, tuple(reasons)
+
+
+@dataclass(frozen=True)
+class _State:
+    """A clip on its way through the repairs."""
+
+    examined: Examination
+    done: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A repair, and the findings for which it is made."""
+
+    kinds: frozenset[str]
+    mend: Callable[..., tuple[Clip, list[str]]]
+    on_body: bool = True  #: whether it takes a clip and its measurements, or the examination
+
+
+def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
+    """Each of the `steps` that what is found by then asks for."""
+    for step in steps:
+        examined = state.examined
+        kinds = {finding.kind for finding in examined.findings}
+        # Where legs are of another length, everything on the ground follows from that.
+        if not step.kinds & kinds or (step.on_body and "proportions" in kinds):
+            continue
+        clip, character = examined.clip, examined.character
+        if step.on_body:
+            if character is None or examined.measured is None:
+                continue
+            mended, words = _over_the_seam(clip, character, step.mend)
+        else:
+            mended, words = step.mend(examined)
+        if words:
+            state = _State(examine(mended, character), (*state.done, *words))
+    return state
+
+
+def harm(before: Examination, after: Examination) -> str:
+    """Why what was done to the clip between the two examinations does harm; empty if it does none.
+
+    It must not add findings, neither major ones of any kind nor in all; it must not make the worst of
+    a kind worse; and bodies in flight must stay on their parabolas.
+    """
+    if len(after.findings) > len(before.findings):
+        return f"it would make {len(before.findings)} findings {len(after.findings)}"
+    for kind in sorted({f.kind for f in after.findings}):
+        was, now = (
+            [abs(f.value) for f in e.findings if f.kind == kind and f.severity == Severity.MAJOR]
+            for e in (before, after)
+        )
+        if len(now) > len(was) or max(now, default=0.0) > WORSE * max(was, default=0.0):
+            return f"it would make '{kind}' worse"
+    if (stray := straying(before, after)) > BALLISTIC_MARGIN:
+        return f"it would bend a flight by {100 * stray:.1f} cm"
+    return ""
+
+
+def straying(before: Examination, after: Examination) -> float:
+    """m: how far a repair moves the centre of mass, in flight, from a parabola: from where it was, but
+    for a constant and for a steady velocity."""
+    old, new = before.measured, after.measured
+    if old is None or new is None or abs(new.clip.duration - old.clip.duration) > old.dt:
+        return 0.0  # frames were taken out
+    times, most = old.clip.times.numpy(), 0.0
+    there = CubicSpline(new.clip.times.numpy(), new.centre)(times)
+    for first, last in old.flights:
+        during = slice(first, last + 1)
+        moved, clock = (there - old.centre)[during], times[during] - times[first]
+        steady = np.column_stack([np.ones_like(clock), clock])
+        bent = moved - steady @ np.linalg.lstsq(steady, moved, rcond=None)[0]
+        most = max(most, float(np.linalg.norm(bent, axis=1).max()))
+    return most
 
 
 def make_loop(clip: Clip, character: Character | None) -> Repair:
@@ -130,16 +240,30 @@ def _mend_hinges(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
     return replace(clip, rotations=result), done
 
 
+def _mend_proportions(examined: Examination) -> tuple[Clip, list[str]]:
+    scale = examined.scale
+    what = f"scaled travel and height by {scale:.2f}, and time by {math.sqrt(scale):.2f}"
+    return scaled(examined.clip, scale), [f"{what}, for legs of another length"]
+
+
+def _mend_level(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
+    """The floor that the clip stands on comes to z = 0."""
+    offset = torch.tensor([0.0, 0.0, -measured.ground], dtype=torch.float64)
+    return shift(clip, offset), [f"moved the clip up or down by {-100 * measured.ground:+.1f} cm"]
+
+
 def _mend_ground(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
     """The root is raised and lowered along the smoothest curve that keeps the lowest point out of
-    the ground, and on it wherever something must carry the body."""
+    the ground, and on it wherever something must carry the body; steadily while it flies."""
     lowest = measured.heights.min(1)
     carried = measured.touching.any(1) | (
         measured.supported & (lowest - measured.ground < STANDS_ON)
     )
-    least = -lowest - GROUND_MARGIN
-    most = np.where(carried, -lowest + FLOAT_MARGIN, np.inf)
-    rise = -measured.ground + _between(least + measured.ground, most + measured.ground, measured.dt)
+    level, steady = measured.ground, np.zeros(len(lowest), dtype=bool)
+    for first, last in measured.flights:
+        steady[first : last + 1] = True
+    least, most = -lowest - GROUND_MARGIN, np.where(carried, -lowest + FLOAT_MARGIN, np.inf)
+    rise = -level + _between(least + level, most + level, steady, measured.dt)
     offset = torch.zeros(len(rise), 3, dtype=torch.float64)
     offset[:, 2] = torch.from_numpy(rise)
     span = (
@@ -150,8 +274,9 @@ def _mend_ground(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
     return shift(clip, offset), [f"moved the root up or down {span}"]
 
 
-def _between(least: np.ndarray, most: np.ndarray, dt: float) -> np.ndarray:
-    """(F,) the smoothest curve from `least` to `most`, near 0 where they leave it the choice.
+def _between(least: np.ndarray, most: np.ndarray, steady: np.ndarray, dt: float) -> np.ndarray:
+    """(F,) the smoothest curve from `least` to `most`, near 0 where they leave it the choice, and
+    straight where it is to be `steady`.
 
     Penalised least squares (Eilers, "A Perfect Smoother", 2003) with targets where a bound is
     crossed, set and freed again until they settle. Staying above `least` comes first.
@@ -159,7 +284,9 @@ def _between(least: np.ndarray, most: np.ndarray, dt: float) -> np.ndarray:
     frames = len(least)
     if frames < 3:
         return np.full(frames, least.max())
-    inner = np.ones(frames - 2)  # the squared second differences, by the diagonals of their matrix
+    straight = steady[:-2] & steady[1:-1] & steady[2:]
+    # The squared second differences, by the diagonals of their matrix.
+    inner = np.where(straight, _STRAIGHT, 1.0)
     stiffness = np.zeros((3, frames))
     stiffness[2] = np.convolve(inner, [1.0, 4.0, 1.0])
     stiffness[1, 1:] = np.convolve(inner, [-2.0, -2.0])
@@ -185,44 +312,46 @@ def _between(least: np.ndarray, most: np.ndarray, dt: float) -> np.ndarray:
 
 
 def _mend_travel(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
-    """What moves in place, feet sliding under it, gets under way."""
+    """What stays in one place, all its feet sliding back under it alike, gets under way."""
     steps = measured.slides / measured.dt
     standing = (measured.touching[:-1] & measured.touching[1:])[:, measured.feet]
-    velocity = np.median(steps[:, measured.feet][standing], axis=0)
+    if not standing.any():
+        return clip, []
+    steps = steps[:, measured.feet][standing]
+    velocity = np.median(steps, axis=0)
     speed = float(np.linalg.norm(velocity))
-    if not standing.any() or speed < TRAVEL:
+    strolled = float(np.ptp(clip.root_position[:, :2].numpy(), axis=0).max())
+    alike = np.linalg.norm(steps - velocity, axis=1) < 0.5 * speed
+    if speed < TRAVEL or strolled > IN_PLACE * speed * clip.duration or alike.mean() < ALIKE:
         return clip, []
     way = torch.zeros(clip.num_frames, 3, dtype=torch.float64)
     way[:, :2] = -clip.times[:, None] * torch.from_numpy(velocity)
     return shift(clip, way), [f"set it going at {speed:.2f} m/s, as its feet slide back"]
 
 
-def _mend_feet(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
-    """Feet stay where they came down, and on the ground, as far as the legs do it smoothly."""
-    figure, done = measured.figure, []
+def _mend_foot(foot: int, clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
+    """The foot stays where it came down, and on the ground, as far as the leg does it smoothly."""
+    figure, path = measured.figure, _foot_path(measured, foot)
+    if not _hangs_on_a_leg(foot, measured) or not path.any():
+        return clip, []
     result = clip.rotations.clone()
     parents = measured.character.skeleton.parents
-    width = SMOOTH_SECONDS / measured.dt
-    for foot in measured.feet:
-        path = _foot_path(measured, foot)
-        if not _hangs_on_a_leg(foot, measured) or not path.any():
-            continue
-        knee = parents[foot]
-        axes = measured.character.joints[knee].axes
-        bend_axis = axes[0].tolist() if len(axes) == 1 else None
-        moved = reach(figure, figure.joint_names[foot], torch.from_numpy(path), bend_axis)
-        for row in (foot, knee, parents[knee]):
-            old, new = figure.rotations[:, row], moved.rotations[:, row]
-            turn = rotations.to_exponential_map(rotations.multiply(rotations.conjugate(old), new))
-            # A nearly straight leg answers the least shortening with a kick of the knee.
-            calm = torch.from_numpy(gaussian_filter1d(turn.numpy(), width, axis=0, mode="nearest"))
-            column = clip.joint_names.index(figure.joint_names[row])
-            result[:, column] = rotations.multiply(old, rotations.from_exponential_map(calm))
-        most = 100.0 * np.linalg.norm(path, axis=1).max()
-        done.append(
-            f"locked {figure.joint_names[foot]} where it stands, moving it by up to {most:.1f} cm"
-        )
-    return replace(clip, rotations=result), done
+    knee = parents[foot]
+    axes = measured.character.joints[knee].axes
+    bend_axis = axes[0].tolist() if len(axes) == 1 else None
+    name = figure.joint_names[foot]
+    moved = reach(figure, name, torch.from_numpy(path), bend_axis)
+    for row in (foot, knee, parents[knee]):
+        old, new = figure.rotations[:, row], moved.rotations[:, row]
+        turn = rotations.to_exponential_map(rotations.multiply(rotations.conjugate(old), new))
+        # A nearly straight leg answers the least shortening with a kick of the knee.
+        width = SMOOTH_SECONDS / measured.dt
+        calm = torch.from_numpy(gaussian_filter1d(turn.numpy(), width, axis=0, mode="nearest"))
+        column = clip.joint_names.index(figure.joint_names[row])
+        result[:, column] = rotations.multiply(old, rotations.from_exponential_map(calm))
+    most = 100.0 * np.linalg.norm(path, axis=1).max()
+    what = f"locked {name} where it stands, moving it by up to {most:.1f} cm"
+    return replace(clip, rotations=result), [what]
 
 
 def _hangs_on_a_leg(foot: int, measured: Measurements) -> bool:
@@ -256,17 +385,24 @@ def _foot_path(measured: Measurements, foot: int) -> np.ndarray:
     return PchipInterpolator(known, values)(every)
 
 
-_CLIP_REPAIRS: tuple[tuple[frozenset[str], _ClipRepair], ...] = (
-    (frozenset({"duplicate_frames", "uneven_frames"}), mend_frames),
-    (frozenset({"spike"}), mend_spikes),
-    (frozenset({"seam_pose", "seam_velocity"}), mend_seam),
+def _on_clip(mend: Callable[[Clip], tuple[Clip, list[str]]]) -> Callable[[Examination], Any]:
+    return lambda examined: mend(examined.clip)
+
+
+_FIRST = (
+    _Step(frozenset({"proportions"}), _mend_proportions, on_body=False),
+    _Step(frozenset({"duplicate_frames", "uneven_frames"}), _on_clip(mend_frames), on_body=False),
+    _Step(frozenset({"spike"}), _on_clip(mend_spikes), on_body=False),
+    _Step(frozenset({"seam_pose", "seam_velocity"}), _on_clip(mend_seam), on_body=False),
+    _Step(frozenset({"ground_offset"}), _mend_level),
+    _Step(frozenset({"penetration", "float"}), _mend_ground),
+    _Step(frozenset({"foot_skate"}), _mend_travel),
 )
-_BODY_REPAIRS: tuple[tuple[frozenset[str], _BodyRepair], ...] = (
-    (frozenset({"ground_offset", "penetration", "float"}), _mend_ground),
-    (frozenset({"foot_skate"}), _mend_travel),
-    (frozenset({"foot_skate", "penetration"}), _mend_feet),
-    (frozenset({"joint_limit"}), _mend_hinges),
-)
+_LAST = _Step(frozenset({"joint_limit"}), _mend_hinges)
+
+
+def _foot_step(foot: int) -> _Step:
+    return _Step(frozenset({"foot_skate", "penetration"}), functools.partial(_mend_foot, foot))
 
 
 def _over_the_seam(clip: Clip, character: Character, mend: _BodyRepair) -> tuple[Clip, list[str]]:

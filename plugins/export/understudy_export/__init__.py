@@ -15,6 +15,12 @@ def understudy_register(register: Registrar) -> None:
     add(
         "command", "export", f"{_HERE}.command:Export", "write a run's motion, or a clip, as a file"
     )
+    add(
+        "command",
+        "motion export",
+        f"{_HERE}.columns:ExportColumns",
+        "write a clip on a robot as the table that another trainer reads",
+    )
     add("clip_writer", "glb", f"{_HERE}.gltf:GlbWriter", "glTF 2.0, one binary file")
     add("clip_writer", "gltf", f"{_HERE}.gltf:GltfWriter", "glTF 2.0, one JSON file")
     add("clip_writer", "usd", f"{_HERE}.usd:UsdWriter", "USD, binary")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,13 +17,20 @@ from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import recorded_clips, run_character
-from understudy_characters.shapes import shapes
+from understudy_characters.scene import REFERENCE_COLOUR
+from understudy_characters.shapes import bones, shapes
+from understudy_export.figure import figure
 from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.clip import Clip, resample, sample
-from understudy_motion.reading import MAX_ROTATIONS
-from understudy_motion.writing import write_clip
+from understudy_motion.kinematics import need_skeleton
+from understudy_motion.reading import MAX_ROTATIONS, METRES
+from understudy_motion.writing import Shape, Shown, write_figures
 
 BONES = "none"
+BESIDE = 0.74
+"""In heights of the figure: how far to the left the reference is put, as in videos."""
+GAMMA = 2.2
+"""Of colours on screens; those of files are linear."""
 
 
 class Export(Command):
@@ -35,6 +43,11 @@ class Export(Command):
         )
         parser.add_argument(
             "--reference", action="store_true", help="the motion that the run learned from"
+        )
+        parser.add_argument(
+            "--beside",
+            action="store_true",
+            help="the run's reference too, to the left of what it learned (.glb, .gltf)",
         )
         parser.add_argument(
             "--character",
@@ -63,9 +76,48 @@ class Export(Command):
             clip = worn(clip, character)
         clip = timed(clip, rate=options.rate, seconds=options.seconds, cycles=options.cycles)
         surface = [] if character is None else shapes(character)
-        write_clip(clip, options.destination, registry, surface)
+        figures = [Shown(clip, surface)]
+        if options.beside:
+            figures.append(_beside(options, surface))
+        if Path(options.source).is_dir() and options.unit is not None:
+            figures = [replace(f, clip=_in_unit(f.clip, options)) for f in figures]
+        write_figures(figures, options.destination, registry)
         print(_summary(clip, options.destination, character))
         return 0
+
+
+def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:
+    """The reference of the run, in its colour, as long as the motion that it is put beside."""
+    path = Path(options.source)
+    if not path.is_dir() or options.reference:
+        raise ConfigError(
+            "--beside is not possible: it puts a run's reference beside what it learned."
+        )
+    clip = recorded_clips(path)[1]
+    if clip is None:
+        raise FileError(f"{path}: its task has no reference motion to export.")
+    clip = timed(clip, rate=options.rate, seconds=options.seconds, cycles=options.cycles)
+    body = figure(clip, surface)
+    tall = max(float(s.positions[:, 2].max()) for s in body.surfaces)
+    green = (*(c**GAMMA for c in REFERENCE_COLOUR[:3]), 1.0)
+    shown = [replace(shape, colour=green) for shape in surface or bones(body.skeleton)]
+    return Shown(clip, shown, BESIDE * tall)
+
+
+def _in_unit(clip: Clip, options: argparse.Namespace) -> Clip:
+    """The motion of a run, so that a BVH file of it has lengths in the unit that is asked for."""
+    if options.destination.suffix.lower() != ".bvh":
+        if options.unit == "m":
+            return clip
+        raise ConfigError(
+            f"--unit {options.unit} is not possible: '{options.destination.suffix}' files are in "
+            "metres; only .bvh has a unit of its own."
+        )
+    factor = METRES["cm"] / METRES[options.unit]
+    skeleton = need_skeleton(clip)
+    tips = {name: factor * tip for name, tip in skeleton.tips.items()}
+    skeleton = replace(skeleton, offsets=factor * skeleton.offsets, tips=tips)
+    return replace(clip, root_position=factor * clip.root_position, skeleton=skeleton)
 
 
 def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Character | None]:
@@ -73,6 +125,11 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
     path = Path(options.source)
     if path.is_dir():
         learned, reference = recorded_clips(path)
+        for option in ("up", "skeleton", "source_rate"):
+            if getattr(options, option) is not None:
+                raise ConfigError(
+                    f"--{option.replace('_', '-')} is of clip files; {path} is a run."
+                )
         clip = reference if options.reference else learned
         if clip is None:
             raise FileError(f"{path}: its task has no reference motion to export.")

@@ -1,8 +1,9 @@
 """Writes glTF 2.0: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 The joints are nodes, and the surface is one skinned mesh whose vertices each follow one joint, so
-that what reads it makes an armature. glTF is y up and faces z: the figure's node, above the root
-joint, turns to that; everything below it stays z up and faces x. The file stores float32.
+that what reads it makes an armature. The last joints of limbs have a node more at their tips, so that
+their bones end there. glTF is y up and faces z, and so are all joints: the armature stands upright
+wherever it is read. The file stores float32.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ import numpy as np
 from understudy import __version__
 from understudy.errors import FileError
 from understudy_export.figure import Figure, figure, notice, origin, printable
-from understudy_motion.clip import Clip
-from understudy_motion.writing import ClipWriter, Shape
+from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.writing import ClipWriter, Shape, Shown
 
-_UP_Y_FACING_Z = [-0.5, -0.5, -0.5, 0.5]
-"""(x, y, z) -> (y, z, x), as an xyzw quaternion."""
+_UP_Y_FACING_Z = [1, 2, 0]
+"""(x, y, z) -> (y, z, x): of vectors, and of quaternions' vector parts."""
+_SHORTEST = 0.01
+"""m: a tip nearer to its joint shows no direction."""
 
 _COMPONENT_TYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -37,7 +40,10 @@ class GlbWriter(ClipWriter):
     suffix = ".glb"
 
     def write(self, clip: Clip, path: Path, shapes: Sequence[Shape] = ()) -> None:
-        document, buffer = _gltf(clip, shapes)
+        self.write_all([Shown(clip, shapes)], path)
+
+    def write_all(self, figures: Sequence[Shown], path: Path) -> None:
+        document, buffer = _gltf(figures)
         text = json.dumps(document, separators=(",", ":")).encode()
         chunks = b"".join(
             struct.pack("<I4s", len(padded), kind) + padded
@@ -55,7 +61,10 @@ class GltfWriter(ClipWriter):
     suffix = ".gltf"
 
     def write(self, clip: Clip, path: Path, shapes: Sequence[Shape] = ()) -> None:
-        document, buffer = _gltf(clip, shapes)
+        self.write_all([Shown(clip, shapes)], path)
+
+    def write_all(self, figures: Sequence[Shown], path: Path) -> None:
+        document, buffer = _gltf(figures)
         content = base64.b64encode(buffer).decode()
         document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{content}"
         path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
@@ -89,39 +98,19 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def _gltf(clip: Clip, shapes: Sequence[Shape]) -> tuple[dict[str, Any], bytes]:
+def _gltf(figures: Sequence[Shown]) -> tuple[dict[str, Any], bytes]:
     """The document, which lacks only its buffer's place, and the buffer."""
-    body, buffer = figure(clip, shapes), _Buffer()
-    joints = len(clip.joint_names)
-    document = {
-        "asset": {"version": "2.0", "generator": f"understudy {__version__}", **_copyright(clip)},
+    buffer, first = _Buffer(), figures[0].clip
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": f"understudy {__version__}", **_copyright(first)},
         "scene": 0,
-        "scenes": [{"nodes": [joints, joints + 1]}],
-        "nodes": [
-            *_joint_nodes(body),
-            {
-                "name": printable(clip.name),
-                "children": [0],
-                "rotation": _UP_Y_FACING_Z,
-                "translation": origin(clip)[[1, 2, 0]].tolist(),
-                "extras": notice(clip),
-            },
-            {"name": "surface", "mesh": 0, "skin": 0},
-        ],
-        "skins": [_skin(body, buffer)],
-        "meshes": [{"primitives": _primitives(body, buffer)}],
-        "materials": [
-            {
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": list(surface.colour),
-                    "metallicFactor": 0.0,
-                    "roughnessFactor": 0.7,
-                },
-                **({"alphaMode": "BLEND"} if surface.colour[3] < 1.0 else {}),
-            }
-            for surface in body.surfaces
-        ],
-        "animations": [_animation(clip, buffer)],
+        "scenes": [{"nodes": []}],
+        **{part: [] for part in ("nodes", "skins", "meshes", "materials")},
+        "animations": [{"name": printable(first.name), "channels": [], "samplers": []}],
+    }
+    for shown in figures:
+        _add(document, shown, buffer)
+    document |= {
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.content)}],
@@ -129,41 +118,99 @@ def _gltf(clip: Clip, shapes: Sequence[Shape]) -> tuple[dict[str, Any], bytes]:
     return document, bytes(buffer.content)
 
 
+def _add(document: dict[str, Any], shown: Shown, buffer: _Buffer) -> None:
+    """One more figure: its joints and tips, the node above them, and the surface."""
+    clip, body = shown.clip, figure(shown.clip, shown.shapes)
+    base, number = len(document["nodes"]), len(document["skins"])
+    joints, positions = _joint_nodes(body, shown.shapes, base)
+    place = origin(clip) + np.array([0.0, shown.aside, 0.0])
+    above = {
+        "name": printable(clip.name),
+        "children": [base],
+        "translation": place[_UP_Y_FACING_Z].tolist(),
+        "extras": notice(clip),
+    }
+    surface = {"name": "surface" if number == 0 else f"surface {number + 1}"}
+    document["scenes"][0]["nodes"] += [base + len(joints), base + len(joints) + 1]
+    document["nodes"] += [*joints, above, {**surface, "mesh": number, "skin": number}]
+    document["skins"].append(_skin(positions, base, buffer))
+    primitives = _primitives(body, len(document["materials"]), buffer)
+    document["meshes"].append({"primitives": primitives})
+    document["materials"] += [_material(surface.colour) for surface in body.surfaces]
+    _animate(document["animations"][0], clip, base, buffer)
+
+
+def _material(colour: tuple[float, float, float, float]) -> dict[str, Any]:
+    look = {"baseColorFactor": list(colour), "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    return {"pbrMetallicRoughness": look, **({"alphaMode": "BLEND"} if colour[3] < 1.0 else {})}
+
+
 def _copyright(clip: Clip) -> dict[str, str]:
     words = [printable(text) for text in (clip.licence, clip.attribution) if text]
     return {"copyright": "; ".join(words)} if words else {}
 
 
-def _joint_nodes(body: Figure) -> list[dict[str, Any]]:
-    """A node for each joint, in the rest pose."""
+def _joint_nodes(
+    body: Figure, shapes: Sequence[Shape], base: int
+) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """A node for each joint, then for each tip, in the rest pose, and where they are there, (N, 3)."""
     skeleton = body.skeleton
+    tips = _tips(skeleton, shapes)
+    places = [*body.rest_positions, *(body.rest_positions[j] + tip for j, tip in tips.items())]
+    steps = [body.rest_positions[0], *skeleton.offsets[1:], *tips.values()]
+    names = [*skeleton.joint_names]
+    for joint in tips:
+        name = f"{skeleton.joint_names[joint]}_tip"
+        while name in names:
+            name += "_"
+        names.append(name)
     nodes: list[dict[str, Any]] = [
-        {"name": name, "translation": offset.tolist()}
-        for name, offset in zip(skeleton.joint_names, skeleton.offsets, strict=True)
+        {"name": name, "translation": step[_UP_Y_FACING_Z].tolist()}
+        for name, step in zip(names, steps, strict=True)
     ]
-    nodes[0]["translation"] = body.rest_positions[0].tolist()
-    for joint, parent in enumerate(skeleton.parents[1:], start=1):
-        nodes[parent].setdefault("children", []).append(joint)
-    return nodes
+    for node, parent in enumerate([*skeleton.parents[1:], *tips], start=1):
+        nodes[parent].setdefault("children", []).append(base + node)
+    return nodes, np.array(places)
 
 
-def _skin(body: Figure, buffer: _Buffer) -> dict[str, Any]:
-    """The skin's inverse bind matrices, which are column-major, undo the rest positions."""
-    inverse = np.tile(np.eye(4, dtype=np.float32), (len(body.rest_positions), 1, 1))
-    inverse[:, 3, :3] = -body.rest_positions
-    return {"joints": list(range(len(inverse))), "inverseBindMatrices": buffer.add(inverse)}
+def _tips(skeleton: Skeleton, shapes: Sequence[Shape]) -> dict[int, np.ndarray]:
+    """By joint on which none hangs: the end of what it carries (3,) m in its frame, as the skeleton says,
+    else the farthest point of its shapes, else a little farther along its own bone."""
+    tips = {}
+    for joint, name in enumerate(skeleton.joint_names):
+        if joint in skeleton.parents:
+            continue
+        own = [shape.vertices for shape in shapes if shape.joint == name]
+        points = np.concatenate(own) if own else np.zeros((1, 3))
+        choices = (
+            skeleton.tips.get(name, np.zeros(3)),
+            points[np.linalg.norm(points, axis=1).argmax()],
+            0.5 * skeleton.offsets[joint],
+        )
+        long = (tip for tip in choices if np.linalg.norm(tip) > _SHORTEST)
+        tips[joint] = np.asarray(next(long, np.array([0.0, 0.0, 10 * _SHORTEST])))
+    return tips
 
 
-def _primitives(body: Figure, buffer: _Buffer) -> list[dict[str, Any]]:
+def _skin(positions: np.ndarray, base: int, buffer: _Buffer) -> dict[str, Any]:
+    """The skin's inverse bind matrices, which are column-major, undo the rest positions (N, 3)."""
+    inverse = np.tile(np.eye(4, dtype=np.float32), (len(positions), 1, 1))
+    inverse[:, 3, :3] = -positions[:, _UP_Y_FACING_Z]
+    nodes = list(range(base, base + len(positions)))
+    return {"joints": nodes, "inverseBindMatrices": buffer.add(inverse)}
+
+
+def _primitives(body: Figure, material: int, buffer: _Buffer) -> list[dict[str, Any]]:
+    """The surfaces, whose materials are `material` and those after it."""
     found = []
-    for material, surface in enumerate(body.surfaces):
+    for number, surface in enumerate(body.surfaces, start=material):
         joints = np.zeros((len(surface.joints), 4), np.uint16)
         joints[:, 0] = surface.joints
         weights = np.zeros((len(surface.joints), 4), np.float32)
         weights[:, 0] = 1.0
         attributes = {
-            "POSITION": surface.positions.astype(np.float32),
-            "NORMAL": surface.normals.astype(np.float32),
+            "POSITION": surface.positions[:, _UP_Y_FACING_Z].astype(np.float32),
+            "NORMAL": surface.normals[:, _UP_Y_FACING_Z].astype(np.float32),
             "JOINTS_0": joints,
             "WEIGHTS_0": weights,
         }
@@ -171,32 +218,27 @@ def _primitives(body: Figure, buffer: _Buffer) -> list[dict[str, Any]]:
             {
                 "attributes": {k: buffer.add(v, _VERTICES) for k, v in attributes.items()},
                 "indices": buffer.add(surface.faces.astype(np.uint32).reshape(-1), _FACES),
-                "material": material,
+                "material": number,
             }
         )
     return found
 
 
-def _animation(clip: Clip, buffer: _Buffer) -> dict[str, Any]:
-    """The root's translation and every joint's rotation."""
+def _animate(animation: dict[str, Any], clip: Clip, base: int, buffer: _Buffer) -> None:
+    """Add the root's translation and every joint's rotation."""
     times = clip.times.numpy().astype(np.float32)
     if not (np.diff(times) > 0.0).all():
         raise FileError(
             f"Clip {clip.source}: its frames lie too close together for the length of the clip: glTF "
             "stores times as float32. Export fewer seconds (--seconds)."
         )
-    values = [("translation", 0, clip.root_position.numpy() - origin(clip))]
-    quaternions = clip.rotations.numpy()[..., [1, 2, 3, 0]]
+    path = clip.root_position.numpy() - origin(clip)
+    quaternions = clip.rotations.numpy()[..., [2, 3, 1, 0]]  # wxyz as xyzw, turned as vectors are
+    values = [("translation", 0, path[:, _UP_Y_FACING_Z])]
     values += [("rotation", joint, quaternions[:, joint]) for joint in range(quaternions.shape[1])]
     at = buffer.add(times)
-    return {
-        "name": printable(clip.name),
-        "channels": [
-            {"sampler": sampler, "target": {"node": joint, "path": path}}
-            for sampler, (path, joint, _) in enumerate(values)
-        ],
-        "samplers": [
-            {"input": at, "interpolation": "LINEAR", "output": buffer.add(v.astype(np.float32))}
-            for _, _, v in values
-        ],
-    }
+    for what, joint, value in values:
+        sampler = {"input": at, "interpolation": "LINEAR"}
+        target = {"node": base + joint, "path": what}
+        animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
+        animation["samplers"].append({**sampler, "output": buffer.add(value.astype(np.float32))})

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from understudy.records import checkpoint
+from understudy.records import checkpoint, runs
 from understudy.running.environment import sound
 from understudy.setup.building import build_environment
 from understudy.setup.config import validate
@@ -33,7 +33,11 @@ def replay_step(path: Path | str, plugins: Plugins | None = None) -> ReplayedSte
         if the dump is missing or damaged.
     """
     state, meta = checkpoint.load(Path(path))
-    experiment = validate(meta["config"], (plugins or installed()).registry)
+    registry, folder = (plugins or installed()).registry, Path(path).parent.parent
+    if (folder / "run.json").is_file():
+        experiment = runs.open_run(folder).experiment(registry, meta["config"])
+    else:
+        experiment = validate(meta["config"], registry)
     environment = build_environment(experiment, num_worlds=len(state["worlds"])).environment
     simulator = environment.parts.simulator
     try:

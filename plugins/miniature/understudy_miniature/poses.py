@@ -21,7 +21,7 @@ from understudy.running.jobs import Job
 from understudy.running.reinforcement import misshapen
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.task import Context, State
 from understudy_basics import averages, optimisers
 from understudy_basics.nn import mlp
@@ -151,7 +151,7 @@ def trained_decoder(run: str, context: Context) -> tuple[nn.Module, int]:
         if it is no run of the job 'miniature.autoencoder'.
     """
     assert context.registry is not None
-    experiment = validate(runs.open_run(run).config, context.registry)
+    experiment = runs.open_run(run).experiment(context.registry)
     job = experiment.one("job")
     if job is None or job.component.factory is not LearnPoses:
         raise RunError(f"{run} trained no auto-encoder (experiment=miniature/poses).")

@@ -11,7 +11,16 @@ from understudy.errors import ConfigError, FileError, suggestion
 from understudy.options import checked_options
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
-from understudy_motion.reading import RECORD_SUFFIX, UNSAID, ReadOptions, read_clip, readers
+from understudy_motion.reading import (
+    LICENCE,
+    RECORD_SUFFIX,
+    UNSAID,
+    ReadOptions,
+    read_clip,
+    reader_of,
+    readers,
+    record_path,
+)
 
 DATA_VARIABLE = "UNDERSTUDY_DATA"
 
@@ -52,17 +61,35 @@ def load(
             f"motion.parameters={dict(parameters)!r} is not possible: only generated clips have them."
             f"{suggestion('', registry.names('clip'))}"
         )
+    return read_clip(_file(name, file, registry), registry, options)
+
+
+def files(
+    name: str | None, file: str | None, registry: Registry, options: ReadOptions = UNSAID
+) -> list[Path]:
+    """The file of a clip that is not generated, then those beside it that are read with it.
+
+    Raises:
+        FileError: as :func:`load`.
+    """
+    path = _file(name, file, registry)
+    beside = (record_path(path), path.with_name(LICENCE))
+    needed = reader_of(path, registry).needs(path, options)
+    return [path, *needed, *(p for p in beside if p.is_file() and not p.is_symlink())]
+
+
+def _file(name: str | None, file: str | None, registry: Registry) -> Path:
     if file is not None:
-        return read_clip(Path(file), registry, options)
+        return Path(file)
     if not name:
         raise FileError("No motion clip: give motion.name=NAME or motion.file=PATH.")
     if "/" in name or "\\" in name or ".." in name:
         raise FileError(f"'{name}' is not a clip's name; for a file give motion.file=PATH.")
-    files = _files(tuple(s for reader in readers(registry).values() for s in reader.suffixes))
-    if name in files:
-        return read_clip(files[name], registry, options)
+    known = _files(tuple(s for reader in readers(registry).values() for s in reader.suffixes))
+    if name in known:
+        return known[name]
     raise FileError(
-        f"No motion clip '{name}'.{suggestion(name, {*registry.names('clip'), *files})} Clip files "
+        f"No motion clip '{name}'.{suggestion(name, {*registry.names('clip'), *known})} Clip files "
         f"are given as motion.file=PATH or looked for in ${DATA_VARIABLE}/motions."
     )
 

@@ -30,6 +30,7 @@ METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254
 HEAD_BYTES = 4096
 MAX_BYTES = 256 * 2**20
 RECORD_SUFFIX = ".provenance.json"
+LICENCE = "LICENSE"
 MAX_RECORD_BYTES = 2**16
 MAX_RECORD_LINE = 2000
 MAX_JOINTS = 1000
@@ -90,6 +91,14 @@ class ClipReader(ABC):
                 where there is one, the line or frame (from 0) and the field.
         """
 
+    def needs(self, path: Path, options: ReadOptions) -> Sequence[Path]:
+        """The files that reading `path` takes besides, other than those that `options` name.
+
+        Raises:
+            FileError: there is none of a kind that is needed.
+        """
+        return ()
+
 
 def readers(registry: Registry) -> dict[str, ClipReader]:
     """By format name: the readers of all plugins."""
@@ -105,11 +114,16 @@ def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> 
         UnknownFormatError: no reader recognises it.
         FileError: as :meth:`ClipReader.read`.
     """
+    return reader_of(path, registry).read(path, options)
+
+
+def reader_of(path: Path, registry: Registry) -> ClipReader:
+    """The reader that recognises the file at `path`; errors as :func:`read_clip`."""
     head = read_bytes(path, HEAD_BYTES, whole=False)
     known = readers(registry)
     for reader in known.values():
         if reader.recognises(head, path):
-            return reader.read(path, options)
+            return reader
     formats = ", ".join(known) or "none"
     raise UnknownFormatError(
         f"Clip {path}: not a format that is read here ({formats}).{registry.absent()}"
@@ -232,7 +246,7 @@ def read_record(path: Path) -> dict[str, str]:
 def licence_beside(path: Path) -> str:
     """The first line of a LICENSE file beside the clip, if there is one."""
     try:
-        with path.with_name("LICENSE").open(encoding="utf-8", errors="replace") as file:
+        with path.with_name(LICENCE).open(encoding="utf-8", errors="replace") as file:
             first = next((line.strip() for line in file if line.strip()), "")
     except OSError:
         return "unknown"

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from understudy.inputs import Inputs
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
@@ -28,17 +29,18 @@ class MotionOptions:
 class Motion:
     """The chosen clip and where it came from."""
 
-    def __init__(self, options: MotionOptions, registry: Registry) -> None:
-        reading = ReadOptions(
-            unit=options.unit,
-            up=options.up,
-            skeleton=None if options.skeleton is None else Path(options.skeleton),
-            loop=options.loop,
-            rate=options.rate,
-        )
-        self.clip: Clip = library.load(
-            options.name, options.file, registry, options.parameters, reading
-        )
+    def __init__(self, options: MotionOptions, registry: Registry, inputs: Inputs) -> None:
+        skeleton = None
+        if (given := options.skeleton) is not None:
+            skeleton = inputs.file(f"motion.skeleton={given}", lambda: [Path(given)])
+        reading = ReadOptions(options.unit, options.up, skeleton, options.loop, options.rate)
+        name, file = options.name, options.file
+        if file is not None or name not in registry.names("clip"):
+            asked = f"motion.name={name}" if file is None else f"motion.file={file}"
+            file = str(
+                inputs.file(asked, lambda: library.files(name, options.file, registry, reading))
+            )
+        self.clip: Clip = library.load(name, file, registry, options.parameters, reading)
 
     def provenance(self) -> dict[str, Any]:
         clip = self.clip

@@ -29,6 +29,15 @@ class Shape:
     colour: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)  #: linear RGBA
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A motion among others in one file."""
+
+    clip: Clip
+    shapes: Sequence[Shape] = ()  #: shown where the format can
+    aside: float = 0.0  #: m to the left of where it moves
+
+
 class ClipWriter(ABC):
     """Writes one format."""
 
@@ -43,13 +52,30 @@ class ClipWriter(ABC):
             FileError: the format cannot hold this clip (it needs a skeleton, for instance).
         """
 
+    def write_all(self, figures: Sequence[Shown], path: Path) -> None:
+        """Write several motions to the new file `path`, the first of which says whence they are.
+
+        Raises:
+            FileError: the format holds one motion, or as :meth:`write`.
+        """
+        if len(figures) > 1:
+            raise FileError(
+                f"Clip {path}: '{self.suffix}' files hold one motion; write .glb or .gltf."
+            )
+        self.write(figures[0].clip, path, figures[0].shapes)
+
 
 def write_clip(clip: Clip, path: Path, registry: Registry, shapes: Sequence[Shape] = ()) -> None:
-    """Write `clip` to `path` by its ending, all or nothing; an existing file is replaced.
+    """:func:`write_figures` of one motion."""
+    write_figures([Shown(clip, shapes)], path, registry)
+
+
+def write_figures(figures: Sequence[Shown], path: Path, registry: Registry) -> None:
+    """Write motions to `path` by its ending, all or nothing; an existing file is replaced.
 
     Raises:
         FileError: no writer has this ending, or the folder cannot be written, or as
-            :meth:`ClipWriter.write`.
+            :meth:`ClipWriter.write_all`.
     """
     writers = [registry.find("clip_writer", n).factory() for n in registry.names("clip_writer")]
     writer = next((w for w in writers if w.suffix == path.suffix.lower()), None)
@@ -62,7 +88,11 @@ def write_clip(clip: Clip, path: Path, registry: Registry, shapes: Sequence[Shap
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
             temporary = Path(folder) / path.name
-            writer.write(clip, temporary, shapes)
+            try:
+                writer.write_all(figures, temporary)
+            except FileError as error:
+                raise FileError(str(error).replace(str(temporary), str(path))) from error
             os.replace(temporary, path)
     except OSError as error:
-        raise FileError(f"Clip {path}: cannot be written: {error}.") from error
+        reason = error.strerror or type(error).__name__
+        raise FileError(f"Clip {path}: cannot be written: {reason}.") from error

@@ -34,6 +34,8 @@ class Mjcf:
     text: str
     assets: Mapping[str, bytes]
     """By the name under which the text refers to them: a path within the model's folder."""
+    files: tuple[Path, ...]
+    """What was read: the model's file, then its includes and assets."""
 
 
 def read_mjcf(path: Path) -> Mjcf:
@@ -51,11 +53,11 @@ class _Reader:
         self._path = path
         self._folder = path.parent.resolve()
         self._bytes_left, self._asset_bytes_left = MAX_BYTES, MAX_ASSET_BYTES
-        self._files = 0
+        self._files: list[Path] = []
         self._assets: dict[str, bytes] = {}
 
     def read(self) -> Mjcf:
-        root = self._parse(self._path)
+        root = self._parse(self._folder / self._path.name)
         self._include(root, (self._path.resolve(),))
         elements = list(root.iter())
         for element in elements:
@@ -67,7 +69,8 @@ class _Reader:
                 if key.startswith("file"):
                     kind = "texturedir" if element.tag == "texture" else "meshdir"
                     element.set(key, self._asset(directories, kind, name))
-        return Mjcf(ElementTree.tostring(root, encoding="unicode"), self._assets)
+        text = ElementTree.tostring(root, encoding="unicode")
+        return Mjcf(text, self._assets, tuple(dict.fromkeys(self._files)))
 
     def _parse(self, path: Path) -> ElementTree.Element:
         text = self._content(path, self._bytes_left, MAX_BYTES)
@@ -138,8 +141,8 @@ class _Reader:
         )
 
     def _content(self, path: Path, limit: int, total: int) -> bytes:
-        self._files += 1
-        if self._files > MAX_FILES:
+        self._files.append(path)
+        if len(self._files) > MAX_FILES:
             raise FileError(f"The model {self._path} refers to more than {MAX_FILES} files.")
         try:
             if not path.is_file():

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 
 from understudy.errors import FileError
+from understudy.inputs import Inputs
 from understudy.task import Context, Scene
 from understudy_mujoco.mjcf import read_mjcf
 
@@ -77,7 +78,9 @@ class MjcfFile(MujocoScene):
         file: str  #: path of the MJCF file
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
-        self._path = Path(options.file)
+        inputs = context.inputs if context else Inputs()
+        own = Path(options.file)
+        self._path = inputs.file(f"mjcf {own}", lambda: read_mjcf(own).files)
         self._mjcf = read_mjcf(self._path)
         self.spec()
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,12 @@ from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_characters.character import load_character
+from understudy_doctor.clip_checks import check_clip
+from understudy_doctor.findings import Severity
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip
 from understudy_motion.editing import cut
+from understudy_motion.reading import readers
 from understudy_motion.writing import write_clip
 from understudy_retarget.retarget import Options, Report, retarget
 
@@ -54,7 +59,12 @@ class Retarget(Command):
         registry = installed().registry
         how = Options(map=_pairs(options.map), scale=options.scale)
         character = load_character(options.character, registry)
-        result, report = retarget(_load(options, registry), character, how)
+        clip = _load(options, registry)
+        for finding in check_clip(clip):
+            if finding.severity == Severity.MAJOR:
+                print(f"{clip.name}: {finding.line()}", file=sys.stderr)
+        result, report = retarget(clip, character, how)
+        result = replace(result, name=options.destination.stem)
         write_clip(result, options.destination, registry)
         if options.json:
             print(json.dumps(_as_json(report, options.destination), indent=1))
@@ -112,7 +122,6 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
     worst = max(report.errors, key=lambda part: report.errors[part][1])
     speed, joint = report.speed
     before, joint_before = report.source_speed
-    target = shlex.quote(str(destination))
     lines += [
         f"Scale {report.scale:.3f}. Key points are met within {100 * report.mean_error:.1f} cm on "
         f"average, {100 * report.worst_error:.1f} cm at worst ({worst}).",
@@ -121,10 +130,23 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
         "below the floor.",
         f"The fastest joint: {speed:.1f} rad/s ({joint}); in the clip {before:.1f} ({joint_before}).",
         f"Written: {destination}, {result.num_frames} frames, {result.duration:.2f} s.",
-        f"Next: understudy motion check {target} --character {shlex.quote(character)}; to learn it, "
-        f"train a task of this character with motion.file={target}",
     ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_next(result, character, destination)])
+
+
+def _next(result: Clip, character: str, destination: Path) -> list[str]:
+    """What can be done with the file, as commands, if it is of a format that is read."""
+    known = readers(installed().registry).values()
+    if destination.suffix.lower() not in {ending for reader in known for ending in reader.suffixes}:
+        return [f"'{destination.suffix}' files are only shown: to learn the clip, write .npz."]
+    said = " --unit cm --up y" if destination.suffix.lower() == ".bvh" else ""
+    file, who = shlex.quote(str(destination)), shlex.quote(character)
+    lines = [f"Next: understudy motion check {file}{said} --character {who}"]
+    settings = [f"scene.character={character}", f"motion.file={destination}"]
+    settings += ["motion.unit=cm", "motion.up=y"] if said else []
+    settings += ["motion.loop=true"] if said and result.loop else []
+    words = " ".join(map(shlex.quote, ["experiment=spacetime/walk", *settings]))
+    return [*lines, f"To learn it: understudy train {words}"]
 
 
 def _row(part: str, ours: str, theirs: str, mean: str = "", worst: str = "") -> str:

@@ -16,7 +16,6 @@ from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.building import build_sections
-from understudy.setup.config import validate
 from understudy.task import Context, Scene
 from understudy_report.video import write_video
 
@@ -134,7 +133,7 @@ class _Take:
 
 def scene_of(folder: Path) -> Scene:
     """The scene of the run in `folder`, on the CPU."""
-    experiment = validate(runs.open_run(folder).config, plugins.installed().registry)
+    experiment = runs.open_run(folder).experiment(plugins.installed().registry)
     root = experiment.root
     context = Context(
         seed=root.seed,
@@ -144,6 +143,7 @@ def scene_of(folder: Path) -> Scene:
         substeps=root.control.substeps,
         registry=experiment.registry,
         sections=build_sections(experiment),
+        inputs=experiment.inputs,
     )
     try:
         return experiment.need("scene").build(context)

@@ -23,7 +23,6 @@ from understudy.running.training import Reporter, Training
 from understudy.running.trials import Report, Trial, Work
 from understudy.setup import plugins
 from understudy.setup.composition import load_experiment, replaced
-from understudy.setup.config import validate
 
 #: In a trial's folder: after how many samples the outer loop ended it early.
 _STOPPED = "stopped.json"
@@ -148,7 +147,7 @@ def _open(path: Path, overrides: list[str]) -> Training:
     if (path / "run.json").exists():
         run = runs.open_run(path)
         run.lock()
-        experiment = validate(run.config, plugins.installed().registry)
+        experiment = run.experiment(plugins.installed().registry)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
         return training

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from scipy.spatial import ConvexHull
 from torch import Tensor
 
 from understudy_basics import rotations
 from understudy_characters.character import Character
-from understudy_characters.contacts import feet, foot_contacts, foot_points
+from understudy_characters.contacts import feet, foot_points
 from understudy_characters.shapes import bones, shapes
+from understudy_doctor.examination import foot_contacts
 from understudy_motion.clip import Clip, Skeleton, sample
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
 from understudy_motion.writing import Shape
@@ -66,11 +66,12 @@ def figure(clip: Clip, character: Character | None, times: Tensor) -> Figure:
     for shape in surface:
         by_joint[own.joint_names.index(shape.joint)].append(shape)
     names: tuple[str, ...] = ()
-    contacts = torch.zeros(len(times), 0, dtype=torch.bool)
+    contacts = np.zeros((len(times), 0), dtype=bool)
     prints = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=int))
     if character is not None:
-        names, contacts = feet(character), foot_contacts(character, own)
-        prints = _footprints(character, contacts, positions, turns)
+        names = feet(character)
+        contacts, ground = foot_contacts(clip, character, times)
+        prints = _footprints(character, contacts, ground, positions, turns)
     joints = list(by_joint)
     return Figure(
         parts=tuple(_joined(group) for group in by_joint.values()),
@@ -80,7 +81,7 @@ def figure(clip: Clip, character: Character | None, times: Tensor) -> Figure:
         reach=_reach(need_skeleton(own)),
         feet=names,
         foot_parts=tuple(joints.index(own.joint_names.index(name)) for name in names),
-        contacts=contacts.numpy(),
+        contacts=contacts,
         footprints=prints,
     )
 
@@ -107,18 +108,20 @@ def _reach(skeleton: Skeleton) -> float:
     return float(far.max())
 
 
-def _footprints(character: Character, contacts: Tensor, positions: Tensor, turns: Tensor) -> Mesh:
+def _footprints(
+    character: Character, contacts: np.ndarray, ground: float, positions: Tensor, turns: Tensor
+) -> Mesh:
     """The outline of each foot on the ground, in the middle of each time that it is down."""
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=int)], 0
     for column, (name, points) in enumerate(foot_points(character).items()):
         joint = character.joint_names.index(name)
-        middle = intervals(contacts[:, column].numpy()).sum(axis=1) // 2
+        middle = intervals(contacts[:, column]).sum(axis=1) // 2
         sole = positions[middle, joint, None] + rotations.rotate(turns[middle, joint, None], points)
         for flat in sole[..., :2].numpy():
             corners = np.unique(flat.round(5), axis=0)
             outline = corners[ConvexHull(corners, qhull_options="QJ").vertices]
             fan = np.arange(1, len(outline) - 1)
-            vertices.append(np.insert(outline, 2, _PRINT_HEIGHT, axis=1))
+            vertices.append(np.insert(outline, 2, ground + _PRINT_HEIGHT, axis=1))
             faces.append(count + np.stack([np.zeros_like(fan), fan, fan + 1], axis=1))
             count += len(outline)
     return Mesh(np.concatenate(vertices), np.concatenate(faces))

@@ -95,7 +95,7 @@ def test_a_repaired_copy(sunk: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert cli.main(["motion", "check", str(sunk), "--fix", str(out)]) == 0
     shown = capsys.readouterr().out
     assert "repaired: interpolated neck over frames 90–90" in shown
-    assert "repaired: moved the root up or down by +5.0 cm" in shown
+    assert "repaired: moved the clip up or down by +5.0 cm" in shown
     assert "ground_offset: 1, at worst 0.05 m → none" in shown
     assert shown.endswith(f"{out}: No findings.\n")
     assert sunk.read_bytes() == before
@@ -252,3 +252,22 @@ def test_the_page_of_a_clip_without_a_character(tmp_path: Path, walk: Clip) -> N
     assert "Joint speeds" in text
     assert not re.search(r"<h2>(Contacts|Torque demand|Poses)</h2>", text)
     assert str(Severity.MAJOR) in text
+
+
+def test_what_remains_is_not_to_be_fixed_again(
+    sunk: Path, tmp_path: Path, walk: Clip, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sliding that no repair takes away is not told to be repaired by the same command."""
+    slow = replace(walking(walk), times=0.2 * walking(walk).times)
+    path, out = tmp_path / "hasty.npz", tmp_path / "mended.npz"
+    NpzWriter().write(slow, path)
+    cli.main(["motion", "check", str(path), "--fix", str(out)])
+    remains = [line for line in capsys.readouterr().out.splitlines() if line.startswith("remains")]
+    assert remains
+    assert not any("--fix" in line for line in remains)
+
+
+def test_a_repaired_clip_has_its_own_title(sunk: Path, tmp_path: Path) -> None:
+    out = tmp_path / "mended.npz"
+    cli.main(["motion", "check", str(sunk), "--fix", str(out)])
+    assert read_clip(out, plugins.installed().registry).name == "mended"

@@ -22,7 +22,7 @@ humanoid3d_backflip foot_skate=2 frame_rate=1 seam_pose=1
 humanoid3d_cartwheel penetration=1 seam_pose=1
 humanoid3d_crawl penetration=6 seam_pose=1
 humanoid3d_dance_a seam_pose=1
-humanoid3d_dance_b foot_skate=3 penetration=1 seam_pose=1
+humanoid3d_dance_b float=1 foot_skate=3 penetration=1 seam_pose=1
 humanoid3d_dance_spin
 humanoid3d_getup_facedown penetration=1
 humanoid3d_jog seam_pose=1
@@ -30,7 +30,7 @@ humanoid3d_jump seam_pose=1 torque=1
 humanoid3d_kick joint_range=1 penetration=1
 humanoid3d_punch foot_skate=2 ground_offset=1
 humanoid3d_ready_to_walk_mirror foot_skate=1 penetration=3
-humanoid3d_roll foot_skate=4 penetration=2 seam_pose=1 torque=1 uneven_frames=1
+humanoid3d_roll foot_skate=3 penetration=2 seam_pose=1 torque=3 uneven_frames=1
 humanoid3d_run foot_skate=1 penetration=2 seam_pose=1
 humanoid3d_run_jump penetration=1 unsupported=1
 humanoid3d_spinkick joint_limit=1 seam_pose=1
@@ -69,8 +69,8 @@ humanoid3d_zombie_walk seam_pose=1
 127_16 ground_offset=1 penetration=1
 127_17 ground_offset=1
 127_21 foot_skate=1 ground_offset=1 penetration=1 torque=1
-127_22 ground_offset=1 penetration=1
-127_23 ground_offset=1 penetration=11 torque=1 unsupported=1
+127_22 ground_offset=1 penetration=2
+127_23 ground_offset=1 penetration=12 torque=1 unsupported=1
 127_24 ground_offset=1 joint_range=1 penetration=12
 127_25 ground_offset=1 penetration=1 unsupported=1
 127_26 ground_offset=1 penetration=1
@@ -84,7 +84,7 @@ humanoid3d_zombie_walk seam_pose=1
 127_38 ground_offset=1
 139_16 joint_range=1 penetration=7
 139_17 joint_range=1 penetration=8
-13_11 ground_offset=1 torque=1
+13_11 torque=1
 13_13 ground_offset=1 torque=1
 13_19 foot_skate=1 ground_offset=1 torque=1
 13_39 ground_offset=1 torque=1
@@ -103,35 +103,35 @@ humanoid3d_zombie_walk seam_pose=1
 16_48 ground_offset=1
 16_49 ground_offset=1
 16_52 ground_offset=1
-43_02 float=5 foot_skate=9 ground_offset=1 penetration=15 spike=2
-43_03 float=5 foot_skate=7 ground_offset=1 penetration=26 spike=1
-49_02 float=1 ground_offset=1 joint_range=1 torque=5
+43_02 float=4 foot_skate=9 ground_offset=1 penetration=13 spike=2
+43_03 float=4 foot_skate=7 ground_offset=1 penetration=26 spike=1
+49_02 ground_offset=1 joint_range=1 torque=5
 49_04 ground_offset=1 spike=1 torque=2 unsupported=1
 49_05 ground_offset=1 torque=2 unsupported=1
 49_06 penetration=5 torque=1
 49_07 joint_range=1 penetration=5 torque=1
 49_08 joint_range=2 penetration=10 spike=1
-85_01 float=1 foot_skate=2 penetration=3 torque=5
-85_02 float=1 foot_skate=1 joint_range=2 penetration=3 torque=2 unsupported=1
+85_01 foot_skate=3 penetration=3 torque=4 unsupported=1
+85_02 float=1 joint_range=2 penetration=3 torque=2 unsupported=1
 85_05 float=1 joint_range=1 penetration=13 torque=3 unsupported=1
-85_06 float=2 foot_skate=2 joint_range=2 penetration=1 torque=1
-85_07 float=2 joint_range=1 penetration=2 spike=1 torque=1 unsupported=1
-85_08 float=1 foot_skate=2 joint_range=1 penetration=5 spike=3
+85_06 float=1 foot_skate=1 joint_range=2 penetration=1 torque=1
+85_07 float=1 joint_range=1 penetration=2 spike=1 torque=1 unsupported=2
+85_08 float=1 joint_range=1 penetration=6 spike=3
 88_06 foot_skate=1 frame_rate=1 ground_offset=1 joint_range=1 penetration=1 spike=1 torque=6 unsupported=1
-88_08 float=1 ground_offset=1 joint_range=3 penetration=3 torque=4 unsupported=1
-88_09 float=1 foot_skate=2 joint_range=1 penetration=4 torque=7 unsupported=3
+88_08 ground_offset=1 joint_range=3 penetration=3 torque=4
+88_09 foot_skate=1 joint_range=1 penetration=4 torque=7 unsupported=2
 90_05 foot_skate=2 ground_offset=1 penetration=1 spike=1 torque=1 unsupported=1
-90_16 float=1 ground_offset=1 penetration=8 unsupported=2
-90_17 float=1 foot_skate=1 ground_offset=1 penetration=9 spike=1
+90_16 ground_offset=1 penetration=8 unsupported=1
+90_17 foot_skate=1 ground_offset=1 penetration=9 spike=1
 humanoid3d_backflip foot_skate=2 frame_rate=1 seam_pose=1
 humanoid3d_bridge joint_range=2
 humanoid3d_crawl penetration=6 seam_pose=1
 humanoid3d_dance_a seam_pose=1
-humanoid3d_dance_b foot_skate=3 penetration=1 seam_pose=1
-humanoid3d_roll foot_skate=5 penetration=2 seam_pose=1 torque=1
+humanoid3d_dance_b float=1 foot_skate=3 penetration=1 seam_pose=1
+humanoid3d_roll foot_skate=4 penetration=2 seam_pose=1 torque=1
 humanoid3d_run foot_skate=1 penetration=2 seam_pose=1
 humanoid3d_run_jump penetration=1 unsupported=1
-humanoid3d_run_roll foot_skate=1 penetration=5 seam_pose=1 unsupported=1
+humanoid3d_run_roll foot_skate=1 penetration=5 seam_pose=1
 humanoid3d_spinkick joint_limit=1 seam_pose=1
 [runup]
 VC5_Run_jumpToBox_01 float=1 ground_offset=1 penetration=1 torque=1

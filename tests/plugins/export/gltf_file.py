@@ -84,7 +84,7 @@ class GltfFile:
             for c in channels
             if c["target"]["path"] == "rotation"
         }
-        return np.stack([turns[node] for node in range(len(turns))], axis=1)[..., [3, 0, 1, 2]]
+        return np.stack([turns[node] for node in range(len(turns))], axis=1)[..., [3, 2, 0, 1]]
 
     def skinned(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """World positions (V, 3), y up, and joint (V,) of all vertices in `frame`."""

@@ -108,6 +108,43 @@ def test_the_reference_of_a_run(tmp_path: Path, run: Path) -> None:
     assert angle_error(file.joint_rotations(), reference) < 1e-6
 
 
+def test_the_reference_beside_what_was_learned(tmp_path: Path, run: Path) -> None:
+    learned, reference = recorded_clips(run)
+    assert reference is not None
+    assert export(run, tmp_path / "a.glb", "--beside") == 0
+    file = GltfFile(tmp_path / "a.glb")
+    names = [node["name"] for node in file.document["nodes"]]
+    roots = [i for i, name in enumerate(names) if name == learned.joint_names[0]]
+    for node, clip in zip(roots, (learned, reference), strict=True):
+        path = np.array([file.world(node, f)[:3, 3] for f in range(clip.num_frames)])[:, [2, 0, 1]]
+        moved = path - clip.root_position.numpy()
+        np.testing.assert_allclose(moved, moved[:1].repeat(len(moved), axis=0), atol=1e-5)
+    assert moved[0, 1] > 0.1, "to the left"
+    assert moved[0, [0, 2]] == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("cm", 0.01), ("m", 1.0), ("inch", 0.0254)])
+def test_the_unit_of_an_exported_run(
+    tmp_path: Path, run: Path, registry: Registry, unit: str, metres: float
+) -> None:
+    learned, _ = recorded_clips(run)
+    assert export(run, tmp_path / "a.bvh", "--unit", unit) == 0
+    said = ReadOptions(unit=unit, up="y")  # type: ignore[arg-type]
+    found = read_clip(tmp_path / "a.bvh", registry, said)
+    assert position_error(found.root_position.numpy(), learned) < 1e-5
+    assert found.skeleton is not None
+    assert learned.skeleton is not None
+    np.testing.assert_allclose(found.skeleton.offsets, learned.skeleton.offsets, atol=1e-5)
+
+
+def test_other_options_of_clip_files_are_refused_for_runs(
+    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "files are in metres" in complaint(capsys, run, tmp_path / "a.glb", "--unit", "cm")
+    assert "--up is of clip files" in complaint(capsys, run, tmp_path / "a.bvh", "--up", "y")
+    assert "--beside is not possible" in complaint(capsys, "walk", tmp_path / "a.glb", "--beside")
+
+
 def test_a_run_without_a_reference_or_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,7 +21,8 @@ from understudy_basics import rotations
 from understudy_export.gltf import GlbWriter, GltfWriter
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics
-from understudy_motion.writing import Shape
+from understudy_motion.writers.bvh import BvhWriter
+from understudy_motion.writing import Shape, Shown
 
 WRITERS = pytest.mark.parametrize("writer", [GlbWriter(), GltfWriter()], ids=lambda w: w.suffix)
 SLOWLY = settings(max_examples=30, deadline=None)
@@ -99,7 +100,7 @@ def test_in_the_rest_pose_it_stands_on_the_ground(tmp_path: Path) -> None:
         file.document["accessors"][p["attributes"]["POSITION"]]["min"]
         for p in file.document["meshes"][0]["primitives"]
     ]
-    assert np.array(lows)[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+    assert np.array(lows)[:, 1].min() == pytest.approx(0.0, abs=1e-6)
     foot = file.world(file.document["skins"][0]["joints"][3])[:3, 3]
     assert foot[1] == pytest.approx(0.45, abs=0.01)
 
@@ -147,6 +148,61 @@ def test_other_readers_accept_it(tmp_path: Path, writer: GlbWriter | GltfWriter)
     document = pygltflib.GLTF2().load(str(path))
     assert [node.name for node in document.nodes[:6]] == list(clip.joint_names)
     assert len(document.animations[0].channels) == 7
+
+
+def test_limbs_end_at_their_tips(tmp_path: Path) -> None:
+    """By another reader: each last joint has a node below it, in the skin, where its tip is."""
+    pygltflib = pytest.importorskip("pygltflib", reason="pygltflib is not installed")
+    clip = walker()
+    written(tmp_path, clip, GlbWriter())
+    document = pygltflib.GLTF2().load(str(tmp_path / "clip.glb"))
+    names = [node.name for node in document.nodes]
+    assert clip.skeleton is not None
+    for name, (x, y, z) in clip.skeleton.tips.items():
+        tip = names.index(f"{name}_tip")
+        assert tip in document.nodes[names.index(name)].children
+        assert tip in document.skins[0].joints
+        np.testing.assert_allclose(document.nodes[tip].translation, [y, z, x])
+    assert len(document.skins[0].joints) == len(clip.joint_names) + len(clip.skeleton.tips)
+
+
+def test_a_limb_without_a_tip_ends_with_its_shapes_or_goes_on(tmp_path: Path) -> None:
+    clip = walker()
+    assert clip.skeleton is not None
+    bare = replace(clip, skeleton=replace(clip.skeleton, tips={}))
+    for shapes in (boxes(clip), []):
+        file = written(tmp_path, bare, GlbWriter(), shapes)
+        file.check()
+        names = [node["name"] for node in file.document["nodes"]]
+        for name in ("chest", "l_shin", "r_shin"):
+            tip = file.document["nodes"][names.index(f"{name}_tip")]["translation"]
+            assert np.linalg.norm(tip) > 0.01
+
+
+def test_the_armature_stands_upright(tmp_path: Path) -> None:
+    """No node but the joints turns, and at rest the figure is y up by its bones alone."""
+    file = written(tmp_path, walker(), GlbWriter())
+    assert not any("rotation" in node for node in file.document["nodes"])
+    chest, head = (file.world(node)[:3, 3] for node in (1, 6))
+    np.testing.assert_allclose(head - chest, [0.0, 0.55, 0.0], atol=1e-6)
+
+
+def test_two_figures_move_in_one_file(tmp_path: Path) -> None:
+    one, other = walker(), replace(walker(), name="other")
+    GlbWriter().write_all([Shown(one), Shown(other, (), 1.5)], tmp_path / "two.glb")
+    file = GltfFile(tmp_path / "two.glb")
+    names = [node["name"] for node in file.document["nodes"]]
+    first, second = names.index("hips"), len(names) - names[::-1].index("hips") - 1
+    for frame in (0, 5):
+        apart = file.world(second, frame)[:3, 3] - file.world(first, frame)[:3, 3]
+        np.testing.assert_allclose(apart, [1.5, 0.0, 0.0], atol=1e-6)
+    pygltflib = pytest.importorskip("pygltflib", reason="pygltflib is not installed")
+    document = pygltflib.GLTF2().load(str(tmp_path / "two.glb"))
+    assert len(document.skins) == len(document.meshes) == 2
+    assert len(document.animations) == 1
+    assert len(document.animations[0].channels) == 2 * (1 + len(one.joint_names))
+    with pytest.raises(FileError, match=r"hold one motion; write \.glb"):
+        BvhWriter().write_all([Shown(one), Shown(other)], tmp_path / "two.bvh")
 
 
 def test_a_clip_without_a_skeleton_or_with_too_close_frames_is_refused(tmp_path: Path) -> None:

@@ -91,7 +91,25 @@ def test_which_skeleton(tmp_path: Path) -> None:
     (tmp_path / "other.asf").unlink()
     assert read(path).num_frames == 6  # the only one
     (tmp_path / "renamed.ASF").unlink()
-    with pytest.raises(FileError, match=r"no skeleton \(\.asf\) beside it; give motion\.skeleton"):
+    with pytest.raises(
+        FileError, match=r"no skeleton \(\.asf\) beside it, nor .*; give motion\.skeleton"
+    ):
+        read(path)
+
+
+def test_the_skeletons_of_the_data_folder_serve_everywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known, here = tmp_path / "data" / "motions" / "cmu", tmp_path / "here"
+    for folder in (known, here):
+        folder.mkdir(parents=True)
+    path = write_amc(here)
+    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path / "data"))
+    (here / "small.asf").rename(known / "small.asf")
+    assert read(path).num_frames == 6
+    assert list(AmcReader().needs(path, ReadOptions())) == [known / "small.asf"]
+    (known / "small.asf").rename(known / "other.asf")
+    with pytest.raises(FileError, match="no skeleton"):
         read(path)
 
 

@@ -25,6 +25,7 @@ from hypothesis import strategies as st
 
 from understudy.command import cli
 from understudy.errors import FileError
+from understudy.inputs import Inputs
 from understudy.records.runs import Run
 from understudy.setup import plugins
 from understudy.setup.registry import Component, Registrar, Registry
@@ -361,7 +362,7 @@ def test_an_address_with_terms(site: Site, data: Path, capsys: pytest.CaptureFix
         f"{path}: fetched, {len(content)} bytes",
         f"Use it with motion.file={path}",
     ]
-    motion = Motion(MotionOptions(file=str(path)), plugins.installed().registry)
+    motion = Motion(MotionOptions(file=str(path)), plugins.installed().registry, Inputs())
     assert motion.provenance() == {
         "clip": "still",
         "source": str(path),
@@ -716,6 +717,27 @@ def test_files_from_elsewhere_are_kept_and_said_to_be_unchecked(
     )
 
 
+def test_the_terms_of_a_clip_that_is_there_already_are_recorded(
+    site: Site, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So that checking it does not send one to fetch it again."""
+    folder = data / "motions" / "cmu"
+    folder.mkdir(parents=True)
+    (folder / "02.asf").write_bytes(b"skeleton")
+    (folder / "02_01.amc").write_bytes(MOTION)
+    fetched("02_01", "--from", site.address)
+    assert "its terms are recorded in 02_01.provenance.json" in capsys.readouterr().out
+    about = provenance(folder / "02_01.amc", MOTION)
+    assert about["licence"] == cmu.LICENCE
+    assert about["attribution"] == cmu.ATTRIBUTION
+    assert about["url"] == ""
+    before = (folder / "02_01.provenance.json").read_bytes()
+    fetched("02_01", "--from", site.address)
+    assert "recorded" not in capsys.readouterr().out
+    assert (folder / "02_01.provenance.json").read_bytes() == before
+    assert site.asked == []
+
+
 # ---------------------------------------------------------------------- wrong use
 
 
@@ -805,7 +827,7 @@ def test_licence_and_acknowledgement_reach_the_report(
 ) -> None:
     for file in command.wanted(["02_01"], site.address):
         command.fetch(file, registry())
-    source = Motion(MotionOptions(name="02_01"), registry()).provenance()
+    source = Motion(MotionOptions(name="02_01"), registry(), Inputs()).provenance()
     assert source["licence"] == cmu.LICENCE
     assert source["attribution"] == cmu.ATTRIBUTION
     assert source["url"] == f"{site.address}/subjects/02/02_01.amc"
@@ -872,6 +894,6 @@ def test_a_recorded_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path))
     for file in command.wanted(["02_01"], str(mirror)):
         assert command.fetch(file, known).startswith("fetched")
-    motion = Motion(MotionOptions(name="02_01"), known)
+    motion = Motion(MotionOptions(name="02_01"), known, Inputs())
     assert motion.provenance()["licence"] == cmu.LICENCE
     assert motion.clip.num_frames > 100

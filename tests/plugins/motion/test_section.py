@@ -10,6 +10,7 @@ import torch
 
 import understudy_motion
 from understudy.errors import FileError
+from understudy.inputs import Inputs
 from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
@@ -33,7 +34,7 @@ def registry() -> Registry:
 
 
 def test_the_default_is_the_generated_walk(registry: Registry) -> None:
-    motion = Motion(MotionOptions(), registry)
+    motion = Motion(MotionOptions(), registry, Inputs())
     assert motion.clip.loop
     provenance = motion.provenance()
     assert provenance["clip"] == "walk"
@@ -48,7 +49,7 @@ def test_a_file_is_recorded_with_its_digest(registry: Registry, tmp_path: Path) 
         row += [1, 0, 0, 0] if width == 4 else [0]
     path = tmp_path / "still.json"
     path.write_text('{"Loop": "none", "Frames": %s}' % [row, row])
-    motion = Motion(MotionOptions(name="walk", file=str(path)), registry)
+    motion = Motion(MotionOptions(name="walk", file=str(path)), registry, Inputs())
     assert motion.provenance() == {
         "clip": "still",
         "source": str(path),
@@ -64,4 +65,4 @@ def test_an_unknown_name_suggests_the_generated_one(
 ) -> None:
     monkeypatch.setenv("UNDERSTUDY_DATA", str(tmp_path))
     with pytest.raises(FileError, match=r"No motion clip 'wolk'\. Did you mean 'walk'"):
-        Motion(MotionOptions(name="wolk"), registry)
+        Motion(MotionOptions(name="wolk"), registry, Inputs())

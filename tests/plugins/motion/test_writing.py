@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from motion_files import walker
 import understudy_motion
 from understudy.errors import FileError
 from understudy.setup.registry import Registrar, Registry
+from understudy_motion.clip import Clip
 from understudy_motion.reading import read_clip
-from understudy_motion.writing import write_clip
+from understudy_motion.writing import ClipWriter, Shape, write_clip
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +49,21 @@ def test_a_failure_leaves_the_old_file(tmp_path: Path, registry: Registry) -> No
         write_clip(replace(walker(), skeleton=None), path, registry)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_errors_name_the_file_that_was_asked_for(tmp_path: Path, registry: Registry) -> None:
+    class Refusing(ClipWriter):
+        suffix = ".no"
+
+        def write(self, clip: Clip, path: Path, shapes: Sequence[Shape] = ()) -> None:
+            raise FileError(f"Clip {path}: it cannot be held.")
+
+    Registrar(registry, "test").component("clip_writer", "no", Refusing)
+    for name, reason in (
+        ("a.no", "it cannot be held"),
+        ("nowhere/a.npz", "cannot be written: No such"),
+    ):
+        with pytest.raises(FileError, match=reason) as caught:
+            write_clip(walker(), tmp_path / name, registry)
+        assert str(caught.value).startswith(f"Clip {tmp_path / name}: ")
+        assert "writing-" not in str(caught.value)

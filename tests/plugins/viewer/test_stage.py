@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_characters.character import Character
-from understudy_characters.contacts import foot_contacts
+from understudy_doctor.examination import examine
+from understudy_doctor.summary import contacts
 from understudy_motion.clip import Clip, sample
 from understudy_viewer.figure import Figure, figure, intervals
 from understudy_viewer.stage import Scene, Subject, build, shared_times
@@ -62,7 +63,7 @@ def test_without_a_character_the_skeleton_is_drawn(walk: Clip) -> None:
 def test_feet_in_contact_leave_a_print_each_time(humanoid: Character, walk: Clip) -> None:
     shown = figure(walk, humanoid, walk.times)
     assert shown.feet == ("right_ankle", "left_ankle")
-    np.testing.assert_array_equal(shown.contacts, foot_contacts(humanoid, walk).numpy())
+    assert 0.4 < shown.contacts.mean() < 0.8
     times_down = sum(len(intervals(column)) for column in shown.contacts.T)
     prints = shown.footprints
     assert len(prints.faces) == len(prints.vertices) - 2 * times_down, "fans, one for each"
@@ -74,9 +75,25 @@ def test_feet_in_contact_leave_a_print_each_time(humanoid: Character, walk: Clip
     assert normals[:, 2].sum() / 2 == pytest.approx(times_down * sole, rel=0.2)
 
 
-def test_a_figure_that_never_touches_leaves_none(humanoid: Character, walk: Clip) -> None:
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    shown = figure(replace(walk, root_position=walk.root_position + up), humanoid, walk.times)
+def test_contacts_are_those_that_the_doctor_finds(humanoid: Character, walk: Clip) -> None:
+    up = torch.tensor([0.0, 0.0, 0.3], dtype=torch.float64)
+    for clip in (walk, replace(walk, root_position=walk.root_position + up)):
+        shown, examined = figure(clip, humanoid, clip.times), examine(clip, humanoid)
+        spans = contacts(examined)
+        for name, column in zip(shown.feet, shown.contacts.T, strict=True):
+            found = [tuple(clip.times[[a, b - 1]].tolist()) for a, b in intervals(column)]
+            np.testing.assert_allclose(found, spans[name], atol=1e-3)
+        assert examined.measured is not None
+        level = shown.footprints.vertices[:, 2] - examined.measured.ground
+        assert (np.abs(level) < 0.01).all(), "prints are on the floor that is found"
+
+
+def test_a_figure_that_never_touches_leaves_none(humanoid: Character) -> None:
+    times = torch.arange(16, dtype=torch.float64) / 30
+    qpos = torch.tensor(humanoid.model.qpos0, dtype=torch.float64).repeat(16, 1)
+    qpos[:, 2] += 3.0 - 4.905 * times**2
+    falling = humanoid.clip(qpos, times, name="falling")
+    shown = figure(falling, humanoid, falling.times)
     assert not shown.contacts.any()
     assert len(shown.footprints.vertices) == len(shown.footprints.faces) == 0
 

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError, FileError
+from understudy.errors import ConfigError, FileError, RunError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
@@ -176,7 +176,7 @@ def fetch(file: Wanted, registry: Registry) -> str:
             expected = {"--sha256": file.sha256, SUMS: _sums(folder).get(file.path.name)}
             _refuse_namesake(file)
             if file.path.exists():
-                return _verified(file.path, expected)
+                return _verified(file.path, expected) + _noted(file)
             return _fetch(file, expected, registry)
     except OSError as error:
         raise FileError(f"{file.path} cannot be written: {error.strerror}.") from error
@@ -272,6 +272,18 @@ def _verified(path: Path, expected: Mapping[str, str | None]) -> str:
     return "there already, verified"
 
 
+def _noted(file: Wanted) -> str:
+    """Record the terms of a file that is there already, if nothing says them; what was done."""
+    path = file.path
+    if not (file.licence and path.is_file()) or record_path(path).exists():
+        return ""
+    try:
+        _write_record(file, "", _sha256(path))
+    except RunError:  # a folder that others keep
+        return ""
+    return f"; its terms are recorded in {record_path(path).name}"
+
+
 def _refuse_namesake(file: Wanted) -> None:
     """Clips are known by their stem, so a folder has one of each."""
     owner = read_record(file.path).get("url")
@@ -301,7 +313,7 @@ def _write_record(file: Wanted, url: str, digest: str) -> None:
     record = {
         "clip": file.path.stem,
         "url": url,
-        "date": datetime.now(UTC).date().isoformat(),
+        "date": datetime.now(UTC).date().isoformat() if url else "",
         "sha256": digest,
         "licence": file.licence,
         "attribution": file.attribution,

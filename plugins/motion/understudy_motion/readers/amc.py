@@ -26,6 +26,7 @@ import torch
 from understudy.errors import FileError
 from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.readers.frames import product_of_turns, to_world
 from understudy_motion.readers.text import LARGEST, is_number, shown
 from understudy_motion.reading import (
@@ -91,11 +92,14 @@ class AmcReader(ClipReader):
         lines = (line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines())
         return next((x for x in lines if x and not x.startswith(b"#")), b"").startswith(b":")
 
+    def needs(self, path: Path, options: ReadOptions) -> Sequence[Path]:
+        return () if options.skeleton else (_skeleton_of(path),)
+
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
         lines = content.decode("utf-8-sig", errors="replace").splitlines()
         start, degrees = _header(path, lines)
-        figure_path = options.skeleton or _skeleton_beside(path)
+        figure_path = options.skeleton or _skeleton_of(path)
         figure = read_figure(figure_path)
         values = _values(path, lines, start, figure.bones, figure_path)
 
@@ -263,8 +267,9 @@ class _FigureParser:
         raise FileError(f"Skeleton {self._path}: line {self._line}: {problem}.")
 
 
-def _skeleton_beside(path: Path) -> Path:
-    """The ASF of the clip's subject (``02.asf`` of ``02_01.amc``), else the only one there is."""
+def _skeleton_of(path: Path) -> Path:
+    """The ASF of the clip's subject (``02.asf`` of ``02_01.amc``) beside it, else the only one there,
+    else the subject's in the data folder."""
     try:
         found = sorted(p for p in path.parent.iterdir() if p.suffix.lower() == ".asf")
     except OSError as error:
@@ -275,9 +280,13 @@ def _skeleton_beside(path: Path) -> Path:
             return candidate
     if len(found) == 1:
         return found[0]
+    data = data_folder()
+    if data is not None and (known := data / "motions" / "cmu" / f"{subject}.asf").is_file():
+        return known
     have = f"{len(found)} skeletons, but no {subject}.asf," if found else "no skeleton (.asf)"
     raise FileError(
-        f"Clip {path}: there is {have} beside it; give motion.skeleton=PATH (--skeleton)."
+        f"Clip {path}: there is {have} beside it, nor is it in "
+        f"${DATA_VARIABLE}/motions/cmu; give motion.skeleton=PATH (--skeleton)."
     )
 
 

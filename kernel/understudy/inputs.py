@@ -1,0 +1,51 @@
+"""The files that parts read. A run keeps copies of them, which its parts read from then on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from understudy.errors import RunError
+
+
+@dataclass
+class Inputs:
+    """By what was asked for (an option, in words): the files that answer it."""
+
+    folder: Path = Path()  #: of a run's copies
+    #: The copies' digests by name in the folder, that of the file that was asked for first.
+    kept: dict[str, dict[str, str]] = field(default_factory=dict)
+    _read: dict[str, list[Path]] = field(default_factory=dict)
+
+    def file(self, asked: str, find: Callable[[], Iterable[Path]]) -> Path:
+        """The file to open for what is `asked`: the run's copy, else the first that `find` gives. Its
+        others (meshes, a licence) are kept with it, below the same folder.
+
+        Raises:
+            RunError: if a copy is not what the run was made with.
+        """
+        if asked not in self.kept:
+            if asked not in self._read:
+                self._read[asked] = list(find())
+            return self._read[asked][0]
+        for name, digest in self.kept[asked].items():
+            path = self.folder / name
+            inside = path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
+            if not inside or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+                raise RunError(f"{path} is not what the run was made with: put that back.")
+        return self.folder / next(iter(self.kept[asked]))
+
+    def copy(self, folder: Path) -> dict[str, dict[str, str]]:
+        """Copy what was read into `folder`, and read it there from now on; all that is kept there."""
+        for asked, paths in self._read.items():
+            top, self.kept[asked] = paths[0].absolute().parent, {}
+            for path in map(Path.absolute, paths):
+                below = path.relative_to(top) if path.is_relative_to(top) else Path(path.name)
+                name, content = f"{len(self.kept)}/{below.as_posix()}", path.read_bytes()
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(content)
+                self.kept[asked][name] = hashlib.sha256(content).hexdigest()
+        self._read, self.folder = {}, folder
+        return self.kept
