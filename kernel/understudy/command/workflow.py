@@ -16,10 +16,12 @@ from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment, replaced
 from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
+from understudy.signals import StopRequest
 
 
 def _tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):  # a terminal that was closed stops nothing
+        print(text, file=sys.stderr, flush=True)
 
 
 def train(overrides: Sequence[str]) -> int:
@@ -29,7 +31,9 @@ def train(overrides: Sequence[str]) -> int:
     with _together(experiment):
         training = Training(experiment).prepare()
         if distributed.rank() == 0:
-            run = runs.create(experiment, overrides, training.job.sources())
+            with StopRequest() as stop:  # the folder is made whole or not at all
+                run = runs.create(experiment, overrides, training.job.sources())
+                stop.advise(f"Continue with `understudy resume {run.path}`.")
             training.attach(run)
     return _carry_out(training)
 

@@ -7,13 +7,13 @@ stopped; on the CPU, to the last bit.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from understudy import distributed
@@ -26,32 +26,8 @@ from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
 from understudy.setup.config import Experiment
+from understudy.signals import StopRequest
 from understudy.task import State
-
-
-class StopRequest:
-    """Turns SIGTERM, SIGINT and SIGUSR1 into a flag that the loop reads at its next boundary."""
-
-    SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
-
-    def __init__(self) -> None:
-        self.received: int | None = None
-        self._previous: dict[int, Any] = {}
-
-    def __enter__(self) -> StopRequest:
-        for number in self.SIGNALS:
-            try:
-                self._previous[number] = signal.signal(number, self._note)
-            except ValueError:  # not in the main thread: whoever runs us handles signals
-                break
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.received = number
 
 
 @dataclass
@@ -64,6 +40,8 @@ class Progress:
     evaluated_at: int = 0  #: samples at the last evaluation
     evaluations: int = 0  #: how many there were; each draws starts of its own
     met: bool = False  #: whether the criterion is met
+    #: The last iteration's row, while a stop keeps the evaluation that is due after it from being made.
+    pending: dict[str, Any] = field(default_factory=dict)
 
     def state_dict(self) -> State:
         return dict(vars(self))
@@ -226,14 +204,18 @@ class Training:
                     self.reporter.notify("started", run)
                     if progress.iteration == 0:
                         self.save()
-                while not self._ended():
-                    row = self.iterate()
+                while progress.pending or not self._ended():
+                    row, progress.pending = progress.pending or self.iterate(), {}
+                    if distributed.rank() == 0 and stop.received is None:
+                        with contextlib.suppress(KeyboardInterrupt):  # noted by `stop`, too
+                            row |= self._evaluate_if_due()
                     stopping = distributed.anyone(stop.received is not None, self.job.device)
-                    if distributed.rank() == 0 and not stopping:
-                        row |= self._evaluate_if_due()
-                    if run is not None:
+                    if stopping and self._due():
+                        progress.pending = row
+                    elif run is not None:
                         run.append_metrics(row)
                         self.reporter.notify("iteration", run, row, self.job.stage())
+                    if run is not None:
                         due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
                         if due or stopping:
                             self.save()
@@ -277,26 +259,32 @@ class Training:
             budget.minutes is not None and self.progress.seconds >= 60 * budget.minutes
         )
 
+    def _due(self) -> bool:
+        """Whether it is time for an evaluation, and one may be worth its while."""
+        options, progress = self.experiment.root.evaluation, self.progress
+        every = options.every_samples
+        if every is None:
+            every = math.inf if options.criterion is None else 100_000
+        return progress.samples - progress.evaluated_at >= max(every, 1) and self.job.promising()
+
     def _evaluate_if_due(self) -> dict[str, float]:
         """Evaluate now and then; the criterion is met when it holds on one draw of starts and then on
         a second, larger one. Returns the figures for the row of metrics."""
-        options, progress = self.experiment.root.evaluation, self.progress
-        criterion, every = options.criterion, options.every_samples
-        if every is None:
-            every = math.inf if criterion is None else 100_000
-        if progress.samples - progress.evaluated_at < every or not self.job.promising():
+        options, progress, met = self.experiment.root.evaluation, self.progress, False
+        if not self._due():
             return {}
-        progress.evaluated_at = progress.samples
+        first = self._evaluate("evaluation", options.episodes, options.criterion)
+        if options.criterion is not None and _reaches(first, options.criterion):
+            second = self._evaluate("confirmation", options.final_episodes, options.criterion)
+            met = _reaches(second, options.criterion)
+        progress.evaluated_at, progress.met = progress.samples, met
         progress.evaluations += 1
-        first = self._evaluate("evaluation", options.episodes, criterion)
-        if criterion is not None and _reaches(first, criterion):
-            second = self._evaluate("confirmation", options.final_episodes, criterion)
-            progress.met = _reaches(second, criterion)
         return first.row() if first.complete else {}
 
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
-        draw = f"{kind}/{self.progress.evaluations}"
-        evaluation = self.job.evaluate(draw, episodes, give_up_below=criterion)
+        draw = f"{kind}/{self.progress.evaluations + 1}"
+        with StopRequest(at_once=True):  # it may take minutes, and can be made again
+            evaluation = self.job.evaluate(draw, episodes, give_up_below=criterion)
         self.reporter.message(
             f"{kind.capitalize()} at {self.progress.samples:,} samples: {evaluation.sentence()}"
         )
