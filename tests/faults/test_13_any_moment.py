@@ -79,7 +79,7 @@ def wait_for(path: Path) -> float:
     return time.monotonic() - began
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.slow)])
 def test_any_moment(count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ("train", *SMALL_STOP)
     straight, moments, where = tmp_path / "straight", random.Random(count), {}
