@@ -107,6 +107,7 @@ def test_what_was_adapted_goes_on(tmp_path: Path) -> None:
         "+termination.terms.beyond={name: beyond_reach}",
         *SMALL,
         "+learner.target_kl=1e-4",
+        "+policy.noise={start: 3.0, end: 3.0, samples: 1500}",
     )
     straight = make_training(plugins, overrides)
     rows = [straight.iterate() for _ in range(2 * N)]
