@@ -25,6 +25,7 @@ from understudy.records.runs import Run, differences, versions
 from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
+from understudy.running.warm_start import misshapen
 from understudy.setup.config import Experiment
 from understudy.signals import StopRequest
 from understudy.task import State
@@ -114,14 +115,26 @@ class Training:
         return {**self.job.state_dict(), "progress": self.progress.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`; RunError as :meth:`Job.load_state_dict`."""
-        self.job.load_state_dict(state)
-        self.progress = Progress(**state["progress"])
+        """Continue from `state`, or a RunError that names the first place at which it is not as ours."""
+        self._load(state, self.state_dict(), self.job.load_state_dict)
 
     def load_learned(self, state: State) -> None:
         """Take what is to be judged from `state`, without preparing iterations."""
-        self.progress = Progress(**state["progress"])
-        self.job.load_learned(state, self.progress.samples)
+        own = {"progress": self.progress.state_dict()}
+        self._load(state, own, lambda s: self.job.load_learned(s, s["progress"]["samples"]))
+
+    def _load(self, state: State, own: State, load: Callable[[State], None]) -> None:
+        try:
+            progress = {"pending": {}, **state["progress"]}
+            for misfit in misshapen(own, {**state, "progress": progress}, ""):
+                raise ValueError(misfit)
+            load(state)
+            self.progress = Progress(**progress)
+        except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            raise RunError(
+                f"The checkpoint does not fit this configuration: {type(error).__name__}: {error}. "
+                "Use the configuration it was made with."
+            ) from error
 
     def save(self) -> Path:
         assert self.run is not None
@@ -146,13 +159,7 @@ class Training:
             self.reporter.message(f"Differs from the checkpoint: {change}")
         for change in differences(meta.get("versions"), versions()):
             self.reporter.message(f"Version differs from the checkpoint: {change}")
-        try:
-            self.load_state_dict(state)
-        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            raise RunError(
-                f"The newest checkpoint of {self.run.path} does not fit this configuration: "
-                f"{type(error).__name__}: {error}. Resume with the configuration it was made with."
-            ) from error
+        self.load_state_dict(state)
         if distributed.rank() > 0:  # the checkpoint's worlds are process 0's
             self.job.forget_worlds()
         else:
