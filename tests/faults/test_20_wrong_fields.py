@@ -100,7 +100,9 @@ def refused(run: Path, capsys: pytest.CaptureFixture[str], command: str) -> bool
 
 
 def cases(state: Any) -> list[tuple[tuple[str, ...], Any]]:
-    return [(where, other) for where, value in places(state) for other in odd(value)]
+    found = [(where, other) for where, value in places(state) for other in odd(value)]
+    # checkpoints from before there was such a thing lack it, and are read
+    return [case for case in found if case != (("progress", "pending"), GONE)]
 
 
 def check(run: Path, capsys: pytest.CaptureFixture[str], chosen: slice) -> None:
