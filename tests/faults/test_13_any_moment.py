@@ -18,6 +18,7 @@ import pytest
 from executors import SMALL_STOP
 from worlds import assert_same_state, child_environment
 
+from understudy.command import cli
 from understudy.command.cli import main
 from understudy.records import checkpoint, runs
 from understudy.signals import StopRequest
@@ -157,3 +158,22 @@ def test_requests_nest() -> None:
     with pytest.raises(KeyboardInterrupt, match="SIGUSR1"):
         stop_inside()
     assert [signal.getsignal(number) for number in StopRequest.SIGNALS] == before
+
+
+def test_what_a_library_makes_of_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An interrupted import, say, which ends with an error of its own."""
+
+    def interrupted(arguments: list[str]) -> int:
+        try:
+            signal.raise_signal(signal.SIGHUP)
+        except KeyboardInterrupt:
+            raise ImportError("cannot load module more than once per process") from None
+        return 0
+
+    monkeypatch.setattr(cli, "_run", interrupted)
+    assert main(["train"]) == 75
+    assert capsys.readouterr().err == (
+        "understudy: Stopped by SIGHUP. Give the same command again.\n"
+    )

@@ -231,7 +231,10 @@ def test_the_checkpoint_of_another_job(tmp_path: Path) -> None:
     del state["net"]
     checkpoint.save(tmp_path / "run/checkpoints/00000000", state, meta)
     training.run.unlock()
-    with pytest.raises(RunError, match=r"does not fit this configuration: KeyError: 'net'"):
+    with pytest.raises(
+        RunError,
+        match=r"does not fit this configuration: ValueError: 'net' is a dict here and nothing",
+    ):
         resumed(plugins(), tmp_path / "run")
 
 
