@@ -103,9 +103,15 @@ def mutant(seed: int | None) -> str:
     return text
 
 
+# of the single ones MuJoCo says "Caught an unknown exception!", which is none of its errors
 @pytest.mark.parametrize(
     ("first", "count"),
-    [(0, 400), *(pytest.param(n, 1000, marks=pytest.mark.slow) for n in range(1000, 11000, 1000))],
+    [
+        (0, 400),
+        (4728, 1),
+        (7065, 1),
+        *(pytest.param(n, 1000, marks=pytest.mark.slow) for n in range(1000, 11000, 1000)),
+    ],
 )
 def test_mutants(first: int, count: int, tmp_path: Path) -> None:
     code = READ.format(folder=str(Path(__file__).parent))
@@ -114,6 +120,6 @@ def test_mutants(first: int, count: int, tmp_path: Path) -> None:
     assert done.returncode == 0, f"seed {at}, status {done.returncode}: {done.stderr[-2000:]}"
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["slowest"] < 5, found
-    assert min(found["loaded"], found["refused"]) > count / 20, found
+    assert count == 1 or min(found["loaded"], found["refused"]) > count / 20, found
     assert {p.name for p in tmp_path.iterdir()} == {"model.xml", "seed"}
     sys.stdout.write(f"{count} mutants from {first}: {found}\n")
