@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from understudy.errors import PreemptedError
 
 
+@dataclass(eq=False)
 class StopRequest:
     """Inside, stop signals are noted in `received`; `at_once`, the first is a KeyboardInterrupt too.
 
@@ -17,16 +19,14 @@ class StopRequest:
     (``nohup``). Beside the main thread nothing happens: whoever runs us sees to signals.
     """
 
+    at_once: bool = False
+    for_good: bool = False
+    received: int | None = None
+    advice: str = "Give the same command again."  #: to who stopped us
+
     SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGHUP)
     _nested: ClassVar[list[StopRequest]] = []
     _previous: ClassVar[dict[int, Any]] = {}
-
-    def __init__(self, *, at_once: bool = False, for_good: bool = False) -> None:
-        self.received: int | None = None
-        self.advice = (
-            "Give the same command again."  #: to who stopped us, until it is advised otherwise
-        )
-        self._at_once, self._for_good = at_once, for_good
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
@@ -42,7 +42,7 @@ class StopRequest:
             self._nested.pop()
             while self._previous and not self._nested:
                 number, before = self._previous.popitem()
-                signal.signal(number, signal.SIG_IGN if self._for_good else before)
+                signal.signal(number, signal.SIG_IGN if self.for_good else before)
             if self.received is not None and kind is not PreemptedError:
                 _note(self.received)
 
@@ -54,5 +54,5 @@ class StopRequest:
 def _note(number: int, frame: object = None) -> None:
     for request in StopRequest._nested[-1:]:
         first, request.received = request.received is None, request.received or number
-        if first and request._at_once:
+        if first and request.at_once:
             raise KeyboardInterrupt(signal.Signals(number).name)

@@ -97,8 +97,8 @@ MUTANTS = (
     Mutant("rows are doubled", RUNS, '<= iteration]', '<= iteration + 5]', f"{F10} -k killed"),
     Mutant("state of another kind is loaded", TRAINING, '            for misfit in misshapen(own, {**state, "progress": progress}, ""):\n                raise ValueError(misfit)\n', "",
            FIELDS),
-    Mutant("NaN is loaded", f"{KERNEL}/running/warm_start.py", "and _finite(own) and not _finite(other)",
-           "and False", FIELDS),
+    Mutant("NaN is loaded", f"{KERNEL}/running/warm_start.py", "if finite == [True, False]:",
+           "if False:", FIELDS),
     Mutant("any moments are loaded", OPTIMISERS,
            "if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():", "if False:", FIELDS),
     # ------------------------------------------------------------ resuming

@@ -175,8 +175,6 @@ class Reinforcement(Job):
     def report(self) -> Mapping[str, int]:
         return self.environment.parts.simulator.report()
 
-    # ------------------------------------------------------------------ state
-
     def state_dict(self) -> State:
         return {
             "policy": dict(self.policy.state_dict()),

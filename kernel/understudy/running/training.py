@@ -49,14 +49,6 @@ class Progress:
 
 
 @dataclass
-class Outcome:
-    """How a run ended: ``criterion``, ``budget`` or ``finished``."""
-
-    reason: str
-    progress: Progress
-
-
-@dataclass
 class Reporter:
     """Where the loop tells what happens; the command line replaces these."""
 
@@ -75,12 +67,6 @@ class Reporter:
                 )
 
 
-def build_job(experiment: Experiment) -> Job:
-    """The job that the experiment names; else reinforcement learning."""
-    chosen = experiment.one("job")
-    return chosen.build(experiment) if chosen else Reinforcement(None, experiment)
-
-
 class Training:
     """The loop of a run, new or resumed: iterate the job until the criterion or the budget."""
 
@@ -88,7 +74,8 @@ class Training:
         self.experiment = experiment
         self.run: Run | None = None
         self.reporter = reporter or Reporter()
-        self.job = build_job(experiment)
+        job = experiment.one("job")
+        self.job: Job = job.build(experiment) if job else Reinforcement(None, experiment)
         self.progress = Progress()
         self.outcome = ""
 
@@ -108,8 +95,6 @@ class Training:
         self.run = None
         self.job.watch(None)
         return self
-
-    # ------------------------------------------------------------------ state
 
     def state_dict(self) -> State:
         return {**self.job.state_dict(), "progress": self.progress.state_dict()}
@@ -165,8 +150,6 @@ class Training:
         else:
             self.run.keep_metrics_until(self.progress.iteration)
 
-    # ------------------------------------------------------------------ the loop
-
     def iterate(self) -> dict[str, Any]:
         """One iteration of the job; returns its row of metrics."""
         began = time.perf_counter()
@@ -185,8 +168,8 @@ class Training:
             **metrics,
         }
 
-    def train(self) -> Outcome:
-        """Iterate until the criterion is met, the budget is spent, or the job is finished.
+    def train(self) -> str:
+        """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
 
         Raises
         ------
@@ -197,7 +180,7 @@ class Training:
         """
         for _ in self.rows():
             pass
-        return Outcome(self.outcome, self.progress)
+        return self.outcome
 
     def rows(self) -> Generator[dict[str, Any], None, None]:
         """:meth:`train`, pausing after each iteration; a caller that stops asking leaves the run as
@@ -229,7 +212,15 @@ class Training:
                             saved_at = progress.seconds
                     if stopping:
                         self.outcome = "preempted"
-                        self._refuse_to_go_on(stop)
+                        where = f" Continue with `understudy resume {run.path}`." if run else ""
+                        name = (
+                            signal.Signals(stop.received).name
+                            if stop.received
+                            else "another process"
+                        )
+                        raise PreemptedError(
+                            f"Stopped by {name} after {progress.samples} samples; everything is saved.{where}"
+                        )
                     try:
                         yield row
                     except GeneratorExit:
@@ -251,13 +242,6 @@ class Training:
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0
-
-    def _refuse_to_go_on(self, stop: StopRequest) -> None:
-        where = f" Continue with `understudy resume {self.run.path}`." if self.run else ""
-        name = signal.Signals(stop.received).name if stop.received else "another process"
-        raise PreemptedError(
-            f"Stopped by {name} after {self.progress.samples} samples; everything is saved.{where}"
-        )
 
     def _spent(self) -> bool:
         budget = self.experiment.root.budget
@@ -303,8 +287,6 @@ class Training:
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None
         return self.job.record("final", episodes, record_seconds)
-
-    # ------------------------------------------------------------------ faults
 
     def _dump(self, name: str, state: State) -> None:
         """Write what led to numbers that went wrong into the run's ``faults/``."""

@@ -91,13 +91,17 @@ def _load(
 
 def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:
     """The places at which a nested state is not what `own` is, or not finite where `own` is."""
-    if own is not None and _kind(own) != _kind(other):
+    if own is None:
+        return
+    if _kind(own) != _kind(other):
         yield f"'{where}' is {_kind(own)} here and {_kind(other)} there"
     elif isinstance(own, Mapping):
         for name, value in own.items():
             yield from misshapen(value, other.get(name), f"{where}/{name}".lstrip("/"))
-    elif not isinstance(own, (str, list)) and _finite(own) and not _finite(other):
-        yield f"'{where}' is not finite"
+    elif not isinstance(own, (str, list)):
+        finite = [bool(torch.as_tensor(value).isfinite().all()) for value in (own, other)]
+        if finite == [True, False]:
+            yield f"'{where}' is not finite"
 
 
 def _kind(value: Any) -> str:
@@ -105,7 +109,3 @@ def _kind(value: Any) -> str:
         return f"{tuple(value.shape)} {value.dtype}".replace(" torch.float32", "")
     kinds = {"NoneType": "nothing", "int": "a number", "float": "a number", "tuple": "a list"}
     return kinds.get(type(value).__name__, f"a {type(value).__name__}")
-
-
-def _finite(value: Any) -> bool:
-    return value is None or bool(torch.as_tensor(value).isfinite().all())
