@@ -238,17 +238,13 @@ class Training:
     def _ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
-        own = 1 if self.progress.met else 2 if self._spent() else 3 if self.job.finished() else 0
+        budget, progress = self.experiment.root.budget, self.progress
+        spent = progress.samples >= (budget.samples or math.inf)
+        spent = spent or progress.seconds >= 60 * (budget.minutes or math.inf)
+        own = 1 if progress.met else 2 if spent else 3 if self.job.finished() else 0
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0
-
-    def _spent(self) -> bool:
-        budget = self.experiment.root.budget
-        samples = budget.samples is not None and self.progress.samples >= budget.samples
-        return samples or (
-            budget.minutes is not None and self.progress.seconds >= 60 * budget.minutes
-        )
 
     def _due(self) -> bool:
         """Whether it is time for an evaluation, and one may be worth its while."""
