@@ -18,7 +18,7 @@ import pytest
 from executors import SMALL_STOP
 from worlds import assert_same_state, child_environment
 
-from understudy.command import cli
+from understudy.command import cli, workflow
 from understudy.command.cli import main
 from understudy.records import checkpoint, runs
 from understudy.signals import StopRequest
@@ -177,3 +177,19 @@ def test_what_a_library_makes_of_it(
     assert capsys.readouterr().err == (
         "understudy: Stopped by SIGHUP. Give the same command again.\n"
     )
+
+
+class Gone:
+    """Standard error of a terminal that was closed."""
+
+    def write(self, text: str) -> int:
+        raise OSError(5, "Input/output error")
+
+    flush = write
+
+
+def test_when_nothing_can_be_printed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Neither what a training tells nor why a command ends ends it otherwise."""
+    monkeypatch.setattr(sys, "stderr", Gone())
+    workflow._tell("Evaluation at 256 samples.")
+    assert main(["resume", str(tmp_path / "nowhere")]) == 2

@@ -17,11 +17,13 @@ from typing import Any
 import pytest
 from commands import begin
 from executors import SMALL_STOP
-from worlds import assert_same_state
+from worlds import SMALL, assert_same_state, make_training, resumed
 
 from understudy.command.cli import main
 from understudy.errors import PreemptedError
 from understudy.records import checkpoint, runs
+from understudy.setup.plugins import Plugins
+from understudy.testing.fake import FAKE_TASK
 
 COMMAND = (
     *SMALL_STOP, "budget.samples=3840", "evaluation.every_samples=640", "run.video_seconds=0",
@@ -74,3 +76,18 @@ def test_requeued_until_it_is_done(requeues: int, tmp_path: Path) -> None:
     assert_same_state(*states)
     assert sum(ends.values()) > 1
     assert not list(run.rglob(".*.partial"))
+
+
+def test_rows_after_the_checkpoint_are_written_anew(plugins: Plugins, tmp_path: Path) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
+    assert training.run is not None
+    for iteration in range(1, 7):
+        training.run.append_metrics(training.iterate())
+        if iteration == 3:
+            training.save()
+    training.run.unlock()
+    again = resumed(plugins, tmp_path / "run")
+    assert again.run is not None
+    assert [row["iteration"] for row in again.run.metrics()] == [1, 2, 3]
+    again.run.append_metrics(again.iterate())
+    assert [row["iteration"] for row in again.run.metrics()] == [1, 2, 3, 4]
