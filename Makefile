@@ -42,3 +42,12 @@ bench: install
 bench-gpu: install
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[gpu]'
 	$(BIN)/python benchmarks/gpu.py
+
+# Lose one guard after another in a copy of the tree; a test must fail each time.
+.PHONY: mutants soak
+mutants: install
+	$(BIN)/python -m pytest tests/mutants -m 'slow or not slow' --timeout=900
+
+# Train for an hour and print by how much memory, threads, descriptors and speed change.
+soak: install
+	$(BIN)/python tests/soak.py --minutes 60

@@ -142,7 +142,7 @@ def check_killed_worker_is_replaced(build: Callable[[Work], Executor], folder: P
 
     def kill_once(executor: Any, report: Report | None) -> None:
         if report is not None and not killed:
-            killed.append(executor._pool._running["a"].host.process)
+            killed.append(executor._running["a"].host.process)
             os.kill(killed[0], signal.SIGKILL)
 
     found = carry_out(build(work(cut)), TRIALS[:1], meanwhile=kill_once)
@@ -156,7 +156,7 @@ def check_gives_up(build: Callable[[Work], Executor], folder: Path) -> None:
     """When a trial's process was killed more often than it is tried again (once)."""
 
     def kill(executor: Any, report: Report | None) -> None:
-        for running in executor._pool._running.values():
+        for running in executor._running.values():
             if running.host.process is not None and iterations(folder, "a"):
                 os.kill(running.host.process, signal.SIGKILL)
 
@@ -181,7 +181,7 @@ def check_hanging(build: Callable[[Work], Executor], folder: Path) -> None:
 
     def stop_once(executor: Any, report: Report | None) -> None:
         if report is not None and not stopped:
-            stopped.append(executor._pool._running["a"].host.process)
+            stopped.append(executor._running["a"].host.process)
             os.kill(stopped[0], signal.SIGSTOP)
 
     found = carry_out(build(work(folder)), TRIALS[:1], meanwhile=stop_once)

@@ -8,6 +8,7 @@ process 0 writes files.
 from __future__ import annotations
 
 import os
+from datetime import timedelta
 
 import torch
 import torch.distributed as dist
@@ -34,7 +35,8 @@ def start(device: str) -> None:
                 f"{torch.cuda.device_count()} GPUs. Start one process a GPU (--nproc-per-node)."
             )
         torch.cuda.set_device(local)
-    dist.init_process_group("nccl" if on_gpu else "gloo")
+    patience = timedelta(seconds=float(os.environ.get("UNDERSTUDY_PATIENCE", "1800")))
+    dist.init_process_group("nccl" if on_gpu else "gloo", timeout=patience)
 
 
 def stop() -> None:

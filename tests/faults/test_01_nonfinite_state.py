@@ -145,3 +145,21 @@ def test_nothing_reaches_the_learner(plugins: Plugins) -> None:
         for name, value in flat(training.state_dict()[part]).items():
             assert torch.isfinite(torch.as_tensor(value)).all(), name
     assert (training.job.policy.state_dict()["normaliser.mean"].abs() < 10).all()
+
+
+@pytest.mark.parametrize("value", VALUES)
+def test_no_such_control_reaches_the_simulator(
+    plugins: Plugins, monkeypatch: pytest.MonkeyPatch, value: float
+) -> None:
+    env = environment(plugins)
+    step, given = env.parts.simulator.step, []
+
+    def seen(control: torch.Tensor, substeps: int | None = None) -> None:
+        given.append(control.clone())
+        step(control, substeps)
+
+    monkeypatch.setattr(env.parts.simulator, "step", seen)
+    action = torch.ones(16, 1)
+    action[BAD] = value
+    assert env.step(action).failed.tolist() == [i == BAD for i in range(16)]
+    assert given[0][:, 0].tolist() == [float(i != BAD) for i in range(16)]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
 import torch
+from mujoco.batch import SimulationError
 from worlds import PADDLE_TASK, SMALL
 
 from understudy.setup.building import build_environment
@@ -66,3 +70,44 @@ def test_no_teleport_inside_an_episode(plugins: Plugins) -> None:
     assert step.failed.tolist() == step.terminated.tolist() == [i == 5 for i in range(16)]
     assert environment.episode_step.tolist() == [0 if i == 5 else 1 for i in range(16)]
     assert step.rewards[5] == 0
+
+
+class Troubled:
+    """An engine that ends its steps with an error in world 5."""
+
+    def __init__(self, batch: Any) -> None:
+        self._batch = batch
+        self.status = np.arange(batch.nsim) == 5
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._batch, name)
+
+    def step(self, **options: Any) -> None:
+        self._batch.step(**options)
+        raise SimulationError(np.array([5]), "mj_stackAlloc: out of memory")
+
+
+def test_an_error_of_the_engine_is_its_worlds_failure(plugins: Plugins) -> None:
+    environment = build_environment(load_experiment([*PADDLE_TASK, *SMALL], plugins)).environment
+    environment.reset()
+    simulator: Any = environment.parts.simulator
+    engine, simulator.batch = simulator.batch, Troubled(simulator.batch)
+    assert environment.step(torch.zeros(16, 1)).failed.tolist() == [i == 5 for i in range(16)]
+    simulator.batch = engine
+    assert not environment.step(torch.zeros(16, 1)).failed.any()
+
+
+def test_warnings_are_written_nowhere(
+    plugins: Plugins, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """However many there are: they are counted."""
+    simulator = build_environment(
+        load_experiment([*PADDLE_TASK, *SMALL], plugins)
+    ).context.simulator
+    assert simulator is not None
+    for _ in range(20):
+        simulator._views["qvel"][3, 0] = float("inf")  # type: ignore[attr-defined]
+        simulator.step(torch.zeros(16, 1))
+    assert simulator.report()["badqvel"] >= 20
+    assert capfd.readouterr() == ("", "")
+    assert not list(tmp_path.iterdir()), "the working folder has no MUJOCO_LOG.TXT"

@@ -101,6 +101,17 @@ def test_patience(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     checkpoint.load(tmp_path / "run/checkpoints/00000000")
 
 
+@pytest.mark.parametrize(("patience", "survived"), [(STEPS, 0), (STEPS + 1, 1), (2 * STEPS, 1)])
+def test_patience_is_exact(
+    plugins: Plugins, monkeypatch: pytest.MonkeyPatch, patience: int, survived: int
+) -> None:
+    training = make_training(plugins, [*FAKE_TASK, *SMALL, f"+learner.patience={patience}"])
+    spoil_rewards(training, monkeypatch)
+    with pytest.raises(TrainingError):
+        training.train()
+    assert training.progress.iteration == survived
+
+
 def test_sound_steps_reset_patience(plugins: Plugins, monkeypatch: pytest.MonkeyPatch) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL, "+learner.patience=9"])
     for _ in range(4):

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
+import stat
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import pytest
 from worlds import python
+
+from understudy.errors import RunError
+from understudy.records.checkpoint import write_atomically
 
 #: Forks savers from one process that has torch imported already; kills each at a random moment.
 KILLER = """
@@ -64,3 +72,40 @@ def test_hundred_kills(tmp_path: Path) -> None:
     assert found["last"] > 20, "it did save between the kills"
     assert found["partial"] > 5, "kills did fall into writes"
     assert found["fallbacks"] == 0, "not even a damaged newest one"
+
+
+def test_order_of_system_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The content is on the disk before the name is, and the name before it returns."""
+    calls: list[str] = []
+
+    def recorded(name: str, call: Callable[..., Any]) -> None:
+        def wrapper(first: Any, *others: Any) -> Any:
+            where = ""
+            if name == "fsync":
+                where = " folder" if stat.S_ISDIR(os.fstat(first).st_mode) else " file"
+                assert where == " folder" or os.fstat(first).st_size == 4, "written, not buffered"
+            calls.append(name + where)
+            return call(first, *others)
+
+        monkeypatch.setattr(os, name, wrapper)
+
+    recorded("fsync", os.fsync)
+    recorded("replace", os.replace)
+    write_atomically(tmp_path / "file", b"data")
+    assert calls == ["fsync file", "replace", "fsync folder"]
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_nothing_partial_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, error: BaseException
+) -> None:
+    def failing(*arguments: Any) -> None:
+        raise error
+
+    (tmp_path / "file").write_bytes(b"old")
+    monkeypatch.setattr(os, call, failing)
+    with pytest.raises((RunError, KeyboardInterrupt)):
+        write_atomically(tmp_path / "file", b"data")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_bytes() == b"old"

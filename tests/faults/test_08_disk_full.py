@@ -142,6 +142,6 @@ def test_a_log_that_cannot_be_written_is_left_out(plugins: Plugins, tmp_path: Pa
     training = make_training(
         plugins, [*FAKE_TASK, *SMALL, "budget.samples=500"], tmp_path / "run", reporter
     )
-    assert training.train().reason == "budget"
+    assert training.train() == "budget"
     assert log.calls == 1
     assert messages == ["The observer Log is left out: OSError: [Errno 28] No space left on device"]

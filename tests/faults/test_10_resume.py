@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 from worlds import (
     CLI,
     PADDLE_TASK,
@@ -21,8 +22,12 @@ from worlds import (
     resumed,
 )
 
+from understudy.random import WorldStreams
 from understudy.records import checkpoint
-from understudy.setup.plugins import Plugins
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import Registrar
+from understudy.task import Context, InitialStates, Rollout, State
+from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 
 TASKS = {"fake": (*FAKE_TASK, "episode.seconds=0.7"), "contacts": PADDLE_TASK}
@@ -56,6 +61,72 @@ def test_bitwise_in_a_new_process(plugins: Plugins, tmp_path: Path, task: str) -
     own = straight.state_dict()
     assert own["learner"]["actor"]["0"]["exp_avg"].abs().sum() > 0
     assert_same_state(state, own)
+
+
+class Widening(InitialStates):
+    """Within a reach that grows with the steps learned from; each episode remembers its own."""
+
+    episode_fields = {"reach": ()}
+
+    def __init__(self, options: None, context: Context) -> None:
+        self.reach = torch.full((), 0.1)
+
+    def sample(self, streams: WorldStreams, **fields: torch.Tensor) -> dict[str, torch.Tensor]:
+        qpos = (streams.uniform(1) * 2 - 1) * self.reach
+        reach = self.reach.expand(len(qpos)).clone()
+        return {"qpos": qpos, "qvel": torch.zeros_like(qpos), "reach": reach}
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        self.reach += 0.01 * float(rollout.rewards.mean())
+        return {"reach": float(self.reach)}
+
+    def state_dict(self) -> State:
+        return {"reach": self.reach.clone()}
+
+    def load_state_dict(self, state: State) -> None:
+        self.reach.copy_(state["reach"])
+
+
+def beyond_reach(qpos: torch.Tensor, reach: torch.Tensor) -> torch.Tensor:
+    """Further than where the episode can have begun."""
+    return qpos.abs().squeeze(1) > 1.1 * reach
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    register.component("initial_states", "widening", Widening)
+    register.component("termination", "beyond_reach", beyond_reach)
+
+
+def test_what_was_adapted_goes_on(tmp_path: Path) -> None:
+    """The learning rate, what initial states learned, and what episodes under way began with."""
+    plugins = load(extra=[("fake", fake), ("widening", sys.modules[__name__])])
+    overrides = (
+        *FAKE_TASK[:-2],
+        "+initial_states={name: widening}",
+        "+termination.terms.beyond={name: beyond_reach}",
+        *SMALL,
+        "+learner.target_kl=1e-4",
+        "+policy.noise={start: 3.0, end: 3.0, samples: 1500}",
+    )
+    straight = make_training(plugins, overrides)
+    rows = [straight.iterate() for _ in range(2 * N)]
+    assert len({row["actor_learning_rate"] for row in rows}) > 2
+    assert len({row["initial_states/reach"] for row in rows}) > 2
+    first = make_training(plugins, overrides, tmp_path / "cut")
+    for _ in range(N):
+        first.iterate()
+    reaches = first.job.environment._constants["reach"]
+    assert len(set(reaches.tolist())) > 1, "episodes began at different times"
+    first.save()
+    assert first.run is not None
+    first.run.unlock()
+    again = resumed(plugins, tmp_path / "cut")
+    for row in rows[N:]:
+        found = again.iterate()
+        for name in ("actor_learning_rate", "initial_states/reach", "reward", "episode/unsound"):
+            assert found[name] == row[name], name
+    assert_same_state(straight.state_dict(), again.state_dict())
 
 
 def test_saving_changes_nothing(plugins: Plugins, tmp_path: Path) -> None:

@@ -125,3 +125,52 @@ def test_the_command(plugins: Plugins, tmp_path: Path, number: signal.Signals) -
     assert last.startswith(f"understudy: Stopped by {number.name} after ")
     assert last.endswith(f"Continue with `understudy resume {run}`.")
     assert resumed(plugins, run).progress.samples > 0
+
+
+EVALUATED = (*FAKE_TASK, *SMALL, "budget.samples=1280", "evaluation.every_samples=256", "evaluation.gate=0",
+             "evaluation.episodes=4", "evaluation.final_episodes=4", "evaluation.seconds=0.5")  # fmt: skip
+
+
+@pytest.mark.parametrize("moment", ["before an evaluation", "in an evaluation", "after one"])
+def test_an_evaluation_is_neither_lost_nor_doubled(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    """One that the signal keeps from being made, or ends, is made when the run goes on."""
+    straight = make_training(plugins, EVALUATED, tmp_path / "straight")
+    straight.train()
+    training = make_training(plugins, EVALUATED, tmp_path / "run")
+    evaluate, iterate, began = training.job.evaluate, training.iterate, []
+
+    def stopped_iterate() -> dict[str, Any]:
+        row = iterate()
+        if row["iteration"] == {"before an evaluation": 4, "after one": 5}.get(moment):
+            signal.raise_signal(signal.SIGTERM)
+        return row
+
+    def stopped_evaluate(draw: str, episodes: int, **options: Any) -> Any:
+        began.append(draw)
+        if moment == "in an evaluation" and draw == "evaluation/2":
+            signal.raise_signal(signal.SIGUSR1)
+        return evaluate(draw, episodes, **options)
+
+    monkeypatch.setattr(training, "iterate", stopped_iterate)
+    monkeypatch.setattr(training.job, "evaluate", stopped_evaluate)
+    with pytest.raises(PreemptedError, match=r"after (512|640) samples"):
+        training.train()
+    newest_equals(training, tmp_path / "run")
+    expected = 1 if moment == "before an evaluation" else 2
+    assert began == [f"evaluation/{n + 1}" for n in range(expected)]
+    assert training.run is not None
+    training.run.unlock()
+    again = resumed(plugins, tmp_path / "run")
+    again.train()
+    assert_same_state(straight.state_dict(), again.state_dict())
+    assert straight.run is not None
+    assert again.run is not None
+    clocks = ("seconds", "samples_per_second", "collect_share")
+    one, other = (
+        [{k: v for k, v in row.items() if k not in clocks} for row in run.metrics()]
+        for run in (straight.run, again.run)
+    )
+    assert one == other
+    assert sum("evaluation/return" in row for row in other) == 5

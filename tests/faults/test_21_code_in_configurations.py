@@ -12,7 +12,7 @@ from worlds import SMALL, make_training, resumed
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.records import checkpoint, runs
 from understudy.setup.composition import load_experiment
-from understudy.setup.config import CODE_KEYS, validate
+from understudy.setup.config import CODE_KEYS, refuse_code, validate
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.origins import origins
@@ -98,3 +98,10 @@ def test_run_folder_and_checkpoint(plugins: Plugins, tmp_path: Path, untouched: 
     with pytest.raises(UnderstudyError, match="_target_"):
         replay_step(tmp_path / "step", plugins)
     assert not untouched.exists()
+
+
+@pytest.mark.parametrize("key", sorted(CODE_KEYS))
+def test_wherever_it_stands(key: str) -> None:
+    for value in ([{key: "x"}], {"a": [[{"b": ({key: "x"},)}]]}, {"a": {"b": {key: "x"}}}):
+        with pytest.raises(ConfigError, match=f"{key}: configurations name registered components"):
+            refuse_code(value)

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 import time
+import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from motion_files import walker, write_npz
 
 from understudy.errors import FileError
-from understudy_motion.readers import deepmimic
+from understudy_motion.readers import deepmimic, npz
+from understudy_motion.readers.table import NpzReader
 
 IDENTITY = [1.0, 0.0, 0.0, 0.0]
 
@@ -58,3 +63,59 @@ def test_a_million_frames_are_refused_quickly(tmp_path: Path) -> None:
     with pytest.raises(FileError):
         read(tmp_path, [], text)
     assert time.monotonic() - began < 5
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ("NaN", "not valid JSON: NaN is not a number"),
+        ("-Infinity", "not valid JSON: -Infinity is not a number"),
+        ("1e999", "frame 1: root position x is not finite"),
+    ],
+)
+def test_json_that_is_no_number(tmp_path: Path, value: str, reason: str) -> None:
+    """Python's reader of JSON takes each of these for a number."""
+    text = json.dumps({"Loop": "none", "Frames": [frame(), frame(x=7.25)]}).replace("7.25", value)
+    with pytest.raises(FileError, match=f"{reason}\\.$"):
+        read(tmp_path, [], text)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("times", "time is not a finite number"),
+        ("root_position", "root position is not finite"),
+        ("rotations", "a rotation is not finite"),
+    ],
+)
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_clip_of_no_numbers_is_none(name: str, reason: str, value: float) -> None:
+    """However it was made: readers are not the only ones who make them."""
+    clip = walker()
+    spoiled = getattr(clip, name).clone()
+    spoiled[2] = value
+    with pytest.raises(FileError, match=f"frame 2: {reason}"):
+        replace(clip, **{name: spoiled})
+
+
+@pytest.mark.parametrize("name", ["root_position", "rotations"])
+def test_arrays_of_no_numbers(tmp_path: Path, name: str) -> None:
+    with np.load(write_npz(tmp_path)) as file:
+        arrays = dict(file)
+    arrays[name][3] = np.nan
+    np.savez(tmp_path / "odd.npz", **arrays)
+    with pytest.raises(FileError, match=f"frame 3: '{name}' is not finite"):
+        NpzReader().read(tmp_path / "odd.npz")
+
+
+def test_arrays_beyond_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Together: each of them would be allowed. The directory says it, before anything is unpacked."""
+    path = write_npz(tmp_path)
+    with zipfile.ZipFile(path) as file:
+        sizes = [member.file_size for member in file.infolist()]
+    monkeypatch.setattr(npz, "MAX_ARRAY_BYTES", sum(sizes))
+    NpzReader().read(path)
+    monkeypatch.setattr(npz, "MAX_ARRAY_BYTES", sum(sizes) - 1)
+    assert max(sizes) < sum(sizes) - 1
+    with pytest.raises(FileError, match="the arrays are larger than"):
+        NpzReader().read(path)

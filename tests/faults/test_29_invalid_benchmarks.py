@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 import torch
+from mujoco.batch import Batch
 
 from understudy.running.environment import Environment
 
@@ -41,4 +43,26 @@ def test_a_diverged_run_fails(benchmark: ModuleType, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(Environment, "step", spoiled)
     with pytest.raises(SystemExit, match="left the finite"):
+        benchmark.environment_against_batch(1, 2, SMALL)
+
+
+class Diverged:
+    """A bare simulation that ends with a position that is no number."""
+
+    def __init__(self, *arguments: Any) -> None:
+        self._batch = Batch(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._batch, name)
+
+    def step(self, **options: Any) -> None:
+        self._batch.step(**options)
+        self._batch.bind("qpos")[0, 0] = float("nan")
+
+
+def test_a_diverged_comparison_fails(
+    benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(benchmark, "Batch", Diverged)
+    with pytest.raises(SystemExit, match="The bare simulation left the finite"):
         benchmark.environment_against_batch(1, 2, SMALL)

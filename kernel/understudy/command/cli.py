@@ -7,31 +7,45 @@ with 75, so that a scheduler can start it again; a defect keeps its traceback.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Any
 
 from understudy import __version__
-from understudy.errors import PluginError, UnderstudyError
+from understudy.errors import PluginError, PreemptedError, UnderstudyError
+from understudy.signals import StopRequest
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        parser = _parser(arguments)
-        options, overrides = parser.parse_known_args(arguments)
-        bad = [item for item in overrides if item.startswith("-")]
-        if bad or (overrides and not options.overrides_allowed):
-            parser.error(f"unknown argument '{(bad or overrides)[0]}'")
-        return options.function(options, overrides)
-    except UnderstudyError as error:
-        print(f"understudy: {error}", file=sys.stderr)
-        return error.exit_status
-    except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the reader went away
-        return 0
+    """Run one command; returns the exit status. Without `arguments`, the process ends with it."""
+    own = arguments is None
+    with StopRequest(at_once=True, for_good=own) as stop:
+        try:
+            return _run(list(sys.argv[1:] if own else arguments))
+        except (Exception, KeyboardInterrupt) as error:
+            if stop.received is not None and not isinstance(error, PreemptedError):
+                name = signal.Signals(stop.received).name  # whatever a library made of it
+                error = PreemptedError(f"Stopped by {name}. {stop.advice}")
+            if isinstance(error, BrokenPipeError):
+                sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the reader went away
+                return 0
+            if not isinstance(error, UnderstudyError):
+                raise
+            with contextlib.suppress(OSError):  # the terminal may have been closed
+                print(f"understudy: {error}", file=sys.stderr, flush=True)
+            return error.exit_status
+
+
+def _run(arguments: list[str]) -> int:
+    parser = _parser(arguments)
+    options, overrides = parser.parse_known_args(arguments)
+    bad = [item for item in overrides if item.startswith("-")]
+    if bad or (overrides and not options.overrides_allowed):
+        parser.error(f"unknown argument '{(bad or overrides)[0]}'")
+    return options.function(options, overrides)
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:

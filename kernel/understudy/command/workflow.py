@@ -11,15 +11,17 @@ from understudy import distributed
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.records.runs import Run
-from understudy.running.training import Outcome, Reporter, Training
+from understudy.running.training import Reporter, Training
 from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment, replaced
 from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
+from understudy.signals import StopRequest
 
 
 def _tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):  # a terminal that was closed stops nothing
+        print(text, file=sys.stderr, flush=True)
 
 
 def train(overrides: Sequence[str]) -> int:
@@ -29,7 +31,9 @@ def train(overrides: Sequence[str]) -> int:
     with _together(experiment):
         training = Training(experiment).prepare()
         if distributed.rank() == 0:
-            run = runs.create(experiment, overrides, training.job.sources())
+            with StopRequest() as stop:  # the folder is made whole or not at all
+                run = runs.create(experiment, overrides, training.job.sources())
+                stop.advise(f"Continue with `understudy resume {run.path}`.")
             training.attach(run)
     return _carry_out(training)
 
@@ -75,35 +79,24 @@ def _together(experiment: Experiment) -> Iterator[None]:
 
 def _carry_out(training: Training) -> int:
     run = training.run
-    if run is None:  # beside process 0, which alone writes and reports
-        try:
-            training.train()
-        finally:
-            training.close()
-            distributed.stop()
-        return 0
-    training.reporter = reporter = Reporter(_tell, installed().observers())
+    if run is not None:  # process 0, which alone writes and reports
+        training.reporter = Reporter(_tell, installed().observers())
     try:
-        outcome = training.train()
+        reason, progress = training.train(), training.progress
         distributed.stop()
-        _tell_outcome(training, outcome)
-        _judge(training, run, reporter)
+        if run is None:
+            return 0
+        time = f"{progress.seconds / 60:.1f} min of training"
+        _tell(f"Done ({reason}): {progress.samples:,} samples in {time}.")
+        for name, count in training.job.report().items():
+            _tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
+        _judge(training, run, training.reporter)
     finally:
         training.close()
         distributed.stop()
     print(f"run: {run.path}")
     run.unlock()
     return 0
-
-
-def _tell_outcome(training: Training, outcome: Outcome) -> None:
-    progress = outcome.progress
-    _tell(
-        f"Done ({outcome.reason}): {progress.samples:,} samples in {progress.seconds / 60:.1f} min "
-        "of training."
-    )
-    for name, count in training.job.report().items():
-        _tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
 
 
 def _judge(training: Training, run: Run, reporter: Reporter) -> None:
@@ -120,10 +113,8 @@ def _judge(training: Training, run: Run, reporter: Reporter) -> None:
 def evaluate(path: str, overrides: Sequence[str]) -> int:
     """Evaluate the newest checkpoint of the run at `path`; writes ``evaluation.json``."""
     training, run, _ = _load(path, overrides)
-    try:
+    with contextlib.closing(training):
         evaluation, _ = training.judge()
-    finally:
-        training.close()
     result = evaluation.as_json(training.progress.samples)
     run.write_json("evaluation.json", result)
     print(json.dumps(result, indent=1))
@@ -134,10 +125,8 @@ def render(path: str, overrides: Sequence[str]) -> int:
     """Evaluate once more while recording, and draw video and report."""
     training, run, reporter = _load(path, overrides)
     reporter.observers = installed().observers()
-    try:
+    with contextlib.closing(training):
         _judge(training, run, reporter)
-    finally:
-        training.close()
     print(f"run: {run.path}")
     return 0
 

@@ -45,10 +45,11 @@ def write_atomically(path: Path, data: bytes) -> None:
         finally:
             os.close(folder)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise RunError(
             f"{path} could not be written: {error.strerror}. What was there is untouched."
         ) from error
+    finally:
+        temporary.unlink(missing_ok=True)  # nothing is there unless that failed or was interrupted
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:

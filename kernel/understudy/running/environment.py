@@ -281,8 +281,6 @@ class Environment:
         yield "initial_states", parts.initial_states.records
         yield "curriculum", parts.curriculum.records if parts.curriculum else ()
 
-    # ------------------------------------------------------------------ running
-
     @_as_physics
     def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
         """Begin a new episode in every world; returns the observations.
@@ -383,8 +381,6 @@ class Environment:
     def measure(self) -> dict[str, Tensor]:
         """Each measure of the states reached, (N,) float32."""
         return {term.name: self._evaluate(term).float() for term in self.parts.measures}
-
-    # ------------------------------------------------------------------ within a step
 
     def _simulate(self) -> None:
         """One decision: control periods, of one or more sub-steps between controls."""
@@ -550,8 +546,6 @@ class Environment:
             self.on_quarantine(Fault(before, controls, 1 if every == "substep" else None, unsound))
             self.on_quarantine = None
 
-    # ------------------------------------------------------------------ checks at the border
-
     def _check(self, who: str, value: Tensor, shape: Shape) -> None:
         if tuple(value.shape) != (self.num_worlds, *shape):
             raise ConfigError(
@@ -609,8 +603,6 @@ class Environment:
                         f"termination.terms.{term.name} returns {value.dtype}; it must return bool."
                     )
         self._reward()
-
-    # ------------------------------------------------------------------ state
 
     def state_dict(self) -> State:
         """Everything that decides the future of the worlds, exactly."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy import distributed
-from understudy.errors import RunError
 from understudy.records.recording import Recording
 from understudy.running.collector import Collector
 from understudy.running.environment import Environment, Fault
@@ -171,8 +170,6 @@ class Reinforcement(Job):
     def report(self) -> Mapping[str, int]:
         return self.environment.parts.simulator.report()
 
-    # ------------------------------------------------------------------ state
-
     def state_dict(self) -> State:
         return {
             "policy": dict(self.policy.state_dict()),
@@ -183,11 +180,6 @@ class Reinforcement(Job):
         }
 
     def load_state_dict(self, state: State) -> None:
-        for misfit in self._misfits(state):
-            raise RunError(
-                f"The checkpoint does not fit this configuration: {misfit}. Resume with the "
-                "configuration it was made with."
-            )
         self.policy.load_state_dict(state["policy"])
         self.learner.load_state_dict(state["learner"])
         self.environment.load_state_dict(state["environment"])
@@ -198,18 +190,9 @@ class Reinforcement(Job):
         self.policy = build_policy(self.experiment, self.evaluator.built.context)
         own = dict(self.policy.state_dict())
         for misfit in misshapen(own, state.get("policy"), "policy"):
-            raise RunError(f"The checkpoint does not fit this policy: {misfit}.")
+            raise ValueError(misfit)
         self.policy.load_state_dict(state["policy"])
         self.policy.schedule(samples)
-
-    def _misfits(self, state: State) -> Iterator[str]:
-        own, given = self.environment.state_dict(), state["environment"]
-        worlds = given["tensors"]["episode_step"].shape[0]
-        if worlds != self.environment.num_worlds:
-            yield f"it has {worlds} worlds, and num_worlds={self.environment.num_worlds}"
-        yield from misshapen(dict(self.policy.state_dict()), state["policy"], "policy")
-        for name in ("initial_states", "curriculum", "tensors"):
-            yield from misshapen(own[name], given[name], name)
 
     def forget_worlds(self) -> None:
         self.environment.reset()

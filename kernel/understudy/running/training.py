@@ -7,13 +7,13 @@ stopped; on the CPU, to the last bit.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from understudy import distributed
@@ -25,33 +25,10 @@ from understudy.records.runs import Run, differences, versions
 from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
+from understudy.running.warm_start import misshapen
 from understudy.setup.config import Experiment
+from understudy.signals import StopRequest
 from understudy.task import State
-
-
-class StopRequest:
-    """Turns SIGTERM, SIGINT and SIGUSR1 into a flag that the loop reads at its next boundary."""
-
-    SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
-
-    def __init__(self) -> None:
-        self.received: int | None = None
-        self._previous: dict[int, Any] = {}
-
-    def __enter__(self) -> StopRequest:
-        for number in self.SIGNALS:
-            try:
-                self._previous[number] = signal.signal(number, self._note)
-            except ValueError:  # not in the main thread: whoever runs us handles signals
-                break
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.received = number
 
 
 @dataclass
@@ -64,17 +41,11 @@ class Progress:
     evaluated_at: int = 0  #: samples at the last evaluation
     evaluations: int = 0  #: how many there were; each draws starts of its own
     met: bool = False  #: whether the criterion is met
+    #: The last iteration's row, while a stop keeps the evaluation that is due after it from being made.
+    pending: dict[str, Any] = field(default_factory=dict)
 
     def state_dict(self) -> State:
         return dict(vars(self))
-
-
-@dataclass
-class Outcome:
-    """How a run ended: ``criterion``, ``budget`` or ``finished``."""
-
-    reason: str
-    progress: Progress
 
 
 @dataclass
@@ -96,12 +67,6 @@ class Reporter:
                 )
 
 
-def build_job(experiment: Experiment) -> Job:
-    """The job that the experiment names; else reinforcement learning."""
-    chosen = experiment.one("job")
-    return chosen.build(experiment) if chosen else Reinforcement(None, experiment)
-
-
 class Training:
     """The loop of a run, new or resumed: iterate the job until the criterion or the budget."""
 
@@ -109,7 +74,8 @@ class Training:
         self.experiment = experiment
         self.run: Run | None = None
         self.reporter = reporter or Reporter()
-        self.job = build_job(experiment)
+        job = experiment.one("job")
+        self.job: Job = job.build(experiment) if job else Reinforcement(None, experiment)
         self.progress = Progress()
         self.outcome = ""
 
@@ -130,20 +96,30 @@ class Training:
         self.job.watch(None)
         return self
 
-    # ------------------------------------------------------------------ state
-
     def state_dict(self) -> State:
         return {**self.job.state_dict(), "progress": self.progress.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        """Continue from `state`; RunError as :meth:`Job.load_state_dict`."""
-        self.job.load_state_dict(state)
-        self.progress = Progress(**state["progress"])
+        """Continue from `state`, or a RunError that names the first place at which it is not as ours."""
+        self._load(state, self.state_dict(), self.job.load_state_dict)
 
     def load_learned(self, state: State) -> None:
         """Take what is to be judged from `state`, without preparing iterations."""
-        self.progress = Progress(**state["progress"])
-        self.job.load_learned(state, self.progress.samples)
+        own = {"progress": self.progress.state_dict()}
+        self._load(state, own, lambda s: self.job.load_learned(s, s["progress"]["samples"]))
+
+    def _load(self, state: State, own: State, load: Callable[[State], None]) -> None:
+        try:
+            progress = {"pending": {}, **state["progress"]}
+            for misfit in misshapen(own, {**state, "progress": progress}, ""):
+                raise ValueError(misfit)
+            load(state)
+            self.progress = Progress(**progress)
+        except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            raise RunError(
+                f"The checkpoint does not fit this configuration: {type(error).__name__}: {error}. "
+                "Use the configuration it was made with."
+            ) from error
 
     def save(self) -> Path:
         assert self.run is not None
@@ -168,19 +144,11 @@ class Training:
             self.reporter.message(f"Differs from the checkpoint: {change}")
         for change in differences(meta.get("versions"), versions()):
             self.reporter.message(f"Version differs from the checkpoint: {change}")
-        try:
-            self.load_state_dict(state)
-        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            raise RunError(
-                f"The newest checkpoint of {self.run.path} does not fit this configuration: "
-                f"{type(error).__name__}: {error}. Resume with the configuration it was made with."
-            ) from error
+        self.load_state_dict(state)
         if distributed.rank() > 0:  # the checkpoint's worlds are process 0's
             self.job.forget_worlds()
         else:
             self.run.keep_metrics_until(self.progress.iteration)
-
-    # ------------------------------------------------------------------ the loop
 
     def iterate(self) -> dict[str, Any]:
         """One iteration of the job; returns its row of metrics."""
@@ -200,8 +168,8 @@ class Training:
             **metrics,
         }
 
-    def train(self) -> Outcome:
-        """Iterate until the criterion is met, the budget is spent, or the job is finished.
+    def train(self) -> str:
+        """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
 
         Raises:
             PreemptedError: after a stop signal, when everything is saved.
@@ -209,7 +177,7 @@ class Training:
         """
         for _ in self.rows():
             pass
-        return Outcome(self.outcome, self.progress)
+        return self.outcome
 
     def rows(self) -> Generator[dict[str, Any], None, None]:
         """:meth:`train`, pausing after each iteration; a caller that stops asking leaves the run as
@@ -223,21 +191,33 @@ class Training:
                     self.reporter.notify("started", run)
                     if progress.iteration == 0:
                         self.save()
-                while not self._ended():
-                    row = self.iterate()
+                while progress.pending or not self._ended():
+                    row, progress.pending = progress.pending or self.iterate(), {}
+                    if distributed.rank() == 0 and stop.received is None:
+                        with contextlib.suppress(KeyboardInterrupt):  # noted by `stop`, too
+                            row |= self._evaluate_if_due()
                     stopping = distributed.anyone(stop.received is not None, self.job.device)
-                    if distributed.rank() == 0 and not stopping:
-                        row |= self._evaluate_if_due()
-                    if run is not None:
+                    if stopping and self._due():
+                        progress.pending = row
+                    elif run is not None:
                         run.append_metrics(row)
                         self.reporter.notify("iteration", run, row, self.job.stage())
+                    if run is not None:
                         due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
                         if due or stopping:
                             self.save()
                             saved_at = progress.seconds
                     if stopping:
                         self.outcome = "preempted"
-                        self._refuse_to_go_on(stop)
+                        where = f" Continue with `understudy resume {run.path}`." if run else ""
+                        name = (
+                            signal.Signals(stop.received).name
+                            if stop.received
+                            else "another process"
+                        )
+                        raise PreemptedError(
+                            f"Stopped by {name} after {progress.samples} samples; everything is saved.{where}"
+                        )
                     try:
                         yield row
                     except GeneratorExit:
@@ -255,45 +235,40 @@ class Training:
     def _ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
-        own = 1 if self.progress.met else 2 if self._spent() else 3 if self.job.finished() else 0
+        budget, progress = self.experiment.root.budget, self.progress
+        spent = progress.samples >= (budget.samples or math.inf)
+        spent = spent or progress.seconds >= 60 * (budget.minutes or math.inf)
+        own = 1 if progress.met else 2 if spent else 3 if self.job.finished() else 0
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0
 
-    def _refuse_to_go_on(self, stop: StopRequest) -> None:
-        where = f" Continue with `understudy resume {self.run.path}`." if self.run else ""
-        name = signal.Signals(stop.received).name if stop.received else "another process"
-        raise PreemptedError(
-            f"Stopped by {name} after {self.progress.samples} samples; everything is saved.{where}"
-        )
-
-    def _spent(self) -> bool:
-        budget = self.experiment.root.budget
-        samples = budget.samples is not None and self.progress.samples >= budget.samples
-        return samples or (
-            budget.minutes is not None and self.progress.seconds >= 60 * budget.minutes
-        )
+    def _due(self) -> bool:
+        """Whether it is time for an evaluation, and one may be worth its while."""
+        options, progress = self.experiment.root.evaluation, self.progress
+        every = options.every_samples
+        if every is None:
+            every = math.inf if options.criterion is None else 100_000
+        return progress.samples - progress.evaluated_at >= max(every, 1) and self.job.promising()
 
     def _evaluate_if_due(self) -> dict[str, float]:
         """Evaluate now and then; the criterion is met when it holds on one draw of starts and then on
         a second, larger one. Returns the figures for the row of metrics."""
-        options, progress = self.experiment.root.evaluation, self.progress
-        criterion, every = options.criterion, options.every_samples
-        if every is None:
-            every = math.inf if criterion is None else 100_000
-        if progress.samples - progress.evaluated_at < every or not self.job.promising():
+        options, progress, met = self.experiment.root.evaluation, self.progress, False
+        if not self._due():
             return {}
-        progress.evaluated_at = progress.samples
+        first = self._evaluate("evaluation", options.episodes, options.criterion)
+        if options.criterion is not None and _reaches(first, options.criterion):
+            second = self._evaluate("confirmation", options.final_episodes, options.criterion)
+            met = _reaches(second, options.criterion)
+        progress.evaluated_at, progress.met = progress.samples, met
         progress.evaluations += 1
-        first = self._evaluate("evaluation", options.episodes, criterion)
-        if criterion is not None and _reaches(first, criterion):
-            second = self._evaluate("confirmation", options.final_episodes, criterion)
-            progress.met = _reaches(second, criterion)
         return first.row() if first.complete else {}
 
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
-        draw = f"{kind}/{self.progress.evaluations}"
-        evaluation = self.job.evaluate(draw, episodes, give_up_below=criterion)
+        draw = f"{kind}/{self.progress.evaluations + 1}"
+        with StopRequest(at_once=True):  # it may take minutes, and can be made again
+            evaluation = self.job.evaluate(draw, episodes, give_up_below=criterion)
         self.reporter.message(
             f"{kind.capitalize()} at {self.progress.samples:,} samples: {evaluation.sentence()}"
         )
@@ -305,8 +280,6 @@ class Training:
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None
         return self.job.record("final", episodes, record_seconds)
-
-    # ------------------------------------------------------------------ faults
 
     def _dump(self, name: str, state: State) -> None:
         """Write what led to numbers that went wrong into the run's ``faults/``."""

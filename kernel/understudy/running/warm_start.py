@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from understudy.errors import RunError
@@ -54,15 +55,12 @@ def take_over(
     entries = policy_parts(policy)
     for part in start.parts:
         for name in sorted(entries.get(part, ())):
-            other = given.get(name)
-            if other is None or other.shape != own[name].shape:
-                have = "nothing" if other is None else str(tuple(other.shape))
+            for misfit in misshapen(own[name], given.get(name), name):
                 raise RunError(
-                    f"start.parts: the {part} of {start.run} does not fit: '{name}' is "
-                    f"{tuple(own[name].shape)} here and {have} there. Leave {part} out, or train "
-                    "with the same policy and observations."
+                    f"start.parts: the {part} of {start.run} does not fit: {misfit}. Leave {part} "
+                    "out, or train with the same policy and observations."
                 )
-            own[name] = other
+            own[name] = given[name]
     policy.load_state_dict(own)
     environment = state.get("environment", {})
     if "initial_states" in start.parts:
@@ -91,12 +89,22 @@ def _load(
 
 
 def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:
-    """The places at which tensors of two nested states differ in shape."""
-    if isinstance(own, Tensor):
-        if not isinstance(other, Tensor) or own.shape != other.shape:
-            have = tuple(other.shape) if isinstance(other, Tensor) else "nothing"
-            yield f"'{where}' is {tuple(own.shape)} here and {have} there"
+    """The places at which a nested state is not what `own` is, or not finite where `own` is."""
+    if own is None:
+        return
+    if _kind(own) != _kind(other):
+        yield f"'{where}' is {_kind(own)} here and {_kind(other)} there"
     elif isinstance(own, Mapping):
         for name, value in own.items():
-            given = other.get(name) if isinstance(other, Mapping) else None
-            yield from misshapen(value, given, f"{where}/{name}")
+            yield from misshapen(value, other.get(name), f"{where}/{name}".lstrip("/"))
+    elif not isinstance(own, (str, list)):
+        finite = [bool(torch.as_tensor(value).isfinite().all()) for value in (own, other)]
+        if finite == [True, False]:
+            yield f"'{where}' is not finite"
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, Tensor):
+        return f"{tuple(value.shape)} {value.dtype}".replace(" torch.float32", "")
+    kinds = {"NoneType": "nothing", "int": "a number", "float": "a number", "tuple": "a list"}
+    return kinds.get(type(value).__name__, f"a {type(value).__name__}")

@@ -67,10 +67,18 @@ def state_of(optimiser: Optimizer) -> State:
 
 
 def load_state(optimiser: Optimizer, state: State) -> None:
-    """Restore what :func:`state_of` returned."""
-    for i, p in enumerate(optimiser.param_groups[0]["params"]):
-        if str(i) in state:
-            optimiser.state[p] = {k: v.clone().to(p.device) for k, v in state[str(i)].items()}
+    """Restore what :func:`state_of` returned; ValueError if that is not of these parameters."""
+    parameters = optimiser.param_groups[0]["params"]
+    adaptive = "betas" in optimiser.defaults
+    names = {"step", "exp_avg", "exp_avg_sq"} if adaptive else {"momentum_buffer"}
+    if state and len(state) != len(parameters):
+        raise ValueError(f"moments of {len(state)} parameters, and there are {len(parameters)}")
+    for i, p in enumerate(parameters if state else ()):
+        for name in names:
+            value, shape = state[str(i)][name], () if name == "step" else p.shape
+            if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():
+                raise ValueError(f"'{name}' of parameter {i} is not one of this optimiser")
+        optimiser.state[p] = {k: v.clone().to(p.device) for k, v in state[str(i)].items()}
 
 
 def refuse_hopeless(bad: int, patience: int, what: str = "optimiser steps") -> None:

@@ -56,7 +56,7 @@ class MujocoScene(Scene):
         spec.option.disableflags |= disable
         try:
             return compile(spec)
-        except (ValueError, mujoco.FatalError) as error:
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
             reason = str(error).splitlines()[0]
             raise FileError(f"The scene's model does not compile: {reason}") from error
 
@@ -87,6 +87,6 @@ class MjcfFile(MujocoScene):
     def spec(self) -> mujoco.MjSpec:
         try:
             return mujoco.MjSpec.from_string(self._mjcf.text, assets=dict(self._mjcf.assets))
-        except (ValueError, mujoco.FatalError) as error:
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
             reason = str(error).strip().splitlines()[0]
             raise FileError(f"The model {self._path} does not load: {reason}") from error

@@ -21,8 +21,9 @@ from understudy_pbd.shapes import build_tools
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
 from understudy_warp_torch.kernels import Kernels, put_rows
 
-#: Beyond this a position, or a velocity, is one of a simulation that diverged.
-_LIMIT = 1e6
+#: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged: tables are a
+#: few metres wide, and at this speed a particle passes them within a control period.
+_EXTENT, _SPEED = 1e3, 1e3
 #: Wider than any table, m.
 _OPEN = 1e9
 
@@ -336,7 +337,8 @@ class ParticleSimulator(Simulator):
     def failed(self) -> Tensor:
         sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
         for name in self.state_fields:
-            sound &= (self._views[name].abs() < _LIMIT).flatten(1).all(dim=1)  # false for NaN
+            limit = _SPEED if name.endswith("velocity") else _EXTENT
+            sound &= (self._views[name].abs() < limit).flatten(1).all(dim=1)  # false for NaN
         return ~sound
 
     def snapshot(self) -> dict[str, Tensor]:

@@ -14,7 +14,7 @@ from typing import Any
 
 from understudy.errors import PluginError, UnderstudyError
 from understudy.options import check_range
-from understudy.running.trials import Executor, Report, Trial, Work
+from understudy.running.trials import Executor, Trial, Work
 from understudy_sweeps.pool import PAUSE, Host, Limits, Lost, Pool, job
 
 try:
@@ -29,9 +29,9 @@ from understudy_ray_executor.actor import Carrier
 _OBJECT_STORE = 100 * 2**20
 
 
-class RayExecutor(Executor):
-    """Each trial an actor of a cluster. All its machines need the sweep's folder under the same
-    path, and this understudy."""
+class RayExecutor:
+    """Each trial an actor of a cluster: a :class:`Pool` of actors. All its machines need the sweep's
+    folder under the same path, and this understudy."""
 
     @dataclass(frozen=True)
     class Options:
@@ -49,18 +49,18 @@ class RayExecutor(Executor):
             check_range(self, "num_cpus", "seconds", above=0)
             check_range(self, "num_gpus", "retries", "grace", least=0)
 
-    def __init__(self, options: Options, work: Work) -> None:
+    def __new__(cls, options: Options, work: Work) -> Executor:
         gpus = options.num_gpus
         if gpus is None:
             gpus = 1.0 if work.device.startswith("cuda") else 0.0
-        self._own = not ray.is_initialized()
-        if self._own:
+        leave = _nothing if ray.is_initialized() else ray.shutdown
+        if leave is not _nothing:
             _connect(options.address)
         try:
             wanted = {"CPU": options.num_cpus, "GPU": gpus}
             workers = options.workers or _room(wanted)
         except BaseException:
-            self._leave()
+            leave()
             raise
         kind = ray.remote(Carrier).options(
             num_cpus=options.num_cpus, num_gpus=gpus, max_restarts=0, max_task_retries=0
@@ -70,27 +70,11 @@ class RayExecutor(Executor):
             return _Actor(kind.remote(job(trial, work, options.threads)))
 
         limits = Limits(options.retries, options.seconds, options.grace)
-        self._pool = Pool(start, _await, workers, limits)
+        return Pool(start, _await, workers, limits, leave)
 
-    def free(self) -> int:
-        return self._pool.free()
 
-    def start(self, trial: Trial) -> None:
-        self._pool.start(trial)
-
-    def wait(self) -> Report | None:
-        return self._pool.wait()
-
-    def stop(self, key: str) -> None:
-        self._pool.stop(key)
-
-    def close(self) -> None:
-        self._pool.close()
-        self._leave()
-
-    def _leave(self) -> None:
-        if self._own:
-            ray.shutdown()
+def _nothing() -> None:
+    """The cluster is somebody else's."""
 
 
 def _connect(address: str | None) -> None:

@@ -74,12 +74,18 @@ class _Running:
 
 
 class Pool(Executor):
-    """At most `workers` hosts at once, each made by `start` from a trial."""
+    """At most `workers` hosts at once, each made by `start` from a trial; `leave` is called last."""
 
     def __init__(
-        self, start: Callable[[Trial], Host], wait: Await, workers: int, limits: Limits
+        self,
+        start: Callable[[Trial], Host],
+        wait: Await,
+        workers: int,
+        limits: Limits,
+        leave: Callable[[], None] = lambda: None,
     ) -> None:
         self._start, self._wait, self._workers, self._limits = start, wait, workers, limits
+        self._leave = leave
         self._running: dict[str, _Running] = {}
 
     def free(self) -> int:
@@ -125,6 +131,7 @@ class Pool(Executor):
             for running in self._running.values():
                 running.host.kill()
             self._running.clear()
+            self._leave()
 
     def _listen(self, running: _Running) -> Report | None:
         """What the host says, if it concerns the sweep."""

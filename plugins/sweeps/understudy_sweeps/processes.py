@@ -24,7 +24,8 @@ from typing import Any
 from understudy.errors import PreemptedError
 from understudy.options import check_range
 from understudy.records.runs import cores
-from understudy.running.trials import Executor, Report, Trial, Work
+from understudy.running.trials import Executor, Trial, Work
+from understudy.signals import StopRequest
 from understudy_sweeps.pool import Host, Limits, Lost, Pool, begun, job, message_of
 from understudy_sweeps.trial import folder_of, run_trial
 
@@ -36,8 +37,8 @@ _ORPHANED = 30.0
 _PRELOADED = ["torch._dynamo", "understudy_sweeps.processes"]
 
 
-class Processes(Executor):
-    """Each trial in a process of its own, `workers` at once."""
+class Processes:
+    """Each trial in a process of its own, `workers` at once: a :class:`Pool` of children."""
 
     @dataclass(frozen=True)
     class Options:
@@ -54,7 +55,7 @@ class Processes(Executor):
             check_range(self, "retries", "grace", least=0)
             check_range(self, "seconds", above=0)
 
-    def __init__(self, options: Options, work: Work) -> None:
+    def __new__(cls, options: Options, work: Work) -> Executor:
         server = _server()
         alone = work.device.startswith("cuda")
         workers = options.workers or (1 if alone else max(1, cores() // (options.threads or 1)))
@@ -64,29 +65,14 @@ class Processes(Executor):
             return _Child(server, trial, work, threads)
 
         limits = Limits(options.retries, options.seconds, options.grace)
-        self._pool = Pool(start, _await, workers, limits)
-
-    def free(self) -> int:
-        return self._pool.free()
-
-    def start(self, trial: Trial) -> None:
-        self._pool.start(trial)
-
-    def wait(self) -> Report | None:
-        return self._pool.wait()
-
-    def stop(self, key: str) -> None:
-        self._pool.stop(key)
-
-    def close(self) -> None:
-        self._pool.close()
+        return Pool(start, _await, workers, limits)
 
 
 def _server() -> Any:
-    """What forks the trials; Ctrl-C, which the terminal sends to it too, is the sweep's alone."""
+    """What forks the trials; what a terminal sends to all (Ctrl-C, its end) is the sweep's alone."""
     server = multiprocessing.get_context("forkserver")
     server.set_forkserver_preload(_PRELOADED)
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         forkserver.ensure_running()
     finally:
@@ -151,7 +137,7 @@ def _carry_out(pipe: Connection, text: str, output: str) -> None:
     pipe.send_bytes(b'{"began": true}')
     try:
         trial, work = begun(text)
-        with contextlib.closing(run_trial(trial, work)) as reports:
+        with StopRequest(at_once=True), contextlib.closing(run_trial(trial, work)) as reports:
             report = next(reports)
             while True:
                 stop: bool | None = False
@@ -163,8 +149,8 @@ def _carry_out(pipe: Connection, text: str, output: str) -> None:
                     if stop is None:
                         sys.exit(PreemptedError.exit_status)
                 report = reports.send(stop)
-    except PreemptedError as error:
-        sys.exit(error.exit_status)
+    except (PreemptedError, KeyboardInterrupt):  # the trial goes on from its checkpoint
+        sys.exit(PreemptedError.exit_status)
     except Exception as error:
         pipe.send_bytes(json.dumps({"error": f"{type(error).__name__}: {error}"}).encode())
         raise

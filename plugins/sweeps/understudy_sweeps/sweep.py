@@ -18,11 +18,11 @@ from understudy import distributed
 from understudy.errors import ConfigError, PreemptedError, RunError
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
-from understudy.running.training import StopRequest
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
+from understudy.signals import StopRequest
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
@@ -61,8 +61,8 @@ def sweep(overrides: Sequence[str]) -> int:
         book.write_json("summary.json", loop.summary())
         page.write(journal, film=True)
         more = page.more(journal, experiment)
-    except KeyboardInterrupt:  # when no trial is under way
-        raise _interrupted("Stopped by SIGINT", folder) from None
+    except KeyboardInterrupt as stop:  # when no trial is under way
+        raise _interrupted(f"Stopped by {stop}", folder) from None
     finally:
         executor.close()
         book.unlock()

@@ -186,11 +186,11 @@ def test_training_updates_marks_and_tells(tmp_path: Path) -> None:
 def test_a_curriculum_can_end_the_training(tmp_path: Path) -> None:
     plugins = line_plugins(**PARTS)
     training = make_training(plugins, [*TASK, "curriculum.name=my.short"], tmp_path / "run")
-    assert training.train().reason == "finished"
+    assert training.train() == "finished"
     assert training.progress.iteration == 3
     training.run.unlock()
     again = resumed(plugins, tmp_path / "run")
-    assert again.train().reason == "finished"
+    assert again.train() == "finished"
     assert again.progress.iteration == 3
 
 

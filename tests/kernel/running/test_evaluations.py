@@ -387,7 +387,7 @@ def test_the_criterion_needs_both_draws(tmp_path: Path, monkeypatch: pytest.Monk
         return Evaluation(episodes, "", next(answers))
 
     monkeypatch.setattr(training.job, "evaluate", evaluate)
-    assert training.train().reason == "criterion"
+    assert training.train() == "criterion"
     assert [draw for draw, _ in asked] == [
         "evaluation/1",
         "evaluation/2",

@@ -191,7 +191,7 @@ def test_a_training_ends_by_itself(tmp_path: Any, plugins: Plugins) -> None:
         "curriculum.patience=2", "curriculum.start=0.2", "difficulty=0", "evaluation.criterion=null",
     ]  # fmt: skip
     training = make_training(plugins, overrides)
-    assert training.train().reason == "finished"
+    assert training.train() == "finished"
     assert training.progress.iteration < 60
     training.close()
 

@@ -1,21 +1,13 @@
-"""Killed in the middle and resumed, by the command line: every miniature ends as if it never was.
-
-The first process is a fork of a server that has imported everything, so that it starts at once.
-"""
+"""Killed in the middle and resumed, by the command line: every miniature ends as if it never was."""
 
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
-import signal
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import begin, kill, wait_for
 from miniatures import (
     JOBS,
     QUICK,
@@ -33,40 +25,10 @@ BUDGET = {"sleeve_bank": ("job.count=300", "job.decisions=8"), "poses": ("budget
 USUAL = ("num_worlds=16", "learner.rollout_steps=8", "budget.samples=1024")
 
 
-@pytest.fixture(scope="module")
-def start() -> Callable[..., Any]:
-    """Starts the command line in a process of its own."""
-    server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["understudy_ppo.learner", "understudy.running.training"])
-
-    def begin(*arguments: str) -> Any:
-        process = server.Process(target=_quietly, args=(arguments,))
-        process.start()
-        return process
-
-    return begin
-
-
-def _quietly(arguments: tuple[str, ...]) -> None:
-    import torch
-
-    torch.set_num_threads(1)
-    null = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(null, stream)
-    sys.exit(main(list(arguments)))
-
-
 def kill_once(process: Any, there: Path) -> None:
     """SIGKILL as soon as `there` exists."""
-    deadline = time.monotonic() + 60
-    while not there.exists():
-        assert process.is_alive(), "it ended before it could be killed"
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-    os.kill(process.pid, signal.SIGKILL)
-    process.join()
-    assert process.exitcode == -signal.SIGKILL
+    wait_for(process, there)
+    kill(process)
 
 
 def metrics(run: runs.Run) -> list[dict[str, Any]]:
@@ -86,12 +48,10 @@ def assert_same_run(one: Path, other: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [*TRAININGS, *JOBS])
-def test_killed_and_resumed(
-    name: str, built_on: Path, start: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_killed_and_resumed(name: str, built_on: Path, tmp_path: Path) -> None:
     overrides = (*overrides_of(name, built_on), *BUDGET.get(name, USUAL), *QUICK)
     straight, cut = tmp_path / "straight", tmp_path / "cut"
-    child = start("train", *overrides, f"run.dir={cut}")
+    child = begin("train", *overrides, f"run.dir={cut}")
     kill_once(child, cut / "checkpoints/00000003.json")
     assert not (cut / "evaluation.json").exists()
     assert main(["train", *overrides, f"run.dir={straight}"]) == 0
@@ -102,14 +62,14 @@ def test_killed_and_resumed(
         assert len(bank.load(cut)["drag"]) == 300
 
 
-def test_a_killed_search_goes_on(start: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_killed_search_goes_on(tmp_path: Path) -> None:
     """In its third trial, which begins from the best of the first two."""
     overrides = (
         "search=miniature/cmfbo", *USUAL, *QUICK, "evaluation.every_samples=256",
         "evaluation.seconds=2.0",
     )  # fmt: skip
     straight, cut = tmp_path / "straight", tmp_path / "cut"
-    child = start("sweep", *overrides, f"run.dir={cut}")
+    child = begin("sweep", *overrides, f"run.dir={cut}")
     kill_once(child, cut / "trial2/checkpoints/00000003.json")
     assert main(["sweep", *overrides, f"run.dir={straight}"]) == 0
     assert main(["sweep", *overrides, f"run.dir={cut}"]) == 0

@@ -1,22 +1,18 @@
-"""Sweeps that are killed at random moments end as one that never was, and repeat nothing.
-
-The processes are forks of a server that has imported everything, so that they start at once.
-"""
+"""Sweeps that are killed at random moments end as one that never was, and repeat nothing."""
 
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import random
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import begin
 from executors import ENDLESS, SMALL_STOP, iterations, state_of
 from worlds import assert_same_state
 
@@ -38,30 +34,6 @@ SEARCH = (
     "run.video_seconds=0",
 )
 KEYS = ("trial0", "trial1", "trial2", "trial3")
-
-
-@pytest.fixture(scope="module")
-def start() -> Callable[..., Any]:
-    """Starts the command line in a process of its own."""
-    server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["torch._dynamo", "understudy_sweeps.processes"])
-
-    def begin(*arguments: str) -> Any:
-        process = server.Process(target=_quietly, args=(arguments,))
-        process.start()
-        return process
-
-    return begin
-
-
-def _quietly(arguments: tuple[str, ...]) -> None:
-    import torch
-
-    torch.set_num_threads(1)
-    null = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(null, stream)
-    os._exit(main(list(arguments)))
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
@@ -106,9 +78,7 @@ def check_as_never_killed(folder: Path, straight: Path) -> None:
         pytest.param("processes", 10, marks=pytest.mark.slow),
     ],
 )
-def test_killed_at_random_moments(
-    executor: str, count: int, start: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_killed_at_random_moments(executor: str, count: int, tmp_path: Path) -> None:
     """Each kill is a SIGKILL of a real sweep; one worker, since with several the order in which
     trials end, and with it what a search asks for, is up to the machine."""
     straight, folder, search = tmp_path / "straight", tmp_path / "killed", list(SEARCH)
@@ -123,7 +93,7 @@ def test_killed_at_random_moments(
     moments = random.Random(count)
     for _ in range(count):
         seconds = 0.5 + moments.uniform(0.0, share)
-        assert kills(start(*command), seconds), "it ended before it was killed"
+        assert kills(begin(*command), seconds), "it ended before it was killed"
     assert main(command) == 0
     check_as_never_killed(folder, straight)
 
@@ -133,11 +103,10 @@ def test_killed_at_random_moments(
 def test_told_to_stop(
     executor: str,
     number: signal.Signals,
-    start: Callable[..., Any],
     tmp_path: Path,
 ) -> None:
     """Trials are saved, and the exit status says to start it again."""
-    process = start(
+    process = begin(
         "sweep", *SMALL_STOP, *ENDLESS, "checkpoint.minutes=1000", "outer_loop=grid",
         f"executor={executor}", f"run.dir={tmp_path}",
     )  # fmt: skip

@@ -1,0 +1,58 @@
+"""Stop signals: what Ctrl-C, a scheduler or a closed terminal ends is saved first where that matters."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from understudy.errors import PreemptedError
+
+
+@dataclass(eq=False)
+class StopRequest:
+    """Inside, stop signals are noted in `received`; `at_once`, the first is a KeyboardInterrupt too.
+
+    They nest: the innermost decides, and what led to no PreemptedError goes to the next outer one in
+    the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored where it was
+    (``nohup``). Beside the main thread nothing happens: whoever runs us sees to signals.
+    """
+
+    at_once: bool = False
+    for_good: bool = False
+    received: int | None = None
+    advice: str = "Give the same command again."  #: to who stopped us
+
+    SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGHUP)
+    _nested: ClassVar[list[StopRequest]] = []
+    _previous: ClassVar[dict[int, Any]] = {}
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            self.received = self._nested[-1].received if self._nested else None
+            self._nested.append(self)
+            ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            for number in () if self._previous else self.SIGNALS[: 3 if ignored else 4]:
+                self._previous[number] = signal.signal(number, _note)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self in self._nested:
+            self._nested.pop()
+            while self._previous and not self._nested:
+                number, before = self._previous.popitem()
+                signal.signal(number, signal.SIG_IGN if self.for_good else before)
+            if self.received is not None and kind is not PreemptedError:
+                _note(self.received)
+
+    def advise(self, text: str) -> None:
+        for request in self._nested:
+            request.advice = text
+
+
+def _note(number: int, frame: object = None) -> None:
+    for request in StopRequest._nested[-1:]:
+        first, request.received = request.received is None, request.received or number
+        if first and request.at_once:
+            raise KeyboardInterrupt(signal.Signals(number).name)

@@ -1,0 +1,50 @@
+"""The command line in processes of its own, forks of a server that has imported everything, so that
+they start at once."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from understudy.command.cli import main
+
+Start = Callable[..., Any]
+
+
+def begin(*arguments: str) -> Any:
+    """A process that carries out the command, in silence; its exit code is the command's status."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(["torch._dynamo", "understudy_ppo.learner", "commands"])
+    process = server.Process(target=_quietly, args=(arguments,))
+    process.start()
+    return process
+
+
+def _quietly(arguments: tuple[str, ...]) -> None:
+    import torch
+
+    torch.set_num_threads(1)
+    null = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(null, stream)
+    os._exit(main(list(arguments)))
+
+
+def wait_for(process: Any, there: Path, seconds: float = 60.0) -> None:
+    """Until the file is there."""
+    deadline = time.monotonic() + seconds
+    while not there.exists():
+        assert process.is_alive(), "it ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def kill(process: Any) -> None:
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    assert process.exitcode == -signal.SIGKILL

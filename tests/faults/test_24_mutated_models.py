@@ -1,0 +1,125 @@
+"""Fault 24: a damaged or hostile MJCF ends in a model or one FileError, soon, and crashes nothing.
+
+Mutants of a valid model are read and compiled in a process of its own, which may take 1 GB of address
+space more than it had, and 5 s for each. A crash of MuJoCo's would end that process.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from worlds import python
+
+#: Attributes and elements of every kind that models of characters have.
+MODEL = """<mujoco model="m">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.002" gravity="0 0 -9.81" integrator="implicitfast"><flag contact="enable"/></option>
+  <size memory="1M"/>
+  <default><default class="leg"><geom type="capsule" size=".05" rgba="1 0 0 1"/><joint damping="1"/></default></default>
+  <asset><texture name="t" type="2d" builtin="checker" width="8" height="8" rgb1="0 0 0" rgb2="1 1 1"/>
+    <material name="mat" texture="t" texrepeat="2 2"/>
+    <mesh name="box" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><hfield name="h" nrow="4" ncol="4" size="1 1 .1 .1"/></asset>
+  <worldbody><light pos="0 0 3"/><camera name="c" pos="0 -3 1"/><geom name="floor" type="plane" size="5 5 1"/>
+    <body name="trunk" pos="0 0 1"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/>
+      <geom name="g" type="box" size=".1 .1 .2" material="mat"/><site name="s" pos="0 0 .2"/>
+      <body name="leg" pos="0 0 -.2" childclass="leg"><joint name="knee" axis="0 1 0" range="-1 1"/>
+        <geom name="shin" fromto="0 0 0 0 0 -.4"/></body>
+      <body name="head" pos="0 0 .3" quat="1 0 0 0"><joint type="ball"/><geom type="mesh" mesh="box"/></body>
+    </body></worldbody>
+  <contact><pair geom1="g" geom2="floor"/><exclude body1="trunk" body2="leg"/></contact>
+  <equality><connect body1="trunk" body2="leg" anchor="0 0 0" active="false"/></equality>
+  <tendon><fixed name="f"><joint joint="knee" coef="1"/></fixed></tendon>
+  <actuator><position name="a" joint="knee" kp="10" forcerange="-5 5"/><motor joint="knee" gear="2"/></actuator>
+  <sensor><jointpos joint="knee"/><accelerometer site="s"/></sensor>
+  <keyframe><key qpos="0 0 1 1 0 0 0 0 1 0 0 0"/></keyframe>
+</mujoco>
+"""
+#: What stands in the place of a word.
+WORDS = (
+    "nan", "-inf", "inf", "1e308", "-1e308", "1e-308", "0", "-1", "999999999", "99999999999999999999",
+    "9" * 2000, "", " ", "x" * 5000, "true", "floor", "trunk", "knee", "capsule", "mesh", "ball", "free",
+    "../../etc/passwd", "/etc/passwd", "é", "&amp;", "1 " * 3000, "-0 0 0 0", "1 2 3 4 5 6 7 8 9",
+)  # fmt: skip
+
+READ = """
+import json, resource, sys, time
+from pathlib import Path
+from types import SimpleNamespace
+sys.path.insert(0, {folder!r})
+from test_24_mutated_models import mutant
+from understudy.errors import FileError
+from understudy_mujoco.scene import MjcfFile
+first, count = int(sys.argv[1]), int(sys.argv[2])
+file, context = Path("model.xml"), SimpleNamespace(control_dt=1 / 30, substeps=10)
+def read():
+    MjcfFile(MjcfFile.Options(str(file))).compiled(context)
+file.write_text(mutant(None)); read()
+used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 2**30, used + 2**30))
+loaded, refused, slowest = 0, 0, 0.0
+for seed in range(first, first + count):
+    Path("seed").write_text(str(seed))  # which one it was, should it crash
+    file.write_text(mutant(seed))
+    began = time.monotonic()
+    try:
+        read(); loaded += 1
+    except FileError as error:
+        assert str(file) in str(error) or "model does not compile" in str(error), (seed, str(error))
+        assert "\\n" not in str(error), (seed, str(error))
+        refused += 1
+    slowest = max(slowest, time.monotonic() - began)
+print(json.dumps(dict(loaded=loaded, refused=refused, slowest=slowest)))
+"""
+
+
+def mutant(seed: int | None) -> str:
+    """Words and elements replaced, deleted, doubled and swapped; None is the model itself."""
+    if seed is None:
+        return MODEL
+    rng, text = random.Random(seed), MODEL
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        pattern = rng.choice((r"<[^>]*>|[^<]+", r'"[^"]*"|[^"]+', r"[\w.-]+|[^\w.-]+", r"\S+|\s+"))
+        pieces = re.findall(pattern, text)
+        at, other = rng.randrange(len(pieces)), rng.randrange(len(pieces))
+        match rng.randrange(6):
+            case 0:
+                pieces[at], pieces[other] = pieces[other], pieces[at]
+            case 1:
+                pieces[at:at] = pieces[at : other + 1][:200]
+            case 2:
+                del pieces[at : at + rng.choice((1, 1, 3))]
+            case 3 if pattern.startswith('"') and pieces[at].startswith('"'):
+                pieces[at] = f'"{rng.choice(WORDS)}"'
+            case 4 if rng.random() < 0.1:
+                pieces[at:at] = ["<body>"] * 3000
+            case _:
+                pieces[at] = rng.choice(WORDS)
+        text = "".join(pieces)
+    return text
+
+
+# of the single ones MuJoCo says "Caught an unknown exception!", which is none of its errors
+@pytest.mark.parametrize(
+    ("first", "count"),
+    [
+        (0, 400),
+        (4728, 1),
+        (7065, 1),
+        *(pytest.param(n, 1000, marks=pytest.mark.slow) for n in range(1000, 11000, 1000)),
+    ],
+)
+def test_mutants(first: int, count: int, tmp_path: Path) -> None:
+    code = READ.format(folder=str(Path(__file__).parent))
+    done = python(code, str(first), str(count), cwd=tmp_path)
+    at = (tmp_path / "seed").read_text()
+    assert done.returncode == 0, f"seed {at}, status {done.returncode}: {done.stderr[-2000:]}"
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["slowest"] < 5, found
+    assert count == 1 or min(found["loaded"], found["refused"]) > count / 20, found
+    assert {p.name for p in tmp_path.iterdir()} == {"model.xml", "seed"}
+    sys.stdout.write(f"{count} mutants from {first}: {found}\n")

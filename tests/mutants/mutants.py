@@ -1,0 +1,174 @@
+"""Guards, each with a way to lose it and the tests that must then fail.
+
+``before`` stands exactly once in its file, which a quick test sees to; ``make mutants`` loses one guard
+after another in a copy of the tree and runs the tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mutant:
+    name: str
+    file: str
+    before: str
+    after: str
+    tests: str  #: arguments of pytest
+    survives: str = ""  #: why no test can notice, if none can
+
+
+KERNEL = "kernel/understudy"
+ENVIRONMENT = f"{KERNEL}/running/environment.py"
+TRAINING = f"{KERNEL}/running/training.py"
+CHECKPOINT = f"{KERNEL}/records/checkpoint.py"
+RUNS = f"{KERNEL}/records/runs.py"
+SIGNALS = f"{KERNEL}/signals.py"
+MUJOCO = "plugins/mujoco/understudy_mujoco/simulator.py"
+MJCF = "plugins/mujoco/understudy_mujoco/mjcf.py"
+PPO = "plugins/ppo/understudy_ppo/learner.py"
+OPTIMISERS = "plugins/basics/understudy_basics/optimisers.py"
+CLIP = "plugins/motion/understudy_motion/clip.py"
+NPZ = "plugins/motion/understudy_motion/readers/npz.py"
+F01, F02, F05 = (f"tests/faults/test_0{n}.py" for n in ("1_nonfinite_state", "2_engine_reset", "5_nonfinite_update"))  # fmt: skip
+F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/test_09_damaged_files.py", "tests/faults/test_10_resume.py"  # fmt: skip
+F13 = "tests/faults/test_13_stop_signals.py"
+ANY = "tests/faults/test_13_any_moment.py"
+F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
+F21, F22, F25 = "tests/faults/test_21_code_in_configurations.py", "tests/faults/test_22_paths.py", "tests/faults/test_25_odd_clips.py"  # fmt: skip
+
+MUTANTS = (
+    # Numbers.
+    Mutant("a bad control reaches the simulator", ENVIRONMENT,
+           "applied = torch.where(good.unsqueeze(1), control, 0.0)", "applied = control", f"{F01} -k control"),
+    Mutant("a bad control is no failure", ENVIRONMENT, "self._unsound |= ~good", "pass", f"{F01} -k ctrl"),
+    Mutant("the simulator's word is ignored", ENVIRONMENT, "| parts.simulator.failed() | ~sound(rewards)",
+           "| ~sound(rewards)", F02),
+    Mutant("a bad reward is none", ENVIRONMENT, "| parts.simulator.failed() | ~sound(rewards)",
+           "| parts.simulator.failed()", f"{F01} -k derived"),
+    Mutant("a bad observation is none", ENVIRONMENT, "unsound = unsound | ~sound(value)", "pass",
+           f"{F01} -k derived"),
+    Mutant("a bad reward is counted", ENVIRONMENT, "rewards = torch.where(unsound, 0.0, rewards)", "pass", F01),
+    Mutant("last observations are bad", ENVIRONMENT,
+           "name: torch.where(rows(step.unsound, value), step.observations[name], value)", "name: value", F01),
+    Mutant("first observations are bad", ENVIRONMENT,
+           "name: torch.where(rows(sound(value), value), value, 0.0)", "name: value", f"{F01} -k derived"),
+    Mutant("huge is not bad", ENVIRONMENT, "LARGEST = 1e10", "LARGEST = 1e30", F01),
+    Mutant("all worlds' draws are used", ENVIRONMENT, "self._streams.give_back(~worlds, before)", "pass",
+           "tests/faults/test_17_determinism.py"),
+    Mutant("the engine resets by itself", MUJOCO, "int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)", "0",
+           f"{F02} -k not_reset"),
+    Mutant("the engine's status is ignored", MUJOCO, "self._broken |= self.batch.status != 0", "pass",
+           f"{F02} -k error_of_the_engine"),
+    Mutant("the engine's warnings are ignored", MUJOCO, "self._broken |= raised[:, _BAD].any(axis=1)", "pass",
+           f"{F02} -k even_if"),
+    Mutant("warnings are written", "plugins/mujoco/understudy_mujoco/scene.py",
+           "config.logto_file = config.logto_console = False", "pass", f"{F02} -k written_nowhere"),
+    Mutant("particles may fly", "plugins/pbd/understudy_pbd/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3",
+           "_EXTENT, _SPEED = 1e6, 1e6", "tests/faults/test_04_diverging_particles.py"),
+    Mutant("a bad gradient is taken", PPO, "sound = torch.isfinite(torch.cat([self._norms, self._row[:2]])).all()",
+           "sound = torch.isfinite(self._row[:2]).all()", f"{F05} -k gradient"),
+    Mutant("a bad loss is taken", PPO, "sound = torch.isfinite(torch.cat([self._norms, self._row[:2]])).all()",
+           "sound = torch.isfinite(self._row[:2]).any() | True", f"{F05} -k loss"),
+    Mutant("patience is off by one", OPTIMISERS, "    if bad >= patience:", "    if bad > patience:",
+           f"{F05} -k exact"),
+    Mutant("the other patience is off by one", "plugins/deepmimic/understudy_deepmimic/curricula.py",
+           "self._since >= self._patience", "self._since > self._patience", "tests/plugins/deepmimic -k patience or stagnation or increase"),
+    Mutant("a hopeless run goes on", f"{KERNEL}/running/statistics.py", "if share > 0.25:", "if share > 1.0:",
+           "tests/kernel tests/faults/test_01_nonfinite_state.py tests/faults/test_05_nonfinite_update.py -k hopeless or quarter"),
+    # Checkpoints.
+    Mutant("a file is not synced", CHECKPOINT, "            os.fsync(file.fileno())\n", "", f"{F07} -k order"),
+    Mutant("a folder is not synced", CHECKPOINT, "            os.fsync(folder)\n", "            pass\n", f"{F07} -k order"),
+    Mutant("a file is not flushed", CHECKPOINT, "            file.flush()\n", "", f"{F07} -k order"),
+    Mutant("something partial stays", CHECKPOINT, "temporary.unlink(missing_ok=True)", "pass", f"{F07} -k partial"),
+    Mutant("tensors have no digest", CHECKPOINT,
+           'if hashlib.sha256(data).hexdigest() != document.get("sha256"):', "if False:", f"{F09} {F20}"),
+    Mutant("the rest has no digest", CHECKPOINT,
+           'if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:', "if False:", F09),
+    Mutant("any format is read", CHECKPOINT, "    if version != FORMAT:", "    if False:",
+           "tests/faults/test_11_other_configuration.py"),
+    Mutant("it falls back on nothing", CHECKPOINT, "            reasons.append(str(error))\n",
+           "            raise\n", f"{F09} -k falls_back"),
+    Mutant("older checkpoints are deleted", CHECKPOINT, "for path in newest(folder)[keep:]:",
+           "for path in newest(folder)[1:]:", f"{F09} -k falls_back"),
+    Mutant("two processes in a folder", RUNS, "fcntl.LOCK_EX | fcntl.LOCK_NB", "fcntl.LOCK_SH | fcntl.LOCK_NB",
+           "tests/faults/test_12_folders.py"),
+    Mutant("rows are doubled", RUNS, '<= iteration]', '<= iteration + 5]',
+           "tests/faults/test_14_requeued_jobs.py -k anew"),
+    Mutant("state of another kind is loaded", TRAINING, '            for misfit in misshapen(own, {**state, "progress": progress}, ""):\n                raise ValueError(misfit)\n', "",
+           FIELDS),
+    Mutant("NaN is loaded", f"{KERNEL}/running/warm_start.py", "if finite == [True, False]:",
+           "if False:", FIELDS),
+    Mutant("any moments are loaded", OPTIMISERS,
+           "if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():", "if False:", FIELDS),
+    # Resuming.
+    Mutant("streams are not restored", ENVIRONMENT, 'self._streams.load_state_dict(state["streams"])', "pass", F10),
+    Mutant("initial states are not restored", ENVIRONMENT,
+           'parts.initial_states.load_state_dict(state["initial_states"])', "pass", f"{F10} -k adapted"),
+    Mutant("episode fields are not restored", ENVIRONMENT, 'value.copy_(state["tensors"][name])',
+           'value.copy_(state["tensors"][name]) if "constant" not in name else None', f"{F10} -k adapted"),
+    Mutant("statistics are not restored", ENVIRONMENT, 'self.statistics.load_state_dict(state["statistics"])',
+           "pass", F10),
+    Mutant("the simulation is not restored", ENVIRONMENT, 'parts.simulator.restore(state["simulator"])', "pass", F10),
+    Mutant("the adapted rate is not restored", PPO,
+           'self._rate, self._coefficient = state["actor_rate"], state["kl_coefficient"]',
+           'self._coefficient = state["kl_coefficient"]', f"{F10} -k adapted"),
+    Mutant("the learner's draws are not restored", PPO, 'self._generator.set_state(state["generator"].cpu())',
+           "pass", F10),
+    Mutant("the actions' draws are not restored", f"{KERNEL}/running/reinforcement.py",
+           'self.collector.streams.load_state_dict(state["collector"])', "pass", F10),
+    # Stop signals.
+    Mutant("a closed terminal is not noted", SIGNALS, "signal.SIGUSR1, signal.SIGHUP)", "signal.SIGUSR1)",
+           f"{ANY} -k terminal"),
+    Mutant("nohup is ignored", SIGNALS, "signal.getsignal(signal.SIGHUP) is signal.SIG_IGN", "False",
+           f"{ANY} -k nohup"),
+    Mutant("what came at the end is lost", SIGNALS, "if self.received is not None and kind is not PreemptedError:",
+           "if False:", f"{ANY} -k nest"),
+    Mutant("what came before is lost", SIGNALS,
+           "self.received = self._nested[-1].received if self._nested else None", "pass", f"{ANY} -k nest"),
+    Mutant("an evaluation is lost", TRAINING, "progress.pending = row", "pass", f"{F13} -k doubled"),
+    Mutant("an evaluation holds a signal up", TRAINING, "with StopRequest(at_once=True):", "with StopRequest():",
+           f"{F13} -k doubled"),
+    Mutant("a defect hides the signal", f"{KERNEL}/command/cli.py",
+           "if stop.received is not None and not isinstance(error, PreemptedError):",
+           "if isinstance(error, KeyboardInterrupt):", f"{ANY} -k library"),
+    Mutant("a closed terminal ends it", f"{KERNEL}/command/workflow.py",
+           "contextlib.suppress(OSError):  # a terminal that was closed stops nothing", "contextlib.nullcontext():",
+           f"{ANY} -k printed"),
+    # Data from strangers.
+    Mutant("lists may name code", f"{KERNEL}/setup/config.py", 'refuse_code(item, f"{where}[{i}]")', "pass", F21),
+    Mutant("code may be named", f"{KERNEL}/setup/config.py", "if key in CODE_KEYS:", "if False:", F21),
+    Mutant("run folders may name code", RUNS, "        refuse_code(config)\n", "", F21),
+    Mutant("options may be infinite", f"{KERNEL}/options.py", "if not math.isfinite(value):", "if False:",
+           "tests/faults/test_27_invalid_values.py"),
+    Mutant("a clip's time may be NaN", CLIP, 'self._require(times.isfinite(), "time is not a finite number")',
+           "pass", f"{F25} -k none"),
+    Mutant("a clip's place may be NaN", CLIP,
+           'self._require(position.isfinite().all(-1), "root position is not finite")', "pass", f"{F25} -k none"),
+    Mutant("a clip's rotation may be NaN", CLIP,
+           'self._require(rotation.isfinite().all(-1).all(-1), "a rotation is not finite")', "pass", f"{F25} -k none"),
+    Mutant("JSON may be infinite", "plugins/motion/understudy_motion/readers/deepmimic.py",
+           "finite = np.isfinite(rows)", "finite = np.ones(rows.shape, bool)", f"{F25} -k json"),
+    Mutant("arrays may be NaN", NPZ, "finite = np.isfinite(array)\n", "finite = np.ones(array.shape, bool)\n", f"{F25} -k arrays"),
+    Mutant("arrays may be of any size", NPZ, "if member.file_size > self._left:", "if False:", f"{F25} -k arrays"),
+    Mutant("each array has the limit alone", NPZ, "self._left -= member.file_size", "pass", f"{F25} -k arrays"),
+    Mutant("absolute paths of models", MJCF,
+           'if Path(name).is_absolute() or "\\\\" in name or not path.is_relative_to(self._folder):', "if False:", F22),
+    Mutant("plugins of models", MJCF, "if element.tag in _REFUSED:", "if False:", F22),
+    Mutant("models that include themselves", MJCF, "            if path in within:", "            if False:", F22),
+    Mutant("entities of models", MJCF, 'if b"<!DOCTYPE" in text or b"<!ENTITY" in text or b"\\0" in text:',
+           "if False:", F22),
+    Mutant("models of any size", MJCF, "if len(content) > limit:", "if False:", F22),
+    Mutant("a broken plugin stays", f"{KERNEL}/setup/plugins.py", "plugins.registry.remove(plugin.name)", "pass",
+           "tests/faults/test_23_broken_plugins.py"),
+    # The rest.
+    Mutant("a diverged environment is measured", "benchmarks/cpu.py", 'if int(environment.quarantined):',
+           "if False:", "tests/faults/test_29_invalid_benchmarks.py"),
+    Mutant("a diverged simulation is measured", "benchmarks/cpu.py",
+           'if not np.isfinite(bare.bind("qpos")).all():', "if False:", "tests/faults/test_29_invalid_benchmarks.py"),
+    Mutant("global random numbers are used", f"{KERNEL}/random.py", "with torch.random.fork_rng(devices=[]):",
+           "if True:", "tests/faults/test_18_global_random_state.py"),
+    Mutant("processes wait for half an hour", f"{KERNEL}/distributed.py", ", timeout=patience)", ")",
+           "tests/faults/test_15_lost_workers.py -m slow -k 19-1"),
+)  # fmt: skip

@@ -1,0 +1,82 @@
+"""Each guard is held by a test: without it, that test fails (``make mutants``)."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mutants import MUTANTS, Mutant
+
+ROOT = Path(__file__).resolve().parents[2]
+#: What the tests need.
+COPIED = (
+    "kernel",
+    "plugins",
+    "tests",
+    "conf",
+    "benchmarks",
+    "docs",
+    "pyproject.toml",
+    "README.md",
+    "Makefile",
+)
+BY_NAME = pytest.mark.parametrize(
+    "mutant", MUTANTS, ids=[m.name.replace(" ", "-") for m in MUTANTS]
+)
+
+
+@BY_NAME
+def test_the_guard_is_where_it_was(mutant: Mutant) -> None:
+    assert (ROOT / mutant.file).read_text(encoding="utf-8").count(mutant.before) == 1
+    for word in shlex.split(mutant.tests.partition(" -")[0]):
+        assert (ROOT / word).exists()
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the tree, to be mutated."""
+    copy = tmp_path_factory.mktemp("tree")
+    for name in COPIED:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, copy / name)
+    return copy
+
+
+def run(tree: Path, tests: str) -> subprocess.CompletedProcess[str]:
+    """The tests in the copy, whose modules come before the installed ones."""
+    files, _, options = tests.partition(" -")
+    chosen = ["-" + options[0], options[1:].strip()] if options else []
+    if options.startswith("m slow -k "):
+        chosen = ["-m", "slow", "-k", options.removeprefix("m slow -k ")]
+    path = [tree / "kernel", *sorted((tree / "plugins").iterdir()), tree / "tests"]
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--timeout=300",
+         *shlex.split(files), *chosen],
+        cwd=tree, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "PYTHONDONTWRITEBYTECODE": "1"},
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@BY_NAME
+def test_without_the_guard_a_test_fails(mutant: Mutant, tree: Path) -> None:
+    file = tree / mutant.file
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace(mutant.before, mutant.after), encoding="utf-8")
+    try:
+        done = run(tree, mutant.tests)
+    finally:
+        file.write_text(text, encoding="utf-8")
+    if mutant.survives and done.returncode == 0:
+        pytest.xfail(mutant.survives)
+    assert done.returncode == 1, (
+        f"status {done.returncode}\n{done.stdout[-3000:]}{done.stderr[-1000:]}"
+    )
