@@ -11,7 +11,7 @@ from robots import robot_file, robot_xml
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy_characters.layout import Layout
-from understudy_characters.scene import REFERENCE_COLOUR, CharacterScene, add_figure
+from understudy_characters.scene import CharacterScene
 
 
 def scene_of(named: str | Path, **options: object) -> CharacterScene:
@@ -97,26 +97,6 @@ def test_the_solver_is_the_models_on_request(tmp_path: Path) -> None:
     file.write_text(robot_xml().replace("<default>", '<option iterations="77"/><default>'))
     assert scene_of(file).model.opt.iterations == 6
     assert scene_of(file, solver="model").model.opt.iterations == 77
-
-
-def test_the_reference_is_shown_in_green_where_it_is(tmp_path: Path) -> None:
-    model = scene_of(robot_file(tmp_path)).shown().compile()
-    own, reference = mujoco.MjData(model), mujoco.MjData(model)
-    mujoco.mj_forward(model, own)
-    reference.qpos[1] += 1.5
-    camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
-    scene = mujoco.MjvScene(model, 500)
-    every = mujoco.mjtCatBit.mjCAT_ALL
-    mujoco.mjv_updateScene(model, own, option, mujoco.MjvPerturb(), camera, every, scene)
-    before = [(geom.objid, geom.pos.copy()) for geom in scene.geoms[: scene.ngeom]]
-    add_figure(scene, model, reference)
-    added = scene.geoms[len(before) : scene.ngeom]
-    floor = model.geom("floor").id
-    assert len(added) == len([geom for geom, _ in before if geom != floor])
-    places = dict(before)
-    for geom in added:
-        np.testing.assert_allclose(geom.pos - places[geom.objid], [0.0, 1.5, 0.0], atol=1e-5)
-        np.testing.assert_allclose(geom.rgba, REFERENCE_COLOUR, atol=1e-6)
 
 
 def test_frames_are_drawn_with_and_without_reference(tmp_path: Path) -> None:
