@@ -16,6 +16,7 @@ from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_characters import staging
 from understudy_characters.character import Character, character_spec
+from understudy_characters.heads import head_body, ring
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.servos import ServoOptions, drive
@@ -113,16 +114,21 @@ class CharacterScene(MujocoScene):
         return self._sticks(tracks["qpos"]), None if reference is None else self._sticks(reference)
 
     def _sticks(self, track: np.ndarray) -> np.ndarray:
-        """(T, S, 2, 3): a segment from each link's parent to the link, m, world."""
+        """(T, S, 2, 3): a segment from each link's parent to the link, and a ring as its head; m, world."""
         model, data = self.model, mujoco.MjData(self.model)
         links = np.array([b for b in self.character.carrier if b != self.character.root])
         ends = np.stack([model.body_parentid[links], links], axis=1)
-        result = []
+        head = head_body(self.character)
+        result, tops = [], []
         for qpos in track:
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
             result.append(data.xpos[ends])
-        return np.array(result)
+            tops.append(data.xipos[head or 0].copy())
+        sticks = np.array(result)
+        if head is None:
+            return sticks
+        return np.concatenate([sticks, ring(np.array(tops), self.character.length)], axis=1)
 
     def describe(self) -> dict[str, Any]:
         return {

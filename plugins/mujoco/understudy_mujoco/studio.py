@@ -199,7 +199,9 @@ class _Scenery:
         squares = self._contrast
         for place, edge, at in zip(self.floor, self._edges, aim, strict=True):
             # In pairs of squares; then how far inside a light one, dark ones being below 0.
-            inside = place * np.float32(0.5 / _SQUARE) + np.float32((0.5 * at / _SQUARE + 0.25) % 1.0)
+            inside = place * np.float32(0.5 / _SQUARE) + np.float32(
+                (0.5 * at / _SQUARE + 0.25) % 1.0
+            )
             inside -= np.floor(inside)
             inside -= np.float32(0.5)
             np.abs(inside, out=inside)
@@ -263,13 +265,14 @@ class _Shadows:
 class _Painter:
     """Draws frames in the thread that made it."""
 
-    def __init__(
-        self, model: mujoco.MjModel, scenery: _Scenery, figures: Sequence[Figure]
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, scenery: _Scenery, figures: Sequence[Figure]) -> None:
         model = _without_floor(model)
         self._scenery, self._model, self._figures = scenery, model, figures
         self._view = mujoco.MjrRect(0, 0, _FINER * scenery.width, _FINER * scenery.height)
-        model.vis.global_.offwidth, model.vis.global_.offheight = self._view.width, self._view.height
+        model.vis.global_.offwidth, model.vis.global_.offheight = (
+            self._view.width,
+            self._view.height,
+        )
         self._data = mujoco.MjData(model)
         self._scene = mujoco.MjvScene(model, 2 * model.ngeom + 100)
         for flag in ("SHADOW", "REFLECTION", "SKYBOX", "HAZE", "FOG"):
@@ -347,7 +350,9 @@ class _Painter:
             colours = np.where(dot > 0, 255 * np.array(colour[:3], np.float32), colours)
             text = self._text(figure.label)[: max(height - row, 0), : width - _MARGIN - _LINE]
             top = row - len(text) // 2
-            part = cover[top : top + len(text), _MARGIN + _LINE : _MARGIN + _LINE + text.shape[1], 0]
+            part = cover[
+                top : top + len(text), _MARGIN + _LINE : _MARGIN + _LINE + text.shape[1], 0
+            ]
             part[:] = text[: len(part)]
             cover = np.maximum(cover, dot)
         return colours.astype(np.float32), cover.astype(np.float32)

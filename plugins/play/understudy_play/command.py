@@ -35,15 +35,21 @@ class Play(Command):
             help="a skill that comes with the package, a packed one (.json), or the folder of a run; "
             "without it, those that come with the package are listed",
         )
-        parser.add_argument("--video", metavar="FILE", type=Path, help="write a video (.mp4) instead")
+        parser.add_argument(
+            "--video", metavar="FILE", type=Path, help="write a video (.mp4) instead"
+        )
         parser.add_argument("--seconds", type=float, default=8.0, help="of the video (%(default)s)")
         parser.add_argument(
             "--push", type=float, default=0.0, metavar="NS",
             help="push the character sideways every 3 s, in newton seconds (video only)",
         )  # fmt: skip
-        parser.add_argument("--pack", metavar="FILE", type=Path, help="evaluate, and write it small")
+        parser.add_argument(
+            "--pack", metavar="FILE", type=Path, help="evaluate, and write it small"
+        )
         parser.add_argument("--host", default="127.0.0.1", help="address to serve at (%(default)s)")
-        parser.add_argument("--port", type=int, default=8080, help="the first port to try (%(default)s)")
+        parser.add_argument(
+            "--port", type=int, default=8080, help="the first port to try (%(default)s)"
+        )
         parser.add_argument("--no-browser", action="store_true", help="do not open the page")
 
     def run(self, options: argparse.Namespace) -> int:
@@ -81,9 +87,7 @@ def describe(skill: Skill) -> str:
     found = skill.card.get("evaluation") or {}
     judged = ""
     if found.get("success_rate") is not None:
-        judged = (
-            f"; {found['success_rate']:.0%} of {found['episodes']} held-out episodes: {found['success']}"
-        )
+        judged = f"; {found['success_rate']:.0%} of {found['episodes']} held-out episodes: {found['success']}"
     return f"{skill.samples:,} samples, seed {skill.experiment.root.seed}{judged}"
 
 

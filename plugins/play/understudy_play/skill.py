@@ -126,7 +126,11 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
     config = dict(card["config"])
     config["run"] = {**config.get("run", {}), "dir": None}
     path.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint.save(path, {"policy": {k: _packed_tensor(v) for k, v in kept.items()}}, {**card, "config": config})
+    checkpoint.save(
+        path,
+        {"policy": {k: _packed_tensor(v) for k, v in kept.items()}},
+        {**card, "config": config},
+    )
 
 
 def rounded(skill: Skill) -> Skill:

@@ -112,10 +112,14 @@ def test_frames_are_drawn_with_and_without_reference(tmp_path: Path) -> None:
     assert not np.array_equal(without[0], both[0])
 
 
-def test_outlines_join_each_link_to_its_parent(tmp_path: Path) -> None:
+def test_outlines_join_each_link_to_its_parent_and_have_a_head(tmp_path: Path) -> None:
     scene = scene_of(robot_file(tmp_path))
     track = np.repeat(scene.model.qpos0[None], 3, axis=0)
     sticks, none = scene.outlines({"qpos": track})
     assert none is None
     assert sticks is not None
-    assert sticks.shape == (3, len(scene.layout.link_names) - 1, 2, 3)
+    bones = len(scene.layout.link_names) - 1
+    assert sticks.shape[0] == 3 and sticks.shape[1] > bones and sticks.shape[2:] == (2, 3)
+    ring = sticks[0, bones:]
+    np.testing.assert_allclose(ring[:, 1], np.roll(ring[:, 0], -1, axis=0), atol=1e-9)  # closed
+    assert ring[..., 2].max() > sticks[0, :bones, ..., 2].max()

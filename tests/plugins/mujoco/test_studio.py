@@ -54,9 +54,7 @@ def test_a_figure_is_where_the_camera_sees_it(model: mujoco.MjModel) -> None:
 
 
 def test_colours_tell_figures_apart_and_none_is_the_models(model: mujoco.MjModel) -> None:
-    (frame,) = frames(
-        model, Figure(track(0.6)), Figure(track(0.6), REFERENCE, shift=(-0.8, 0.0))
-    )
+    (frame,) = frames(model, Figure(track(0.6)), Figure(track(0.6), REFERENCE, shift=(-0.8, 0.0)))
     own = np.argwhere(coloured(frame, (0, 1, 0, 1)))
     other = np.argwhere(coloured(frame, REFERENCE))
     assert len(own) > 50 and len(other) > 50
