@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import understudy_mujoco  # noqa: F401 # isort: skip - it chooses what draws before mujoco is imported
 import pytest
 import torch
 from miniatures import make_stages
 from worlds import all_plugins
 
-import understudy_mujoco  # noqa: F401 - chooses what draws, before anything imports mujoco
 from understudy.setup.plugins import Plugins
 
 #: Real clips, for the tests that want some; skipped with a reason where there are none.
