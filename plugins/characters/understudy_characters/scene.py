@@ -100,8 +100,8 @@ class CharacterScene(MujocoScene):
         heights = np.concatenate([self._sticks(figure.track)[..., 2].ravel() for figure in figures])
         top = float(np.clip(np.nan_to_num(heights).max(), length, 3.0 * length))
         camera = Camera(
-            aims=gaussian_filter1d(track[:, at : at + 2], _SMOOTHING, axis=0, mode="nearest")
-            + [0.0, 0.5 * beside],
+            aims=np.array([0.0, 0.5 * beside])
+            + gaussian_filter1d(track[:, at : at + 2], _SMOOTHING, axis=0, mode="nearest"),
             height=0.48 * top,
             distance=_DISTANCE * top,
         )

@@ -13,13 +13,13 @@ from string import Template
 
 import numpy as np
 
+from understudy_characters.heads import head_body, ring
 from understudy_doctor.character_checks import JOINT_FINDINGS, TORQUE, UNEXPLAINED, excesses
 from understudy_doctor.clip_checks import speeds
 from understudy_doctor.examination import Examination
 from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.summary import contacts, torques, verdict
-from understudy_characters.heads import head_body, ring
 from understudy_motion.kinematics import tip_positions
 from understudy_report.stick_figures import stick_figure_svg
 

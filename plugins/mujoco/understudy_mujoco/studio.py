@@ -386,7 +386,7 @@ class _Painter:
         dark, origin = self._shadows.patch(data)
         long, wide = _CELL * np.array(dark.shape)
         corners = np.array([[x, y, 0.0] for x in (0.0, long) for y in (0.0, wide)])
-        seen, _ = scenery.pixels(corners + [*(origin - aim), 0.0])
+        seen, _ = scenery.pixels(corners + np.append(origin - aim, 0.0))
         (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
         rows = _span(max(top, scenery.horizon), bottom, scenery.height)
         columns = _span(left, right, scenery.width)

@@ -119,7 +119,8 @@ def test_outlines_join_each_link_to_its_parent_and_have_a_head(tmp_path: Path) -
     assert none is None
     assert sticks is not None
     bones = len(scene.layout.link_names) - 1
-    assert sticks.shape[0] == 3 and sticks.shape[1] > bones and sticks.shape[2:] == (2, 3)
+    assert (len(sticks), *sticks.shape[2:]) == (3, 2, 3)
+    assert sticks.shape[1] > bones
     ring = sticks[0, bones:]
     np.testing.assert_allclose(ring[:, 1], np.roll(ring[:, 0], -1, axis=0), atol=1e-9)  # closed
     assert ring[..., 2].max() > sticks[0, :bones, ..., 2].max()
