@@ -30,7 +30,7 @@ play: $(VENV)/.small
 
 # The documentation as a site, in build/site.
 docs: install
-	$(BIN)/mkdocs build --strict
+	$(BIN)/python -m mkdocs build --strict
 
 test: install
 	$(BIN)/python -m pytest
