@@ -98,7 +98,8 @@ def test_the_wheel_has_what_is_not_python(built: Path) -> None:
 
 def test_the_source_distribution_can_be_worked_with(built: Path) -> None:
     (archive,) = built.glob("*.tar.gz")
-    names = {name.partition("/")[2] for name in tarfile.open(archive).getnames()}
+    with tarfile.open(archive) as opened:
+        names = {name.partition("/")[2] for name in opened.getnames()}
     assert {
         "Makefile", "constraints.txt", "Dockerfile", "mkdocs.yml", "pyproject.toml", "LICENSE",
         "benchmarks/cpu.py", "docs/media/walk.mp4", "tests/conftest.py", "conf/config.yaml",

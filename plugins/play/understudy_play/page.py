@@ -131,7 +131,7 @@ class Page:
         gui.main_panel.dock_right()
         gui.add_html(f"<div style='margin:0 .75em'><b>{escape(skill.name)}</b></div>")
         self._told = gui.add_html("")
-        strength = gui.add_slider("Push, N s", 0.0, 60.0, 1.0, 10.0)
+        strength = gui.add_slider("Push, N s", 0.0, 40.0, 1.0, 12.0)
         way = gui.add_button_group("Direction", tuple(_WAYS))
         self._ghost = gui.add_checkbox("Reference", False, hint="where the clip is now")
         pause, again = gui.add_button("Pause"), gui.add_button("Start again")
