@@ -1,21 +1,36 @@
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
+# Where torch comes from: its builds for CPUs. `make demo TORCH=` takes the default ones, for NVIDIA GPUs.
+TORCH ?= --index-url https://download.pytorch.org/whl/cpu
 
-.PHONY: demo test test-slow test-gpu check parts-and-tasks bench bench-gpu install
+.PHONY: demo play docs test test-slow test-gpu check parts-and-tasks bench bench-gpu install
+
+# What training, reports and the motion page need.
+$(VENV)/.small: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip
+	$(BIN)/pip install --quiet -c constraints.txt torch $(TORCH)
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[gym,view]'
+	touch $@
 
 install: $(VENV)/.installed
 
-$(VENV)/.installed: pyproject.toml constraints.txt
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --upgrade pip
-	$(BIN)/pip install --quiet -c constraints.txt torch
-	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+$(VENV)/.installed: $(VENV)/.small
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,docs]'
 	touch $@
 
 # Train the walk on the CPU, evaluate it, leave video and report.
-demo: install
+demo: $(VENV)/.small
 	$(BIN)/understudy train experiment=spacetime/walk
+
+# A trained walk in the browser.
+play: $(VENV)/.small
+	$(BIN)/understudy play spacetime/walk
+
+# The documentation as a site, in build/site.
+docs: install
+	$(BIN)/python -m mkdocs build --strict
 
 test: install
 	$(BIN)/python -m pytest

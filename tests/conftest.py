@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import understudy_mujoco  # noqa: F401 # isort: skip - it chooses what draws before mujoco is imported
 import pytest
 import torch
 from miniatures import make_stages

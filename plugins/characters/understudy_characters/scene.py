@@ -9,12 +9,14 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from understudy.errors import FileError, UnderstudyError
+from understudy.errors import FileError
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_characters import staging
 from understudy_characters.character import Character, character_spec
+from understudy_characters.heads import head_body, ring
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.servos import ServoOptions, drive
@@ -22,11 +24,13 @@ from understudy_characters.state import Poses
 from understudy_characters.surroundings import Surroundings
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
+from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
+from understudy_mujoco.studio import draw as draw_figures
 
-REFERENCE_COLOUR = (0.45, 0.72, 0.5, 1.0)
-#: In lengths of the figure: how far to the left the reference is drawn; the camera's distance and aim.
-_BESIDE, _DISTANCE, _AIM = 0.74, 2.4, 0.52
-_AWAY = -1000.0  #: m, where nothing is seen
+#: In lengths of the figure: how far to the left the reference is drawn.
+_BESIDE = 0.74
+#: The camera's distance, in heights of what it shows; and the frames over which its path is smoothed.
+_DISTANCE, _SMOOTHING = 1.75, 6.0
 
 
 class CharacterScene(MujocoScene):
@@ -88,39 +92,32 @@ class CharacterScene(MujocoScene):
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
     ) -> Iterator[np.ndarray]:
-        """The recorded motion in the character's colours, its reference beside it in green."""
-        model = self.shown().compile()
-        own, reference = mujoco.MjData(model), mujoco.MjData(model)
-        try:
-            renderer = mujoco.Renderer(model, height, width)
-        except Exception as error:  # whatever the platform's OpenGL raises
-            reason = str(error).strip().splitlines()
-            raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
+        """The recorded motion; where there is a reference, it in blue and the reference beside it in
+        orange, otherwise in the character's colours."""
+        track, reference = tracks["qpos"], tracks.get("reference_qpos")
         at, length = self.layout.root_address, self.character.length
-        references = tracks.get("reference_qpos")
-        beside = 0.0 if references is None else _BESIDE * length
-        camera = mujoco.MjvCamera()
-        camera.distance, camera.elevation, camera.azimuth = _DISTANCE * length, -10.0, 120.0
-        reference.mocap_pos[:, 2] = _AWAY  # what stands around is shown once
-        first = True
-        try:
-            for frame, qpos in enumerate(tracks["qpos"]):
-                own.qpos[:] = qpos
-                for one in self._around:
-                    one.place(model, own, {name: track[frame] for name, track in tracks.items()})
-                mujoco.mj_kinematics(model, own)
-                mujoco.mj_camlight(model, own)
-                aim = np.array([qpos[at], qpos[at + 1] + 0.5 * beside, _AIM * length])
-                camera.lookat = aim if first else camera.lookat + 0.2 * (aim - camera.lookat)
-                first = False
-                renderer.update_scene(own, camera)
-                if references is not None:
-                    reference.qpos[:] = references[frame]
-                    reference.qpos[at + 1] += beside
-                    add_figure(renderer.scene, model, reference)
-                yield renderer.render()
-        finally:
-            renderer.close()
+
+        def place(model: mujoco.MjModel, data: mujoco.MjData, frame: int) -> None:
+            seen = {name: recorded[frame] for name, recorded in tracks.items()}
+            for one in self._around:
+                one.place(model, data, seen)
+
+        figures, beside = [Figure(track, place=place)], 0.0
+        if reference is not None:
+            beside = _BESIDE * length
+            figures = [
+                Figure(track, LEARNED, label="learned", place=place),
+                Figure(reference, REFERENCE, (0.0, beside), "reference"),
+            ]
+        heights = np.concatenate([self._sticks(figure.track)[..., 2].ravel() for figure in figures])
+        top = float(np.clip(np.nan_to_num(heights).max(), length, 3.0 * length))
+        camera = Camera(
+            aims=np.array([0.0, 0.5 * beside])
+            + gaussian_filter1d(track[:, at : at + 2], _SMOOTHING, axis=0, mode="nearest"),
+            height=0.48 * top,
+            distance=_DISTANCE * top,
+        )
+        return draw_figures(self.shown().compile(), figures, camera, width, height)
 
     def outlines(
         self, tracks: Mapping[str, np.ndarray]
@@ -129,16 +126,21 @@ class CharacterScene(MujocoScene):
         return self._sticks(tracks["qpos"]), None if reference is None else self._sticks(reference)
 
     def _sticks(self, track: np.ndarray) -> np.ndarray:
-        """(T, S, 2, 3): a segment from each link's parent to the link, m, world."""
+        """(T, S, 2, 3): a segment from each link's parent to the link, and a ring as its head; m, world."""
         model, data = self.model, mujoco.MjData(self.model)
         links = np.array([b for b in self.character.carrier if b != self.character.root])
         ends = np.stack([model.body_parentid[links], links], axis=1)
-        result = []
+        head = head_body(self.character)
+        result, tops = [], []
         for qpos in track:
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
             result.append(data.xpos[ends])
-        return np.array(result)
+            tops.append(data.xipos[head or 0].copy())
+        sticks = np.array(result)
+        if head is None:
+            return sticks
+        return np.concatenate([sticks, ring(np.array(tops), self.character.length)], axis=1)
 
     def describe(self) -> dict[str, Any]:
         return {
@@ -155,17 +157,6 @@ def _compiled(name: str, spec: mujoco.MjSpec) -> Character:
     except (ValueError, mujoco.FatalError) as error:
         reason = str(error).strip().splitlines()[0]
         raise FileError(f"The model of {name} does not compile: {reason}") from error
-
-
-def add_figure(scene: mujoco.MjvScene, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Show what moves once more, as `data` has it, in the reference's colour."""
-    mujoco.mj_kinematics(model, data)
-    before = scene.ngeom
-    every = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
-    mujoco.mjv_addGeoms(model, data, mujoco.MjvOption(), mujoco.MjvPerturb(), every, scene)
-    for geom in scene.geoms[before : scene.ngeom]:
-        geom.matid = -1
-        geom.rgba[:] = REFERENCE_COLOUR
 
 
 def reference_motion(context: Context) -> ReferenceMotion:

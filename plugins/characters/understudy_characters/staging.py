@@ -56,6 +56,7 @@ def add_sky(spec: mujoco.MjSpec) -> None:
         width=256,
         height=1536,
     )
+    spec.visual.rgba.haze = [0.93, 0.95, 0.98, 1.0]  # the floor fades into the sky
 
 
 def add_sun(spec: mujoco.MjSpec, root: str) -> None:
@@ -72,7 +73,7 @@ def add_sun(spec: mujoco.MjSpec, root: str) -> None:
     # The shadow map covers this box around the light; the light goes where the character goes.
     spec.stat.center, spec.stat.extent = [0, 0, 1], 3
     spec.visual.map.shadowclip = 1.0
-    spec.visual.quality.shadowsize = 4096
+    spec.visual.quality.shadowsize = 1024  # drawn without a graphics card, more takes long
 
 
 def collide(spec: mujoco.MjSpec, figure: set[int], self_collision: bool) -> None:

@@ -13,6 +13,7 @@ from string import Template
 
 import numpy as np
 
+from understudy_characters.heads import head_body, ring
 from understudy_doctor.character_checks import JOINT_FINDINGS, TORQUE, UNEXPLAINED, excesses
 from understudy_doctor.clip_checks import speeds
 from understudy_doctor.examination import Examination
@@ -105,6 +106,12 @@ def _poses(examined: Examination) -> str:
     segments = [positions[:, [skeleton.parents[row], row]] for row in rows]
     ends = _tips(measured)
     outlines = np.stack([*segments, *ends], axis=1)
+    character, starts = measured.character, [*measured.character.skeleton.tips]
+    body = head_body(character)
+    head = None if body is None else character.joint_names[character.carrier[body]]
+    if head in starts:
+        top = ends[starts.index(head)].mean(axis=1)
+        outlines = np.concatenate([outlines, ring(top, character.length)], axis=1)
     strip = stick_figure_svg(outlines, None, measured.dt, poses=14)
     return f'<section><h2>Poses</h2><div class="card strip">{strip}</div></section>'
 
@@ -441,7 +448,7 @@ _STYLE = """
 @media (prefers-color-scheme: dark) {
   :root {
     --page: #0f1218; --card: #181c24; --text: #e8eaef; --muted: #97a1b1; --edge: #2a303b;
-    --lane: #1f242e; --accent: #6ea3ff; --learned: #6ea3ff; --ground: #97a1b1; --grid: #2a303b;
+    --lane: #1f242e; --accent: #5b8cf5; --learned: #3f7af0; --ground: #97a1b1; --grid: #2a303b;
     --major: #ff6b5e; --minor: #f5a524;
   }
 }
@@ -493,4 +500,14 @@ a { color: var(--accent); }
 .used { background: var(--accent); }
 .used.over { background: var(--major); }
 ul { margin: 0; padding-left: 18px; }
+@media (max-width: 600px) {
+  body { padding-top: 20px; }
+  .card { padding: 10px 12px; }
+  .strip svg, .chart svg { min-width: 560px; }
+  .wide table, .wide tbody, .wide tr, .wide td { display: block; }
+  .wide tr + tr { margin-top: 10px; border-top: 1px solid var(--edge); padding-top: 8px; }
+  .wide td { padding: 2px 0; border: 0; }
+  .wide th { display: none; }
+  .bar { width: 110px; }
+}
 """

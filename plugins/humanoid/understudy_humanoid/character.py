@@ -15,6 +15,7 @@ import mujoco
 
 from understudy_characters.servos import add_servo
 from understudy_characters.staging import add_floor, add_sky, add_sun, solve_fast
+from understudy_mujoco.studio import LEARNED
 
 Vector = tuple[float, float, float]
 
@@ -133,15 +134,26 @@ BODIES: tuple[Body, ...] = (
 #: Height of the root above the soles in the zero pose: thigh, shin, and the foot's depth.
 STANDING_HEIGHT = 0.422 + 0.41 + 0.05
 
-COLOUR = (0.85, 0.62, 0.35, 1.0)
+COLOUR = LEARNED
 
-#: What joins the trunk's links in pictures: body, capsule's ends in its frame, radius.
+#: What joins the links in pictures: body, capsule's ends in its frame, radius.
 _TRUNK: tuple[tuple[str, Vector, Vector, float], ...] = (
     ("root", (0, -0.06, 0.03), (0, 0.06, 0.03), 0.075),
     ("root", (0, 0, 0.08), (0, 0, 0.21), 0.078),
     ("chest", (0, 0, 0.02), (0, 0, 0.13), 0.09),
     ("chest", (-0.015, -0.125, 0.215), (-0.015, 0.125, 0.215), 0.052),
     ("neck", (0, 0, -0.02), (0, 0, 0.1), 0.045),
+    *(
+        (f"{side}_{name}", (0, 0, 0), (0, 0, end), radius)
+        for side in ("right", "left")
+        for name, end, radius in (
+            ("shoulder", -0.1, 0.047),
+            ("elbow", -0.24, 0.036),
+            ("hip", -0.12, 0.06),
+            ("knee", -0.06, 0.051),
+            ("ankle", -0.01, 0.04),
+        )
+    ),
 )
 
 _SHAPES = {

@@ -4,9 +4,14 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("basics", "characters", "motion", "mujoco", "report", "viewer")
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    pass
+    register.component(
+        "command",
+        "play",
+        "understudy_play.command:Play",
+        "watch a trained policy live in the browser and push it, or as a video",
+    )

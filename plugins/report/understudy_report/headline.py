@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from understudy.records.runs import Run
+from understudy.setup.plugins import installed
 from understudy_report import words
 from understudy_report.section import ReportSection
 from understudy_report.values import Row, interval, mapping, number, read_evaluation
@@ -19,12 +20,8 @@ class Headline(ReportSection):
 
     def html(self, run: Run) -> str:
         evaluation, rows = read_evaluation(run), run.metrics()
-        meaning = evaluation.get("success")
-        explained = (
-            f"<p>An episode counts as a success by this: {escape(words.text(meaning))}.</p>"
-            if meaning
-            else ""
-        )
+        meaning = _meaning(run.info, evaluation)
+        explained = f"<p>{escape(meaning)}</p>" if meaning else ""
         return (
             f'<p class="headline">{escape(_sentence(run.info, evaluation, rows))}</p>{explained}'
             f'<div class="tiles">{_tiles(evaluation, rows)}</div>'
@@ -35,6 +32,51 @@ def percent_interval(evaluation: Row) -> str:
     """The 95 % interval of the success rate in words, or nothing."""
     found = interval(evaluation.get("success_rate_95"))
     return "" if found is None else f"{100 * found[0]:.0f}–{100 * found[1]:.0f} %"
+
+
+def _meaning(info: Row, evaluation: Row) -> str:
+    """What a success is, in a sentence, and what it does not count; nothing if nothing is a success."""
+    text = words.text(evaluation.get("success") or "")
+    if not text:
+        return ""
+    measures = mapping(mapping(info.get("config")).get("measure"))
+    name = next((name for name in measures if text.startswith(f"{name} ")), None)
+    if name is not None:
+        measure = mapping(measures[name])
+        about = _summary(words.text(measure.get("name", "")))
+        over = _OVER.get(words.text(measure.get("reduce", "")), "")
+        details = ", ".join(part for part in (about, over) if part)
+        text = text.replace(name, f"{name} ({details})" if details else name, 1)
+        return f"An episode succeeds if its {text}."
+    left = {
+        term: share
+        for term, value in mapping(evaluation.get("violated")).items()
+        if (share := number(value)) and term not in text
+    }
+    beside = ", ".join(f"{term} in {words.share(share)}" for term, share in left.items())
+    also = (
+        f" What else was violated meanwhile does not count: {beside} of the episodes."
+        if left
+        else ""
+    )
+    return f"An episode succeeds by this: {text}.{also}"
+
+
+#: How the values of an episode become one.
+_OVER = {
+    "min": "the least of the episode counts",
+    "max": "the most of the episode counts",
+    "any": "any moment of the episode counts",
+    "last": "the end of the episode counts",
+    "sum": "summed over the episode",
+    "mean": "its mean over the episode counts",
+}
+
+
+def _summary(measure: str) -> str:
+    """What the measure's component says of itself, if it is installed."""
+    known = installed().registry
+    return known.find("measure", measure).summary if measure in known.names("measure") else ""
 
 
 def _sentence(info: Row, evaluation: Row, rows: Sequence[Row]) -> str:

@@ -14,7 +14,7 @@ from understudy_report.page import write_report
 from understudy_report.video import write_video
 
 #: Of a video, in pixels. Frames are often drawn without a GPU, in time proportional to these.
-WIDTH, HEIGHT = 640, 360
+WIDTH, HEIGHT = 800, 450
 #: A video shows every frame of the recording up to about this rate, and every n-th beyond, in Hz.
 FRAME_RATE = 30.0
 

@@ -13,9 +13,9 @@ import numpy as np
 
 #: Metres. What lies farther from the origin comes from a simulation that blew up.
 _FARTHEST = 1e4
-#: Colours of the two figures and the ground; a page may set the variables.
+#: Colours of the two figures, as in videos, and of the ground; a page may set the variables.
 _LEARNED = "var(--learned, #2563eb)"
-_REFERENCE = "var(--reference, #b4bcc8)"
+_REFERENCE = "var(--reference, #f59e40)"
 _GROUND = "var(--ground, #8a93a0)"
 #: Millimetres between the marks on the animation's ground.
 _MARKS = 500

@@ -39,7 +39,7 @@ def understudy_register(register: Registrar) -> None:
         "measure",
         "spacetime.within_all_bounds",
         f"{_HERE}.rewards:within_all_bounds",
-        "whether no bound, and nothing else, is violated",
+        "1 inside all bounds and without a fall, else 0",
     )
     add(
         "measure",

@@ -12,8 +12,8 @@ import numpy as np
 from understudy_viewer.figure import intervals
 from understudy_viewer.stage import Actor, Colour, Stage
 
-CONTACT: Colour = (59, 130, 246)
-INSIDE: Colour = (100, 130, 190)
+CONTACT: Colour = (16, 185, 129)
+INSIDE: Colour = (100, 140, 150)
 OUTSIDE: Colour = (220, 38, 38)
 
 #: Columns of the strips over time.

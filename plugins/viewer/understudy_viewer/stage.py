@@ -17,12 +17,15 @@ from torch import Tensor
 from understudy_characters.character import Character
 from understudy_characters.overlay import Gauge, Region
 from understudy_motion.clip import Clip
+from understudy_mujoco.studio import LEARNED, REFERENCE
 from understudy_viewer.figure import Figure, figure
 
 Colour = tuple[int, int, int]
 
-#: Of the first figure, warm, and of the second, green: as in a run's video.
-COLOURS: tuple[Colour, ...] = ((217, 158, 89), (115, 184, 128))
+#: Of the first figure and of the second: as in a run's video.
+COLOURS: tuple[Colour, ...] = tuple(
+    (round(255 * r), round(255 * g), round(255 * b)) for r, g, b, _ in (LEARNED, REFERENCE)
+)
 #: Frames of several motions that are no further apart than this share of the whole are one.
 _SAME_TIME = 1e-6
 #: What the camera follows is the path, smoothed by a Gaussian of this width in s, and at most of so

@@ -11,7 +11,7 @@ from robots import robot_file, robot_xml
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy_characters.layout import Layout
-from understudy_characters.scene import REFERENCE_COLOUR, CharacterScene, add_figure
+from understudy_characters.scene import CharacterScene
 
 
 def scene_of(named: str | Path, **options: object) -> CharacterScene:
@@ -99,26 +99,6 @@ def test_the_solver_is_the_models_on_request(tmp_path: Path) -> None:
     assert scene_of(file, solver="model").model.opt.iterations == 77
 
 
-def test_the_reference_is_shown_in_green_where_it_is(tmp_path: Path) -> None:
-    model = scene_of(robot_file(tmp_path)).shown().compile()
-    own, reference = mujoco.MjData(model), mujoco.MjData(model)
-    mujoco.mj_forward(model, own)
-    reference.qpos[1] += 1.5
-    camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
-    scene = mujoco.MjvScene(model, 500)
-    every = mujoco.mjtCatBit.mjCAT_ALL
-    mujoco.mjv_updateScene(model, own, option, mujoco.MjvPerturb(), camera, every, scene)
-    before = [(geom.objid, geom.pos.copy()) for geom in scene.geoms[: scene.ngeom]]
-    add_figure(scene, model, reference)
-    added = scene.geoms[len(before) : scene.ngeom]
-    floor = model.geom("floor").id
-    assert len(added) == len([geom for geom, _ in before if geom != floor])
-    places = dict(before)
-    for geom in added:
-        np.testing.assert_allclose(geom.pos - places[geom.objid], [0.0, 1.5, 0.0], atol=1e-5)
-        np.testing.assert_allclose(geom.rgba, REFERENCE_COLOUR, atol=1e-6)
-
-
 def test_frames_are_drawn_with_and_without_reference(tmp_path: Path) -> None:
     scene = scene_of(robot_file(tmp_path))
     track = np.repeat(scene.model.qpos0[None], 2, axis=0)
@@ -132,10 +112,15 @@ def test_frames_are_drawn_with_and_without_reference(tmp_path: Path) -> None:
     assert not np.array_equal(without[0], both[0])
 
 
-def test_outlines_join_each_link_to_its_parent(tmp_path: Path) -> None:
+def test_outlines_join_each_link_to_its_parent_and_have_a_head(tmp_path: Path) -> None:
     scene = scene_of(robot_file(tmp_path))
     track = np.repeat(scene.model.qpos0[None], 3, axis=0)
     sticks, none = scene.outlines({"qpos": track})
     assert none is None
     assert sticks is not None
-    assert sticks.shape == (3, len(scene.layout.link_names) - 1, 2, 3)
+    bones = len(scene.layout.link_names) - 1
+    assert (len(sticks), *sticks.shape[2:]) == (3, 2, 3)
+    assert sticks.shape[1] > bones
+    ring = sticks[0, bones:]
+    np.testing.assert_allclose(ring[:, 1], np.roll(ring[:, 0], -1, axis=0), atol=1e-9)  # closed
+    assert ring[..., 2].max() > sticks[0, :bones, ..., 2].max()

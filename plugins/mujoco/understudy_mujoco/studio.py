@@ -1,0 +1,458 @@
+"""Pictures of moving figures on an endless floor, drawn fast without a graphics card.
+
+MuJoCo draws the figures alone, at twice the size. Floor, soft shadows, haze and sky are painted with
+NumPy: drawn by OpenGL in software they, and multisampling, take nine tenths of the time. Frames are
+independent of one another, so several threads draw them, each with an OpenGL context of its own.
+
+T frames, H × W pixels; world frame, m.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from understudy.errors import UnderstudyError
+
+RGBA = tuple[float, float, float, float]
+
+#: The learned motion and its reference, in videos, stick figures, charts and on the motion page.
+LEARNED: RGBA = (0.145, 0.388, 0.922, 1.0)
+REFERENCE: RGBA = (0.96, 0.62, 0.25, 1.0)
+
+#: The figures are drawn at so many times the size, and their edges averaged.
+_FINER = 2
+#: Colours, 0 to 255: the floor's squares, the horizon and the top of the sky.
+_LIGHT, _DARK = np.array([222.0, 227, 233]), np.array([206.0, 213, 221])
+_HORIZON, _ZENITH = np.array([238.0, 242, 246]), np.array([176.0, 198, 222])
+#: m: a square's side; where the floor has faded into the horizon by 1 - 1/e.
+_SQUARE, _HAZE = 1.0, 9.0
+#: Where sunlight goes, and how dark the middle of a shadow is.
+_SUN = np.array([0.4, 0.6, -1.3])
+_SHADE = 0.5
+#: m: half a side of the patch of floor on which a figure's shadow is worked out, and of its cells.
+_REACH, _CELL = 1.6, 0.04
+#: m: how high a body is that is not to be seen.
+_AWAY = -1000.0
+#: m: how blurred a shadow is at the floor, and how much more for each metre above it.
+_BLUR, _BLUR_PER_METRE = 0.03, 0.35
+#: Of the legend: the letters' colour; pixels to the edges, a line, and a dot's radius.
+_INK = np.array([52.0, 62, 78])
+_MARGIN, _LINE, _DOT = 16, 22, 5.5
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One moving figure."""
+
+    track: np.ndarray  #: (T, nq)
+    colour: RGBA | None = None  #: all of it; None leaves the model's colours
+    shift: tuple[float, float] = (0.0, 0.0)  #: m: drawn so far from where it is, along x and y
+    label: str = ""  #: beside its colour in the legend, if it has one
+    #: Puts what stands around the figure where it is in a frame; nothing stands around one without.
+    place: Callable[[mujoco.MjModel, mujoco.MjData, int], None] | None = None
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that goes along with what it looks at, at one height and in one direction."""
+
+    aims: np.ndarray  #: (T, 2) m
+    height: float  #: m, of what it looks at
+    distance: float  #: m
+    azimuth: float = 120.0  #: degrees, MuJoCo's
+    elevation: float = -9.0  #: degrees
+
+
+def draw(
+    model: mujoco.MjModel,
+    figures: Sequence[Figure],
+    camera: Camera,
+    width: int,
+    height: int,
+    threads: int | None = None,
+) -> Iterator[np.ndarray]:
+    """Frames (H, W, 3) uint8 of `figures`, all of the same `model`, whose free joint comes first.
+
+    Raises:
+        UnderstudyError: there is no OpenGL.
+    """
+    scenery = _Scenery(camera, float(model.vis.global_.fovy), width, height)
+    scenery.prepare()
+    mine = threading.local()
+
+    def frame(index: int) -> np.ndarray:
+        if not hasattr(mine, "painter"):
+            mine.painter = _Painter(model, scenery, figures)
+        return mine.painter.paint(index)
+
+    count = threads or min(4, len(os.sched_getaffinity(0)))
+    with ThreadPoolExecutor(count) as pool:
+        ahead: deque[Future[np.ndarray]] = deque()
+        try:
+            for index in range(len(camera.aims)):
+                ahead.append(pool.submit(frame, index))
+                if len(ahead) > 2 * count:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+        finally:
+            for future in ahead:
+                future.cancel()
+
+
+class _Scenery:
+    """What is behind the figures. All of it is known beforehand but where the floor's squares are."""
+
+    def __init__(self, camera: Camera, fovy: float, width: int, height: int) -> None:
+        self.camera, self.width, self.height = camera, width, height
+        azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
+        flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        self.forward = np.cos(elevation) * flat + [0.0, 0.0, np.sin(elevation)]
+        self.right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+        self.up = np.cross(self.right, self.forward)
+        self.focal = 0.5 * height / np.tan(np.radians(0.5 * fovy))  # pixels
+        #: The eye, from the aim on the floor.
+        self.eye = np.array([0.0, 0.0, camera.height]) - camera.distance * self.forward
+
+    def pixels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(P, 2) column and row at which `points` (P, 3), from the aim on the floor, are seen, and
+        (P,) pixels a metre there."""
+        away = points - self.eye
+        scale = self.focal / np.maximum(away @ self.forward, 0.1)
+        column = 0.5 * self.width + scale * (away @ self.right)
+        row = 0.5 * self.height - scale * (away @ self.up)
+        return np.stack([column, row], axis=1), scale
+
+    @cached_property
+    def _rays(self) -> np.ndarray:
+        """(H, W, 3): where each pixel looks."""
+        rows = (0.5 * self.height - np.arange(self.height) - 0.5) / self.focal
+        columns = (np.arange(self.width) + 0.5 - 0.5 * self.width) / self.focal
+        up, right = rows[:, None, None] * self.up, columns[None, :, None] * self.right
+        return self.forward + up + right
+
+    @cached_property
+    def horizon(self) -> int:
+        """The first row that sees the floor; the camera is not rolled."""
+        return int((self._rays[:, 0, 2] >= -1e-3).sum())
+
+    @cached_property
+    def floor(self) -> np.ndarray:
+        """(2, R, W) float32 m: the place on the floor that each pixel from the horizon's row down sees,
+        from the aim."""
+        rays = self._rays[self.horizon :]
+        reach = -self.eye[2] / rays[..., 2]
+        return np.moveaxis(self.eye[:2] + reach[..., None] * rays[..., :2], 2, 0).astype(np.float32)
+
+    @cached_property
+    def _haze(self) -> np.ndarray:
+        """(R, W, 1): how much of the floor is left."""
+        distance = np.linalg.norm(self.floor - self.eye[:2, None, None], axis=0)
+        return np.exp(-((distance / _HAZE) ** 2))[..., None].astype(np.float32)
+
+    @cached_property
+    def _widths(self) -> np.ndarray:
+        """(2, R, W): how much of the floor a pixel sees, along x and y, in squares."""
+        down = np.abs(np.gradient(self.floor, axis=1)) if self.floor.shape[1] > 1 else 1.0
+        return np.asarray(down + np.abs(np.gradient(self.floor, axis=2))) / _SQUARE + 1e-3
+
+    @cached_property
+    def _sky(self) -> np.ndarray:
+        """(horizon, W, 3)"""
+        upward = np.clip(self._rays[: self.horizon, :, 2:], 0.0, 1.0)
+        share = 1.0 - np.exp(-2.2 * upward)
+        return (_HORIZON + share * (_ZENITH - _HORIZON)).astype(np.float32)
+
+    @cached_property
+    def _empty(self) -> np.ndarray:
+        """(H, W, 3): sky and an even floor."""
+        floor = _HORIZON + self._haze * (0.5 * (_LIGHT + _DARK) - _HORIZON)
+        return np.concatenate([self._sky, floor]).astype(np.float32)
+
+    @cached_property
+    def _contrast(self) -> np.ndarray:
+        """(R, W): half of what a light square is brighter than a dark one, all hues alike; nothing
+        where squares are smaller than pixels."""
+        left = np.clip(1.5 - self._widths, 0.0, 1.0).prod(axis=0)
+        half = 0.5 * float((_LIGHT - _DARK).mean())
+        return (half * left * self._haze[..., 0]).astype(np.float32)
+
+    @cached_property
+    def _edges(self) -> np.ndarray:
+        """(2, R, W): how steep the squares' edges are, a pixel wide."""
+        return (4.0 / self._widths).astype(np.float32)
+
+    def prepare(self) -> None:
+        """Work out what all frames share, before threads ask for it."""
+        _ = self._empty, self._contrast, self._edges
+
+    def background(self, aim: np.ndarray) -> np.ndarray:
+        """(H, W, 3) float32, 0 to 255, as seen when the camera looks at `aim` (2,) m."""
+        shown = self._empty.copy()
+        squares = self._contrast
+        for place, edge, at in zip(self.floor, self._edges, aim, strict=True):
+            # In pairs of squares; then how far inside a light one, dark ones being below 0.
+            inside = place * np.float32(0.5 / _SQUARE) + np.float32(
+                (0.5 * at / _SQUARE + 0.25) % 1.0
+            )
+            inside -= np.floor(inside)
+            inside -= np.float32(0.5)
+            np.abs(inside, out=inside)
+            np.subtract(np.float32(0.25), inside, out=inside)
+            inside *= edge
+            np.clip(inside, -1.0, 1.0, out=inside)
+            squares = squares * inside
+        shown[self.horizon :] += squares[..., None]
+        return shown
+
+
+class _Shadows:
+    """Soft shadows on the floor, of capsules about as large as the figure's geoms.
+
+    A shadow is the sharper and darker, the nearer what casts it is to the floor.
+    """
+
+    def __init__(self, model: mujoco.MjModel, geoms: np.ndarray) -> None:
+        half = np.sort(model.geom_aabb[geoms, 3:], axis=1)
+        longest = model.geom_aabb[geoms, 3:].argmax(axis=1)
+        self._geoms = geoms
+        self._radius = np.sqrt(half[:, 0] * half[:, 1])
+        self._centre = model.geom_aabb[geoms, :3]
+        self._along = np.eye(3)[longest] * np.maximum(half[:, 2] - self._radius, 0.0)[:, None]
+        count = round(2 * _REACH / _CELL) + 1
+        line = np.linspace(-_REACH, _REACH, count, dtype=np.float32)
+        #: (2, C, C) m from the patch's middle, x first.
+        self._cells = np.stack(np.meshgrid(line, line, indexing="ij"))
+
+    def patch(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+        """How much sunlight is kept from a patch of floor, in cells of ``_CELL`` m, x first; and (2,) m,
+        where the first cell is."""
+        axes = data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        middle = data.geom_xpos[self._geoms] + (axes @ self._centre[..., None])[..., 0]
+        along = (axes @ self._along[..., None])[..., 0]
+        ends = np.stack([middle - along, middle + along])  # (2, G, 3)
+        heights = np.maximum(ends[..., 2], 0.0)
+        feet = ends[..., :2] - heights[..., None] / _SUN[2] * _SUN[:2]  # where their shadows lie
+        origin = 0.5 * (feet.min(axis=(0, 1)) + feet.max(axis=(0, 1)))
+        light = np.ones(self._cells.shape[1:], np.float32)
+        x, y = self._cells
+        for k, radius in enumerate(self._radius.astype(np.float32)):
+            (ax, ay), (bx, by) = (feet[:, k] - origin).astype(np.float32)
+            high, higher = heights[:, k].astype(np.float32)
+            dx, dy = bx - ax, by - ay
+            share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-6)
+            share = np.clip(share, 0.0, 1.0)
+            distance = np.hypot(x - ax - share * dx, y - ay - share * dy)
+            blur = _BLUR + _BLUR_PER_METRE * (high + share * (higher - high))
+            dark = np.clip(0.5 + (radius - distance) / blur, 0.0, 1.0)
+            dark = dark * dark * (3.0 - 2.0 * dark) * np.minimum(1.0, 1.6 * radius / blur + 0.1)
+            light *= 1.0 - dark
+        dark = 1.0 - light
+        rows, columns = (np.flatnonzero((dark > 0.004).any(axis=1 - axis)) for axis in range(2))
+        if not len(rows) or not len(columns):
+            return np.zeros((1, 1), np.float32), origin
+        first, beyond = np.array([rows[0], columns[0]]), (rows[-1] + 1, columns[-1] + 1)
+        return dark[first[0] : beyond[0], first[1] : beyond[1]], origin - _REACH + _CELL * first
+
+
+class _Painter:
+    """Draws frames in the thread that made it."""
+
+    def __init__(self, model: mujoco.MjModel, scenery: _Scenery, figures: Sequence[Figure]) -> None:
+        model = _without_floor(model)
+        self._scenery, self._model, self._figures = scenery, model, figures
+        self._view = mujoco.MjrRect(0, 0, _FINER * scenery.width, _FINER * scenery.height)
+        model.vis.global_.offwidth, model.vis.global_.offheight = (
+            self._view.width,
+            self._view.height,
+        )
+        self._data = mujoco.MjData(model)
+        self._scene = mujoco.MjvScene(model, 2 * model.ngeom + 100)
+        for flag in ("SHADOW", "REFLECTION", "SKYBOX", "HAZE", "FOG"):
+            self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = False
+        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        camera = self._camera = mujoco.MjvCamera()
+        seen = scenery.camera
+        camera.distance, camera.azimuth, camera.elevation = (
+            seen.distance, seen.azimuth, seen.elevation,
+        )  # fmt: skip
+        figure = model.body_rootid[model.geom_bodyid] == model.body_rootid[model.jnt_bodyid[0]]
+        drawn = (model.geom_rgba[:, 3] > 0.0) & (model.geom_group < 3)
+        geoms = np.flatnonzero(figure & drawn)
+        self._geoms, self._shadows = geoms, _Shadows(model, geoms)
+        #: Whether something beside the figure is seen, which can be anywhere.
+        self._still = bool((~figure & drawn).any())
+        try:
+            self._gl = mujoco.GLContext(self._view.width, self._view.height)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_200)
+        except Exception as error:  # whatever the platform's OpenGL raises
+            reason = str(error).strip().splitlines()
+            raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._legend = self._draw_legend()
+
+    def close(self) -> None:
+        self._context.free()
+        self._gl.free()
+
+    def paint(self, frame: int) -> np.ndarray:
+        """Frame (H, W, 3) uint8."""
+        scenery, scene, data = self._scenery, self._scene, self._data
+        aim = scenery.camera.aims[frame]
+        picture = scenery.background(aim)
+        self._camera.lookat = [*aim, scenery.camera.height]
+        corners: list[np.ndarray] = []
+        for k, figure in enumerate(self._figures):
+            data.qpos[:] = figure.track[frame]
+            data.qpos[:2] += figure.shift
+            if figure.place is not None:
+                figure.place(self._model, data, frame)
+            else:
+                data.mocap_pos[:, 2] = _AWAY
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_camlight(self._model, data)
+            before = scene.ngeom if k else 0
+            if k == 0:
+                every = int(mujoco.mjtCatBit.mjCAT_ALL)
+                mujoco.mjv_updateScene(
+                    self._model, data, self._option, self._perturb, self._camera, every, scene
+                )
+            else:
+                every = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
+                mujoco.mjv_addGeoms(self._model, data, self._option, self._perturb, every, scene)
+            _colour(scene, before, figure.colour, set(self._geoms.tolist()))
+            corners.append(self._box(data, aim))
+            self._cast(picture, data, aim)
+        mujoco.mjr_render(self._view, scene, self._context)
+        self._compose(picture, np.array(corners))
+        colours, cover = self._legend
+        corner = picture[: len(cover), : cover.shape[1]]
+        corner += cover * (colours - corner)
+        return picture.astype(np.uint8)
+
+    def _draw_legend(self) -> tuple[np.ndarray, np.ndarray]:
+        """What lies over the upper left corner: its colours (h, w, 3), and (h, w, 1) how much of them."""
+        shown = [f for f in self._figures if f.label and f.colour]
+        scenery = self._scenery
+        height = min(_MARGIN + _LINE * len(shown), scenery.height) if shown else 0
+        width = min(_MARGIN + 160, scenery.width)
+        colours = np.empty((height, width, 3), np.float32)
+        colours[:] = _INK
+        cover = np.zeros((height, width, 1), np.float32)
+        y, x = np.mgrid[:height, :width]
+        for k, figure in enumerate(shown):
+            row, colour = _MARGIN + _LINE * k + _LINE // 2, figure.colour or LEARNED
+            dot = np.clip(_DOT + 0.5 - np.hypot(y - row, x - _MARGIN - _DOT), 0.0, 1.0)[..., None]
+            colours = np.where(dot > 0, 255 * np.array(colour[:3], np.float32), colours)
+            text = self._text(figure.label)[: max(height - row, 0), : width - _MARGIN - _LINE]
+            top = row - len(text) // 2
+            part = cover[
+                top : top + len(text), _MARGIN + _LINE : _MARGIN + _LINE + text.shape[1], 0
+            ]
+            part[:] = text[: len(part)]
+            cover = np.maximum(cover, dot)
+        return colours.astype(np.float32), cover.astype(np.float32)
+
+    def _text(self, text: str) -> np.ndarray:
+        """(h, w) in [0, 1]: how much of each pixel the letters cover."""
+        box = mujoco.MjrRect(0, 0, min(300, self._view.width), min(80, self._view.height))
+        mujoco.mjr_rectangle(box, 0.0, 0.0, 0.0, 1.0)
+        place, font = mujoco.mjtGridPos.mjGRID_TOPLEFT, mujoco.mjtFont.mjFONT_NORMAL
+        mujoco.mjr_overlay(font, place, box, text, "", self._context)
+        pixels = np.empty((box.height, box.width, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, box, self._context)
+        letters = _coarser(pixels[::-1, :, 0].astype(np.float32)) / (255.0 * _FINER**2)
+        used = letters > 0.02
+        rows, columns = np.flatnonzero(used.any(axis=1)), np.flatnonzero(used.any(axis=0))
+        if not len(rows):
+            return np.zeros((0, 0), np.float32)
+        return letters[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+    def _box(self, data: mujoco.MjData, aim: np.ndarray) -> np.ndarray:
+        """(4,): first and last column and row between which the figure is seen."""
+        places = data.geom_xpos[self._geoms] - [*aim, 0.0]
+        pixels, scale = self._scenery.pixels(places)
+        reach = (self._model.geom_rbound[self._geoms] * scale)[:, None] + 2.0
+        (left, top), (right, bottom) = (pixels - reach).min(axis=0), (pixels + reach).max(axis=0)
+        return np.array([left, top, right, bottom])
+
+    def _cast(self, picture: np.ndarray, data: mujoco.MjData, aim: np.ndarray) -> None:
+        """Darken `picture` (H, W, 3) where the figure's shadow lies."""
+        scenery = self._scenery
+        dark, origin = self._shadows.patch(data)
+        long, wide = _CELL * np.array(dark.shape)
+        corners = np.array([[x, y, 0.0] for x in (0.0, long) for y in (0.0, wide)])
+        seen, _ = scenery.pixels(corners + np.append(origin - aim, 0.0))
+        (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
+        rows = _span(max(top, scenery.horizon), bottom, scenery.height)
+        columns = _span(left, right, scenery.width)
+        if rows.start >= rows.stop or columns.start >= columns.stop:
+            return
+        inside = slice(rows.start - scenery.horizon, rows.stop - scenery.horizon)
+        place = scenery.floor[:, inside, columns] - (origin - aim).astype(np.float32)[:, None, None]
+        shade = map_coordinates(dark, place / _CELL, order=1, output=np.float32)
+        picture[rows, columns] *= 1.0 - _SHADE * shade[..., None]
+
+    def _compose(self, picture: np.ndarray, boxes: np.ndarray) -> None:
+        """Lay what was drawn over `picture` (H, W, 3), where `boxes` (K, 4) say that something is."""
+        height, width, _ = picture.shape
+        (left, top), (right, bottom) = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+        rows, columns = _span(top, bottom, height), _span(left, right, width)
+        if self._still:
+            rows, columns = slice(0, height), slice(0, width)
+        if rows.start >= rows.stop or columns.start >= columns.stop:
+            return
+        box = mujoco.MjrRect(
+            _FINER * columns.start,
+            _FINER * (height - rows.stop),
+            _FINER * (columns.stop - columns.start),
+            _FINER * (rows.stop - rows.start),
+        )
+        colours = np.empty((box.height, box.width, 3), np.uint8)
+        depth = np.empty((box.height, box.width), np.float32)
+        mujoco.mjr_readPixels(colours, depth, box, self._context)
+        covered = _coarser((depth < 1.0).astype(np.uint16)[::-1])  # behind is nothing, and black
+        part = picture[rows, columns]
+        part *= 1.0 - covered[..., None] / np.float32(_FINER**2)
+        part += _coarser(colours[::-1].astype(np.uint16)) / np.float32(_FINER**2)
+
+
+def _without_floor(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy that draws no planes, and has no buffers for what is not drawn by OpenGL."""
+    copied = copy.copy(model)
+    planes = copied.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    copied.geom_matid[planes], copied.geom_rgba[planes, 3] = -1, 0.0
+    copied.vis.quality.offsamples, copied.vis.quality.shadowsize = 0, 0
+    return copied
+
+
+def _colour(scene: mujoco.MjvScene, first: int, colour: RGBA | None, figure: set[int]) -> None:
+    """Give the geoms of the `figure`, of those from the geom `first` on, a `colour`."""
+    if colour is None:
+        return
+    for geom in scene.geoms[first : scene.ngeom]:
+        if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in figure:
+            geom.matid, geom.rgba[:] = -1, colour
+
+
+def _span(first: float, last: float, size: int) -> slice:
+    """The pixels from `first` to `last` that there are."""
+    return slice(int(np.clip(first, 0, size)), int(np.clip(np.ceil(last), 0, size)))
+
+
+def _coarser(fine: np.ndarray) -> np.ndarray:
+    """(H, W, …): sums over squares of ``_FINER`` × ``_FINER`` pixels."""
+    parts = [fine[i::_FINER, j::_FINER] for i in range(_FINER) for j in range(_FINER)]
+    return np.add.reduce(parts)

@@ -1,0 +1,138 @@
+"""``understudy play``: a trained policy, live in the browser or as a video."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import webbrowser
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from understudy.command.command import Command
+from understudy.errors import ConfigError
+from understudy.running.training import Training
+from understudy_play.player import Player
+from understudy_play.skill import Skill, names, open_skill, pack, rounded
+
+#: s between pushes, which go to the left and to the right in turn.
+_EVERY = 3.0
+#: Of a video, in pixels.
+_WIDTH, _HEIGHT = 800, 450
+
+
+class Play(Command):
+    """Plays until interrupted, or for some seconds into a video."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "skill",
+            metavar="SKILL",
+            nargs="?",
+            help="a skill that comes with the package, a packed one (.json), or the folder of a run; "
+            "without it, those that come with the package are listed",
+        )
+        parser.add_argument(
+            "--video", metavar="FILE", type=Path, help="write a video (.mp4) instead"
+        )
+        parser.add_argument("--seconds", type=float, default=8.0, help="of the video (%(default)s)")
+        parser.add_argument(
+            "--push", type=float, default=0.0, metavar="NS",
+            help="push the character sideways every 3 s, in newton seconds (video only)",
+        )  # fmt: skip
+        parser.add_argument(
+            "--pack", metavar="FILE", type=Path, help="evaluate, and write it small"
+        )
+        parser.add_argument("--host", default="127.0.0.1", help="address to serve at (%(default)s)")
+        parser.add_argument(
+            "--port", type=int, default=8080, help="the first port to try (%(default)s)"
+        )
+        parser.add_argument("--no-browser", action="store_true", help="do not open the page")
+
+    def run(self, options: argparse.Namespace) -> int:
+        if options.skill is None:
+            for name in names():
+                print(f"{name}: {describe(open_skill(name))}")
+            return 0
+        skill = open_skill(options.skill, options.overrides)
+        if options.pack is not None:
+            return _pack(skill, options.pack.with_suffix(""))
+        if options.video is not None:
+            return _film(skill, options)
+        if importlib.util.find_spec("viser") is None:
+            raise ConfigError(
+                "Playing in the browser needs viser: pip install 'understudy[view]', or --video FILE."
+            )
+        from understudy_play.page import Page
+        from understudy_viewer.page import free_port
+
+        page = Page(skill, options.host, free_port(options.host, options.port))
+        try:
+            print(f"{page.url} plays {skill.name}; Ctrl-C ends it.", flush=True)
+            if not options.no_browser:
+                webbrowser.open(page.url)
+            page.run()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            page.close()
+        return 0
+
+
+def describe(skill: Skill) -> str:
+    """A sentence about `skill`, from its card."""
+    found = skill.card.get("evaluation") or {}
+    judged = ""
+    if found.get("success_rate") is not None:
+        judged = f"; {found['success_rate']:.0%} of {found['episodes']} held-out episodes: {found['success']}"
+    return f"{skill.samples:,} samples, seed {skill.experiment.root.seed}{judged}"
+
+
+def _pack(skill: Skill, path: Path) -> int:
+    """What is judged is what is written: the rounded weights."""
+    small = rounded(skill)
+    training = Training(small.experiment)
+    try:
+        progress = {**training.progress.state_dict(), "samples": small.samples}
+        training.load_learned({"policy": dict(small.policy), "progress": progress})
+        evaluation, _ = training.judge()
+    finally:
+        training.close()
+    pack(skill, path, evaluation.as_json(skill.samples))
+    print(f"{path}.json: {describe(open_skill(f'{path}.json'))}")
+    return 0
+
+
+def _film(skill: Skill, options: argparse.Namespace) -> int:
+    from understudy_report.video import write_video
+
+    player = Player(skill)
+    try:
+        tracks = record(player, options.seconds, options.push)
+    finally:
+        player.close()
+    every = max(1, round(1.0 / (30.0 * player.dt)))
+    frames = player.scene.draw({k: v[::every] for k, v in tracks.items()}, _WIDTH, _HEIGHT)
+    write_video(options.video, frames, 1.0 / (every * player.dt))
+    fell = f", {player.falls} falls" if player.falls else ", no fall"
+    print(f"{options.video}: {options.seconds:g} s of {skill.name}{fell}")
+    return 0
+
+
+def record(player: Player, seconds: float, push: float = 0.0) -> dict[str, np.ndarray]:
+    """What `player` does for `seconds`, by field (T, …), pushed by `push` N s now and then."""
+    frames = list(_frames(player, max(2, round(seconds / player.dt)), push))
+    return {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+
+
+def _frames(player: Player, count: int, push: float) -> Iterator[dict[str, np.ndarray]]:
+    spacing, side = round(_EVERY / player.dt), 1.0
+    for index in range(count):
+        if push and index % spacing == spacing // 2:
+            player.push((0.0, side * push, 0.0))
+            side = -side
+        yield {name: value.numpy() for name, value in player.shown().items()}
+        player.step()

@@ -1,0 +1,190 @@
+"""The page on which a policy acts while one watches and pushes: a viser server and one simulated world."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import threading
+import time
+from html import escape
+
+import numpy as np
+import torch
+import viser
+
+from understudy.errors import ConfigError
+from understudy_characters.character import Character
+from understudy_characters.scene import CharacterScene
+from understudy_characters.shapes import shapes
+from understudy_motion.kinematics import forward_kinematics
+from understudy_play.player import Player
+from understudy_play.skill import Skill
+from understudy_viewer.stage import COLOURS, Colour
+
+_SKY: Colour = (255, 255, 255)
+_FLOOR: Colour = (238, 241, 245)
+_LINES: Colour = (205, 211, 219)
+#: m: after so far the ground's squares repeat.
+_SQUARE = 5.0
+_SPEEDS = {"0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0}
+#: Directions of pushes in the world, by their button.
+_WAYS = {"← left": (0.0, 1.0), "right →": (0.0, -1.0), "forward": (1.0, 0.0), "back": (-1.0, 0.0)}
+
+
+class Page:
+    """Serves one world of `skill` at ``url`` until it is closed.
+
+    Raises
+    ------
+    ConfigError
+        if the task's scene is no character.
+    """
+
+    def __init__(self, skill: Skill, host: str, port: int) -> None:
+        self._player = Player(skill)
+        scene = self._player.scene
+        if not isinstance(scene, CharacterScene):
+            self._player.close()
+            raise ConfigError(
+                f"{skill.name} is not the task of a character, which the page draws. Use --video FILE."
+            )
+        self._character = Character(scene.character.name, scene.shown().compile())
+        self._lock = (
+            threading.Lock()
+        )  # of what the browser's events change: the world is the loop's
+        self._pushes: list[tuple[float, float, float]] = []
+        self._again = self._closed = False
+        self._playing, self._speed = True, 1.0
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+        with contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
+            self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
+        at = f"[{host}]" if ":" in host else host
+        self.url = f"http://{at}:{self._server.get_port()}"
+        self._dress(skill)
+        self._draw()
+
+    def run(self) -> None:
+        """Act in real time until the page is closed."""
+        due = time.monotonic()
+        while not self._closed:
+            if self._playing:
+                self.advance()
+            due = max(due + self._player.dt / self._speed, time.monotonic() - 0.1)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def advance(self) -> None:
+        """One decision, after what the visitor asked for."""
+        with self._lock:
+            pushes, again = self._pushes, self._again
+            self._pushes, self._again = [], False
+        if again:
+            self._player.restart()
+        for impulse in pushes:
+            self._player.push(impulse)
+        self._player.step()
+        self._draw()
+
+    def push(self, x: float, y: float) -> None:
+        """Push at the next decision, N s along the world's axes."""
+        with self._lock:
+            self._pushes.append((x, y, 0.0))
+
+    def close(self) -> None:
+        self._closed = True
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+        self._player.close()
+
+    def _dress(self, skill: Skill) -> None:
+        scene, gui, length = self._server.scene, self._server.gui, self._character.length
+        scene.configure_environment_map(None)  # it would be fetched from the network
+        scene.add_light_hemisphere("/sky", sky_color=_SKY, ground_color=_FLOOR, intensity=1.2)
+        self._node = scene.add_frame("/stage", show_axes=False)
+        self._ground = scene.add_grid(
+            "/ground", width=60.0, height=60.0, cell_size=1.0, section_size=_SQUARE,
+            cell_color=_LINES, section_color=_LINES, fade_distance=25.0, shadow_opacity=0.25,
+            plane_color=_FLOOR, plane_opacity=1.0,
+        )  # fmt: skip
+        self._figures = [
+            [
+                (
+                    self._character.joint_names.index(shape.joint),
+                    scene.add_mesh_simple(
+                        f"/stage/{name}/{i}",
+                        shape.vertices,
+                        shape.faces,
+                        color=colour,
+                        opacity=opacity,
+                    ),
+                )
+                for i, shape in enumerate(shapes(self._character))
+            ]
+            for name, colour, opacity in zip(
+                ("learned", "reference"), COLOURS, (None, 0.35), strict=True
+            )
+        ]
+        camera = self._server.initial_camera
+        camera.look_at = np.array([0.0, 0.0, 0.5 * length])
+        camera.position = camera.look_at + length * np.array([0.85, -1.5, 0.3])
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=COLOURS[0])
+        gui.main_panel.dock_right()
+        gui.add_html(f"<div style='margin:0 .75em'><b>{escape(skill.name)}</b></div>")
+        self._told = gui.add_html("")
+        strength = gui.add_slider("Push, N s", 0.0, 40.0, 1.0, 12.0)
+        way = gui.add_button_group("Direction", tuple(_WAYS))
+        self._ghost = gui.add_checkbox("Reference", False, hint="where the clip is now")
+        pause, again = gui.add_button("Pause"), gui.add_button("Start again")
+        speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
+
+        @way.on_click
+        def _(_: object) -> None:
+            x, y = _WAYS[way.value]
+            self.push(strength.value * x, strength.value * y)
+
+        @pause.on_click
+        def _(_: object) -> None:
+            self._playing = not self._playing
+            pause.label = "Pause" if self._playing else "Play"
+
+        @again.on_click
+        def _(_: object) -> None:
+            with self._lock:
+                self._again = True
+
+        @speed.on_update
+        def _(_: object) -> None:
+            self._speed = _SPEEDS[speed.value]
+
+    def _draw(self) -> None:
+        shown = self._player.shown()
+        tracks = [shown["qpos"], shown.get("reference_qpos")]
+        centre = shown["qpos"][:2].numpy()
+        with self._server.atomic():
+            # The world moves and not the camera, so that the visitor can turn it meanwhile.
+            self._node.position = (-centre[0], -centre[1], 0.0)
+            shift = -np.mod(centre, _SQUARE)
+            self._ground.position = (shift[0], shift[1], 0.0)
+            for parts, qpos, visible in zip(
+                self._figures, tracks, (True, self._ghost.value), strict=True
+            ):
+                self._place(parts, qpos if visible else None)
+            falls = self._player.falls
+            self._told.content = (
+                "<div style='margin:0 .75em;font-size:.85em;color:#667080'>"
+                f"{'no fall so far' if not falls else f'fell {falls} times'}</div>"
+            )
+
+    def _place(self, parts: list[tuple[int, viser.MeshHandle]], qpos: torch.Tensor | None) -> None:
+        if qpos is None:
+            for _, part in parts:
+                part.visible = False
+            return
+        twice = qpos.double().repeat(2, 1)  # a clip has two frames at least
+        clip = self._character.clip(
+            twice, torch.tensor([0.0, 1.0]).double(), name="now", loop=False
+        )
+        places, turns = forward_kinematics(clip)
+        for joint, part in parts:
+            part.position, part.wxyz = places[0, joint].numpy(), turns[0, joint].numpy()
+            part.visible = True

@@ -1,0 +1,103 @@
+"""A trained policy acting in one world, which can be pushed."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError
+from understudy.setup.building import build_environment, build_policy
+from understudy_mujoco.scene import MujocoScene
+from understudy_play.skill import Skill
+
+#: Seconds: no episode is cut.
+_ENDLESS = 86400.0
+#: m: so far from its character the reference stays where it is; pushed farther, it goes along.
+_LEASH = 0.08
+
+
+class Player:
+    """One world of the task of `skill`, judged as evaluations are: what they only report ends nothing."""
+
+    def __init__(self, skill: Skill, seed: int = 0) -> None:
+        self.skill = skill
+        built = build_environment(
+            skill.experiment, num_worlds=1, episode_seconds=_ENDLESS, evaluating=True
+        )
+        self.environment, self.scene = built.environment, built.scene
+        self.dt = self.environment.decision * self.environment.control_dt  #: s, of a step
+        self.policy = build_policy(skill.experiment, built.context)
+        skill.give(self.policy)
+        self.falls = 0
+        self._seed = seed
+        self._tracks = [n for n in self.scene.recorded if n in self.environment.table.shapes]
+        self._mass = 0.0
+        if isinstance(self.scene, MujocoScene):
+            self._mass = float(self.scene.spec().compile().body_mass.sum())
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new episode."""
+        self._observations = self.environment.reset(self._seed, f"play/{self._seed}")
+        self._seed += 1
+        self._moved = torch.zeros(2)
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """One decision; after a fall the next episode begins."""
+        self._take_reference_along()
+        action = self.policy.distribution(self._observations).mode()
+        step = self.environment.step(action)
+        self.falls += int(step.failed.sum())
+        if bool(step.ended.any()):
+            self._moved.zero_()
+        self._observations = step.observations
+
+    def _take_reference_along(self) -> None:
+        """A policy that follows a clip through space knows no way back from where pushes take it. The
+        floor is the same everywhere, so the character is moved back under its clip, and what is shown
+        is both of them where it really is."""
+        if not {"qpos", "reference_qpos"} <= set(self._tracks):
+            return
+        table = self.environment.table
+        away = (table["qpos"] - table["reference_qpos"])[0, :2]
+        beyond = away * (1.0 - _LEASH / away.norm().clamp(min=_LEASH))
+        if bool((beyond != 0.0).any()):
+            state = self._state()
+            state["qpos"][:, :2] -= beyond
+            self._set(state)
+            self._moved += beyond
+
+    def shown(self) -> dict[str, Tensor]:
+        """The fields of the world that its scene draws, each (…)."""
+        fields = {name: self.environment.table[name][0].clone() for name in self._tracks}
+        for name in ("qpos", "reference_qpos"):
+            if name in fields:
+                fields[name][:2] += self._moved
+        return fields
+
+    def push(self, impulse: tuple[float, float, float]) -> None:
+        """Change the velocity of all of the character by `impulse` over its mass, N s, world frame.
+
+        Raises
+        ------
+        ConfigError
+            if the task has no character with a free root.
+        """
+        simulator = self.environment.parts.simulator
+        if not self._mass or not {"qpos", "qvel"} <= simulator.fields.keys():
+            raise ConfigError(f"{self.skill.name} has no character that can be pushed.")
+        state = self._state()
+        state["qvel"][:, :3] += torch.tensor(impulse) / self._mass
+        self._set(state)
+
+    def _state(self) -> dict[str, Tensor]:
+        simulator = self.environment.parts.simulator
+        return {name: simulator.read(name).clone() for name in simulator.state_fields}
+
+    def _set(self, state: dict[str, Tensor]) -> None:
+        self.environment.parts.simulator.set_state(torch.ones(1, dtype=torch.bool), state)
+        self.environment.refresh()
+
+    def close(self) -> None:
+        self.environment.close()

@@ -1,0 +1,152 @@
+"""Trained policies to play: those that come with the package, small files, and finished runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, RunError, suggestion
+from understudy.records import checkpoint, runs
+from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.config import Experiment, refuse_code, validate
+from understudy.setup.plugins import installed
+from understudy.task import Policy
+
+_HERE = Path(__file__).parent / "skills"
+#: Of each row of a matrix: the largest weight.
+_STEPS = 127
+
+
+@dataclass(frozen=True)
+class Skill:
+    """A policy and the task that it was trained for."""
+
+    name: str
+    experiment: Experiment
+    policy: Mapping[str, Tensor]  #: its tensors, of a packed one without the critic's
+    samples: int  #: that it learned from
+    card: Mapping[str, Any]  #: what is known of it, for people
+
+    def give(self, policy: Policy) -> None:
+        """Copy the tensors into `policy`.
+
+        Raises
+        ------
+        RunError
+            if they are not those of its actor.
+        """
+        own = policy.state_dict()
+        actor = {id(parameter) for parameter in policy.actor_parameters()}
+        needed = {n for n, p in policy.named_parameters() if id(p) in actor}
+        needed |= {name for name, _ in policy.named_buffers()}
+        for name in sorted(needed | self.policy.keys()):
+            given = self.policy.get(name)
+            if given is None or name not in own or given.shape != own[name].shape:
+                raise RunError(f"{self.name} does not fit its own configuration: {name} differs.")
+        policy.load_state_dict({**own, **self.policy})
+        policy.schedule(self.samples)
+
+
+def names() -> list[str]:
+    """Of the skills that come with the package."""
+    return sorted(str(p.relative_to(_HERE).with_suffix("")) for p in _HERE.rglob("*.json"))
+
+
+def open_skill(source: str, overrides: Sequence[str] = ()) -> Skill:
+    """The skill of this name, of this packed file, or of this run folder.
+
+    `overrides` change the configuration of a run, as in ``understudy evaluate``.
+
+    Raises
+    ------
+    ConfigError
+        if there is no such skill.
+    RunError
+        if the run or file is damaged.
+    """
+    path = Path(source)
+    if source in names():
+        return _packed(_HERE / source, source)
+    if path.suffix == ".json" and path.is_file():
+        return _packed(path.with_suffix(""), path.stem)
+    if path.is_dir():
+        return _of_run(path, overrides)
+    raise ConfigError(
+        f"There is no skill '{source}'.{suggestion(source, names())} Give the folder of a run, or one "
+        f"of {', '.join(names())}."
+    )
+
+
+def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
+    run = runs.open_run(path)
+    config = run.config
+    if overrides:
+        config = compose_raw(replaced(run.info["overrides"], overrides))
+    state, meta, _ = checkpoint.load_newest(run.checkpoints)
+    if not isinstance(state.get("policy"), dict):
+        raise RunError(f"{path} is a run that learns no policy.")
+    samples = int(state["progress"]["samples"])
+    evaluation = run.path / "evaluation.json"
+    card = {
+        "config": config,
+        "samples": samples,
+        "versions": meta.get("versions"),
+        "sources": meta.get("sources"),
+        "evaluation": json.loads(evaluation.read_text()) if evaluation.is_file() else None,
+    }
+    experiment = validate(config, installed().registry)
+    return Skill(str(path), experiment, state["policy"], samples, card)
+
+
+def _packed(path: Path, name: str) -> Skill:
+    state, card = checkpoint.load(path)
+    try:
+        refuse_code(card["config"])
+        tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
+        samples = int(card["samples"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunError(f"{path} is no packed skill: {type(error).__name__}: {error}.") from error
+    return Skill(name, validate(card["config"], installed().registry), tensors, samples, card)
+
+
+def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
+    """Write the actor of `skill` as ``PATH.safetensors`` and its card as ``PATH.json``.
+
+    Matrices become eight bits a weight with a scale for each row, the rest half or full precision.
+    `evaluation` is what was found of it.
+    """
+    kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
+    card = {**skill.card, "evaluation": dict(evaluation)}
+    config = dict(card["config"])
+    config["run"] = {**config.get("run", {}), "dir": None}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    checkpoint.save(
+        path,
+        {"policy": {k: _packed_tensor(v) for k, v in kept.items()}},
+        {**card, "config": config},
+    )
+
+
+def rounded(skill: Skill) -> Skill:
+    """`skill` as it is once packed, so that what is judged is what is shipped."""
+    tensors = {k: _unpacked(_packed_tensor(v)) for k, v in skill.policy.items()}
+    return Skill(skill.name, skill.experiment, tensors, skill.samples, skill.card)
+
+
+def _packed_tensor(value: Tensor) -> Tensor | dict[str, Tensor]:
+    if value.ndim != 2:
+        return value
+    scale = value.abs().amax(dim=1).clamp(min=1e-12) / _STEPS
+    return {"rows": (value / scale[:, None]).round().to(torch.int8), "scale": scale}
+
+
+def _unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:
+    if isinstance(value, Tensor):
+        return value
+    return value["rows"].float() * value["scale"][:, None]

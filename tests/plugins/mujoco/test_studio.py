@@ -1,0 +1,113 @@
+"""Pictures: figures where they are, in their colours, over shadows and a floor that ends in the sky."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from understudy.errors import UnderstudyError
+from understudy_mujoco import studio
+from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure, draw
+
+BALL = """
+<mujoco><worldbody><geom type="plane" size="0 0 1"/>
+<body pos="0 0 1"><freejoint/><geom size="0.25" mass="1" rgba="0 1 0 1"/></body>
+</worldbody></mujoco>
+"""
+WIDTH, HEIGHT = 160, 90
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(BALL)
+
+
+def track(height: float, frames: int = 1, speed: float = 0.0) -> np.ndarray:
+    qpos = np.tile([0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0], (frames, 1))
+    qpos[:, 0] = speed * np.arange(frames)
+    return qpos
+
+
+def frames(model: mujoco.MjModel, *figures: Figure, threads: int = 1) -> list[np.ndarray]:
+    aims = figures[0].track[:, :2]
+    camera = Camera(aims, height=0.6, distance=3.0, azimuth=90.0, elevation=-8.0)
+    try:
+        return list(draw(model, figures, camera, WIDTH, HEIGHT, threads))
+    except UnderstudyError as error:
+        pytest.skip(str(error))
+
+
+def coloured(frame: np.ndarray, colour: studio.RGBA) -> np.ndarray:
+    """(H, W) bool: where the hue is `colour`'s."""
+    shade = frame.astype(float) / np.linalg.norm(frame.astype(float), axis=2, keepdims=True)
+    wanted = np.array(colour[:3]) / np.linalg.norm(colour[:3])
+    return shade @ wanted > 0.985
+
+
+def test_a_figure_is_where_the_camera_sees_it(model: mujoco.MjModel) -> None:
+    (frame,) = frames(model, Figure(track(0.6), LEARNED))
+    rows, columns = np.nonzero(coloured(frame, LEARNED))
+    np.testing.assert_allclose([rows.mean(), columns.mean()], [44.5, 79.5], atol=2.0)
+    focal = 0.5 * HEIGHT / np.tan(np.radians(22.5))
+    assert np.ptp(columns) == pytest.approx(2 * 0.25 * focal / 3.0, rel=0.15)
+
+
+def test_colours_tell_figures_apart_and_none_is_the_models(model: mujoco.MjModel) -> None:
+    (frame,) = frames(model, Figure(track(0.6)), Figure(track(0.6), REFERENCE, shift=(-0.8, 0.0)))
+    own = np.argwhere(coloured(frame, (0, 1, 0, 1)))
+    other = np.argwhere(coloured(frame, REFERENCE))
+    assert min(len(own), len(other)) > 50
+    # The camera looks along y: x is to its right.
+    assert other[:, 1].mean() < own[:, 1].mean() - 20
+
+
+def test_a_shadow_is_sharper_and_darker_near_the_floor(model: mujoco.MjModel) -> None:
+    (low,), (high,) = (frames(model, Figure(track(z), LEARNED)) for z in (0.26, 1.2))
+    (none,) = frames(model, Figure(track(50.0), LEARNED))
+    far, near = (int((none.astype(int) - frame).sum(axis=2)[60:].max()) for frame in (high, low))
+    assert near > far > 20
+
+
+def test_floor_and_sky_meet_without_an_edge(model: mujoco.MjModel) -> None:
+    (frame,) = frames(model, Figure(track(50.0), LEARNED))
+    down = frame[:, 5].astype(int).sum(axis=1)
+    horizon = HEIGHT // 2 - int(0.5 * HEIGHT / np.tan(np.radians(22.5)) * np.tan(np.radians(8)))
+    assert np.abs(np.diff(down[horizon - 8 : horizon + 8])).max() <= 9
+
+
+def test_the_floor_passes_by(model: mujoco.MjModel) -> None:
+    first, second, whole = frames(model, Figure(track(50.0, 3, speed=1.0), LEARNED))
+    assert np.abs(first[60:].astype(int) - second[60:]).max() > 8  # squares have become the others
+    np.testing.assert_allclose(first.astype(int), whole, atol=1)
+
+
+def test_threads_draw_the_same_frames(model: mujoco.MjModel) -> None:
+    moving = Figure(track(0.6, 12, speed=0.05), LEARNED, label="learned")
+    alone, together = frames(model, moving), frames(model, moving, threads=3)
+    assert len(together) == 12
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_legend_names_colours(model: mujoco.MjModel) -> None:
+    named = Figure(track(50.0), REFERENCE, label="reference")
+    (plain,), (frame,) = frames(model, Figure(track(50.0), REFERENCE)), frames(model, named)
+    changed = np.argwhere((plain != frame).any(axis=2))
+    assert (changed.max(axis=0) < [45, 120]).all()
+    assert len(changed) > 120
+    assert coloured(frame, REFERENCE)[:45, :30].any()
+
+
+def test_a_caller_that_stops_early_leaves_no_thread(model: mujoco.MjModel) -> None:
+    import threading
+
+    before = threading.active_count()
+    camera = Camera(np.zeros((50, 2)), height=0.6, distance=3.0)
+    drawn = draw(model, [Figure(track(0.6, 50), LEARNED)], camera, WIDTH, HEIGHT, 2)
+    try:
+        next(drawn)
+    except UnderstudyError as error:
+        pytest.skip(str(error))
+    drawn.close()
+    assert threading.active_count() == before

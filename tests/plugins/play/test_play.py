@@ -1,0 +1,104 @@
+"""The skills that come with the package: they stand, can be pushed, and are small and whole."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError, RunError
+from understudy_play import skill as skills
+from understudy_play.command import record
+from understudy_play.player import Player
+from understudy_play.skill import open_skill, pack
+
+
+@pytest.fixture(scope="module")
+def walk() -> skills.Skill:
+    return open_skill("spacetime/walk")
+
+
+@pytest.fixture
+def player(walk: skills.Skill) -> Iterator[Player]:
+    player = Player(walk)
+    yield player
+    player.close()
+
+
+@pytest.mark.parametrize("name", skills.names())
+def test_a_skill_plays_two_seconds_without_falling(name: str) -> None:
+    player = Player(open_skill(name))
+    try:
+        tracks = record(player, 2.0)
+    finally:
+        player.close()
+    assert player.falls == 0
+    assert tracks["qpos"].shape[0] == round(2.0 / player.dt)
+    assert np.ptp(tracks["qpos"][:, 0]) > 0.5  # it goes somewhere
+
+
+@pytest.mark.parametrize("name", skills.names())
+def test_a_skill_is_small_and_has_a_card(name: str) -> None:
+    path = Path(skills.__file__).parent / "skills" / name
+    assert path.with_suffix(".safetensors").stat().st_size < 1e6
+    card = open_skill(name).card
+    assert card["config"]["motion"]["file"] is None  # a generated clip
+    assert card["samples"] > 0
+    assert card["evaluation"]["success_rate"] >= 0.9
+    assert "/" not in json.dumps(card["config"]["run"])
+
+
+def test_a_push_moves_the_character(player: Player) -> None:
+    simulator = player.environment.parts.simulator
+    before = simulator.read("qvel").clone()
+    player.push((0.0, 9.0, 0.0))
+    after = simulator.read("qvel")
+    mass = float(player.scene.model.body_mass.sum())  # type: ignore[attr-defined]
+    expected = before.clone()
+    expected[:, 1] += 9.0 / mass
+    torch.testing.assert_close(after, expected)
+    player.step()
+    assert player.falls == 0
+
+
+def test_a_hard_push_makes_it_fall_and_it_begins_again(player: Player) -> None:
+    for _ in range(20):
+        player.step()
+    player.push((0.0, 150.0, 0.0))
+    for _ in range(60):
+        player.step()
+    assert player.falls >= 1
+    assert player.shown()["qpos"][2] > 0.5
+
+
+def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:
+    pack(walk, tmp_path / "again", walk.card["evaluation"])
+    again = open_skill(str(tmp_path / "again.json"))
+    assert again.samples == walk.samples
+    for name, value in walk.policy.items():
+        torch.testing.assert_close(again.policy[name], value)
+
+
+def test_a_changed_byte_is_noticed(walk: skills.Skill, tmp_path: Path) -> None:
+    pack(walk, tmp_path / "bad", {})
+    file = tmp_path / "bad.safetensors"
+    data = bytearray(file.read_bytes())
+    data[-1] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(RunError, match="digest"):
+        open_skill(str(tmp_path / "bad.json"))
+
+
+def test_a_skill_that_is_not_there_is_refused_with_the_ones_that_are() -> None:
+    with pytest.raises(ConfigError, match=r"Did you mean 'spacetime/walk'"):
+        open_skill("spacetime/wlk")
+
+
+def test_without_a_name_it_lists_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["play"]) == 0
+    assert "spacetime/walk: 364,544 samples" in capsys.readouterr().out
