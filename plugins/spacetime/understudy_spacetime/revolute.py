@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """The robot onto which motions of people are transferred by bounds alone (thesis, section 3.5.2)."""
 
 from __future__ import annotations
