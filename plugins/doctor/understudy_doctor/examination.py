@@ -28,9 +28,7 @@ NEEDS_CHARACTER = (
     "(give one with --character, or retarget the clip)"
 )
 NORMALISED = "lengths of the file's quaternions: reading normalises them"
-UNMENDED = (
-    "The repairs there are leave it, or would do harm; capture or retarget it anew, or cut it."
-)
+UNMENDED = "No repair here makes it better; cut it, or capture or retarget it anew."
 OPEN_LOOP = "what happens across the seam, because the loop does not close"
 
 
