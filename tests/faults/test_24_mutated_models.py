@@ -106,7 +106,7 @@ def mutant(seed: int | None) -> str:
 # of the single ones MuJoCo says "Caught an unknown exception!", which is none of its errors
 @pytest.mark.parametrize(
     ("first", "count"),
-    [(0, 400), *(pytest.param(n, 500, marks=pytest.mark.slow) for n in range(500, 10500, 500))],
+    [(0, 400), *(pytest.param(n, 250, marks=pytest.mark.slow) for n in range(500, 10500, 250))],
 )
 def test_mutants(first: int, count: int, tmp_path: Path) -> None:
     code = READ.format(folder=str(Path(__file__).parent))
