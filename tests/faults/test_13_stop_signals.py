@@ -139,7 +139,7 @@ def test_an_evaluation_is_neither_lost_nor_doubled(
     straight = make_training(plugins, EVALUATED, tmp_path / "straight")
     straight.train()
     training = make_training(plugins, EVALUATED, tmp_path / "run")
-    evaluate, iterate, began = training.job.evaluate, training.iterate, []
+    evaluate, iterate, began, ended = training.job.evaluate, training.iterate, [], []
 
     def stopped_iterate() -> dict[str, Any]:
         row = iterate()
@@ -151,7 +151,9 @@ def test_an_evaluation_is_neither_lost_nor_doubled(
         began.append(draw)
         if moment == "in an evaluation" and draw == "evaluation/2":
             signal.raise_signal(signal.SIGUSR1)
-        return evaluate(draw, episodes, **options)
+        found = evaluate(draw, episodes, **options)
+        ended.append(draw)
+        return found
 
     monkeypatch.setattr(training, "iterate", stopped_iterate)
     monkeypatch.setattr(training.job, "evaluate", stopped_evaluate)
@@ -160,6 +162,7 @@ def test_an_evaluation_is_neither_lost_nor_doubled(
     newest_equals(training, tmp_path / "run")
     expected = 1 if moment == "before an evaluation" else 2
     assert began == [f"evaluation/{n + 1}" for n in range(expected)]
+    assert len(ended) == (2 if moment == "after one" else 1), "a signal does not wait for its end"
     assert training.run is not None
     training.run.unlock()
     again = resumed(plugins, tmp_path / "run")

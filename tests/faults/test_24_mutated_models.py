@@ -62,7 +62,7 @@ file.write_text(mutant(None)); read()
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 2**30, used + 2**30))
 loaded, refused, slowest = 0, 0, 0.0
-for seed in range(first, first + count):
+for seed in [*range(first, first + count), *map(int, sys.argv[3:])]:
     Path("seed").write_text(str(seed))  # which one it was, should it crash
     file.write_text(mutant(seed))
     began = time.monotonic()
@@ -106,20 +106,17 @@ def mutant(seed: int | None) -> str:
 # of the single ones MuJoCo says "Caught an unknown exception!", which is none of its errors
 @pytest.mark.parametrize(
     ("first", "count"),
-    [
-        (0, 400),
-        (4728, 1),
-        (7065, 1),
-        *(pytest.param(n, 1000, marks=pytest.mark.slow) for n in range(1000, 11000, 1000)),
-    ],
+    [(0, 400), *(pytest.param(n, 250, marks=pytest.mark.slow) for n in range(500, 10500, 250))],
 )
 def test_mutants(first: int, count: int, tmp_path: Path) -> None:
     code = READ.format(folder=str(Path(__file__).parent))
-    done = python(code, str(first), str(count), cwd=tmp_path)
+    # of these MuJoCo says "Caught an unknown exception!", which is none of its errors
+    unknown = ("4728", "7065", "8865")
+    done = python(code, str(first), str(count), *unknown, cwd=tmp_path)
     at = (tmp_path / "seed").read_text()
     assert done.returncode == 0, f"seed {at}, status {done.returncode}: {done.stderr[-2000:]}"
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["slowest"] < 5, found
-    assert count == 1 or min(found["loaded"], found["refused"]) > count / 20, found
+    assert min(found["loaded"], found["refused"]) > count / 20, found
     assert {p.name for p in tmp_path.iterdir()} == {"model.xml", "seed"}
     sys.stdout.write(f"{count} mutants from {first}: {found}\n")
