@@ -46,7 +46,7 @@ def _meaning(info: Row, evaluation: Row) -> str:
         about = _summary(words.text(measure.get("name", "")))
         over = _OVER.get(words.text(measure.get("reduce", "")), "")
         details = ", ".join(part for part in (about, over) if part)
-        text = text.replace(name, f"{name} ({details})" if details else name, 1)
+        text = text.replace(name, f"{name} ({details}) is" if details else f"{name} is", 1)
         return f"An episode succeeds if its {text}."
     left = {
         term: share

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -169,8 +170,35 @@ def test_says_what_success_means(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     add_evaluation(run)
     page, _ = report(run)
-    assert "An episode counts as a success by this: survived: 20 s without fall." in page.text
+    assert "An episode succeeds by this: survived: 20 s without fall." in page.text
     assert "Startsnever used in training" in page.text
+
+
+def test_says_what_a_measure_means_that_decides_success(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    measure = {"name": "spacetime.within_all_bounds", "reduce": "min"}
+    run.info["config"]["measure"] = {"within_all_bounds": measure}
+    add_evaluation(run)
+    evaluation = json.loads((run.path / "evaluation.json").read_text())
+    evaluation |= {"success": "within_all_bounds at least 1"}
+    run.write_json("evaluation.json", evaluation)
+    page, _ = report(run)
+    assert (
+        "An episode succeeds if its within_all_bounds (1 inside all bounds and without a fall, else 0, "
+        "the least of the episode counts) is at least 1." in page.text
+    )
+
+
+def test_says_what_a_success_leaves_out(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    add_evaluation(run)
+    evaluation = json.loads((run.path / "evaluation.json").read_text())
+    run.write_json("evaluation.json", {**evaluation, "violated": {"com": 1.0, "fall": 0.03}})
+    page, _ = report(run)
+    assert (
+        "What else was violated meanwhile does not count: com in 100 % of the episodes."
+        in page.text
+    )
 
 
 def test_measures_of_the_task(tmp_path: Path) -> None:
