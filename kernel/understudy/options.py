@@ -125,7 +125,10 @@ def make_options(schema: type, values: Any, where: str) -> Any:
     if isinstance(values, schema):
         return values
     if not isinstance(values, Mapping):
-        raise ConfigError(f"{where}={values!r} is not possible: it takes a mapping of options.")
+        known = ", ".join(options_of(schema))
+        raise ConfigError(
+            f"{where}={values!r} is not possible: it takes a mapping of options. Known: {known}."
+        )
     arguments = checked_options(options_of(schema), values, where)
     try:
         return schema(**arguments)

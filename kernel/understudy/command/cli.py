@@ -8,23 +8,25 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from understudy import __version__
-from understudy.errors import PluginError, UnderstudyError
+from understudy.errors import ConfigError, PluginError, UnderstudyError, suggestion
+
+if TYPE_CHECKING:
+    from understudy.setup.registry import Registry
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    arguments = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     try:
         parser = _parser(arguments)
         options, overrides = parser.parse_known_args(arguments)
-        bad = [item for item in overrides if item.startswith("-")]
-        if bad or (overrides and not options.overrides_allowed):
-            parser.error(f"unknown argument '{(bad or overrides)[0]}'")
+        _check(overrides, options.overrides_allowed)
         return options.function(options, overrides)
     except UnderstudyError as error:
         print(f"understudy: {error}", file=sys.stderr)
@@ -34,22 +36,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
 
 
+def _check(words: Sequence[str], overrides_allowed: bool) -> None:
+    """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
+    bad = [word for word in words if word.startswith("-") or not overrides_allowed]
+    if bad and not overrides_allowed:
+        raise ConfigError(f"'{bad[0]}' is not taken here. See `understudy COMMAND --help`.")
+    if bad:
+        key, _, value = bad[0].lstrip("-").partition("=")
+        value = value or "".join(words[words.index(bad[0]) + 1 :][:1]) or "…"
+        raise ConfigError(f"There is no option {bad[0]}. Write {key}={value}.")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Its errors are one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if wrong and message.startswith("argument COMMAND"):
+            known = re.findall(r"[\w-]+", wrong[2])
+            message = f"There is no command '{wrong[1]}'.{suggestion(wrong[1], known)}"
+            raise ConfigError(message + _registry().absent())
+        raise ConfigError(f"{message[0].upper()}{message[1:]}. See `{self.prog} --help`.")
+
+
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="understudy",
-        description="Simulated characters learn physical skills.",
-        epilog="Overrides are Hydra's: experiment=spacetime/walk seed=3 motion.file=clip.txt",
+    from understudy.setup.plugins import kernel_conf
+
+    common: dict[str, Any] = {
+        "epilog": (kernel_conf() / "help.txt").read_text(encoding="utf-8"),
+        "formatter_class": argparse.RawDescriptionHelpFormatter,
+    }
+    parser = _Parser(
+        "understudy", description="Simulated characters learn physical skills.", **common
     )
     parser.add_argument("--version", action="version", version=f"understudy {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-
     for name, text in (
         ("train", "train an experiment: understudy train experiment=spacetime/walk"),
         ("resume", "continue a training from its last checkpoint"),
-        ("evaluate", "evaluate a trained run"),
-        ("render", "evaluate a run while recording, and make its report anew"),
     ):
-        parser_of = commands.add_parser(name, help=text, description=text)
+        parser_of = commands.add_parser(name, help=text, description=text, **common)
         parser_of.set_defaults(function=_work, work=name, overrides_allowed=True)
         if name != "train":
             parser_of.add_argument("run", help="run folder")
@@ -57,11 +83,15 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     return parser
 
 
-def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """The commands that plugins register; of these only the one that is asked for is imported."""
+def _registry() -> Registry:
     from understudy.setup.plugins import installed
 
-    registry = installed().registry
+    return installed().registry
+
+
+def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
+    """The commands that plugins register; of these only the one that is asked for is imported."""
+    registry = _registry()
     groups: dict[str, Any] = {}
     for name in registry.names("command"):
         component = registry.find("command", name)
@@ -93,9 +123,9 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
 def _work(options: argparse.Namespace, overrides: list[str]) -> int:
     from understudy.command import workflow
 
-    if options.work == "train":
-        return workflow.train(overrides)
-    return getattr(workflow, options.work)(options.run, overrides)
+    if options.work == "resume":
+        return workflow.resume(options.run, overrides)
+    return workflow.train(overrides) if overrides else main(["experiments"]) or 2
 
 
 if __name__ == "__main__":

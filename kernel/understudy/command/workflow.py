@@ -1,15 +1,14 @@
-"""What the commands do: train, resume, evaluate, render; and what is left behind."""
+"""What the commands train and resume do, and what is left behind."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 from collections.abc import Iterator, Sequence
 
 from understudy import distributed
 from understudy.errors import RunError
-from understudy.records import checkpoint, runs
+from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Outcome, Reporter, Training
 from understudy.setup.building import device_of
@@ -18,7 +17,8 @@ from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 
 
-def _tell(text: str) -> None:
+def tell(text: str) -> None:
+    """A message to whoever runs the command."""
     print(text, file=sys.stderr, flush=True)
 
 
@@ -47,14 +47,36 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     with _together(experiment):
         if leading:
             run.lock()
-        reporter = Reporter(message=_tell if leading else lambda text: None)
+        reporter = Reporter(message=tell if leading else lambda text: None)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
+    if training.ended() and run.evaluated() == training.progress.samples:
+        training.close()
+        distributed.stop()
+        if leading:
+            tell(_over(training, run))
+            print(f"run: {run.path}")
+        return 0
     if not leading:
         training.detach()
     elif overrides:  # what trains the weights from here on is what the folder says
         run.write_json("run.json", run.info)
     return _carry_out(training)
+
+
+def _over(training: Training, run: Run) -> str:
+    """That a run is finished, and what makes it go on."""
+    budget, samples = training.experiment.root.budget, training.progress.samples
+    more = f"budget.samples={2 * samples}"
+    if training.outcome == "criterion":
+        why, more = "its criterion is met", "evaluation.criterion=null"
+    elif training.outcome == "finished":
+        why, more = "its job has nothing left to do", ""
+    else:
+        why = "its budget is spent"
+        more = more if budget.samples else f"budget.minutes={2 * (budget.minutes or 0):g}"
+    further = f" To go on: understudy resume {run.path} {more}" if more else ""
+    return f"{run.path} is finished after {samples:,} samples: {why}.{further}"
 
 
 @contextlib.contextmanager
@@ -81,12 +103,12 @@ def _carry_out(training: Training) -> int:
             training.close()
             distributed.stop()
         return 0
-    training.reporter = reporter = Reporter(_tell, installed().observers())
+    training.reporter = reporter = Reporter(tell, installed().observers())
     try:
         outcome = training.train()
         distributed.stop()
         _tell_outcome(training, outcome)
-        _judge(training, run, reporter)
+        judge(training, run, reporter)
     finally:
         training.close()
         distributed.stop()
@@ -97,15 +119,15 @@ def _carry_out(training: Training) -> int:
 
 def _tell_outcome(training: Training, outcome: Outcome) -> None:
     progress = outcome.progress
-    _tell(
+    tell(
         f"Done ({outcome.reason}): {progress.samples:,} samples in {progress.seconds / 60:.1f} min "
         "of training."
     )
     for name, count in training.job.report().items():
-        _tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
+        tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
 
 
-def _judge(training: Training, run: Run, reporter: Reporter) -> None:
+def judge(training: Training, run: Run, reporter: Reporter) -> None:
     """The last evaluation while recording: ``evaluation.json``, ``recording.npz``, and whatever the
     observers make of them."""
     evaluation, recording = training.judge(training.experiment.root.run.video_seconds)
@@ -114,40 +136,3 @@ def _judge(training: Training, run: Run, reporter: Reporter) -> None:
         recording.save(run.path / "recording.npz")
     reporter.notify("judged", run, recording, reporter.message)
     reporter.message(f"On starts never used in training: {evaluation.sentence()}")
-
-
-def evaluate(path: str, overrides: Sequence[str]) -> int:
-    """Evaluate the newest checkpoint of the run at `path`; writes ``evaluation.json``."""
-    training, run, _ = _load(path, overrides)
-    try:
-        evaluation, _ = training.judge()
-    finally:
-        training.close()
-    result = evaluation.as_json(training.progress.samples)
-    run.write_json("evaluation.json", result)
-    print(json.dumps(result, indent=1))
-    return 0
-
-
-def render(path: str, overrides: Sequence[str]) -> int:
-    """Evaluate once more while recording, and draw video and report."""
-    training, run, reporter = _load(path, overrides)
-    reporter.observers = installed().observers()
-    try:
-        _judge(training, run, reporter)
-    finally:
-        training.close()
-    print(f"run: {run.path}")
-    return 0
-
-
-def _load(path: str, overrides: Sequence[str]) -> tuple[Training, Run, Reporter]:
-    run = runs.open_run(path)
-    config = run.config
-    if overrides:
-        config = compose_raw(replaced(run.info["overrides"], overrides))
-    reporter = Reporter(_tell)
-    state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
-    training = Training(validate(config, installed().registry), reporter)
-    training.load_learned(state)
-    return training, run, reporter

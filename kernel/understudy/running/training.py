@@ -25,7 +25,7 @@ from understudy.records.runs import Run, differences, versions
 from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
-from understudy.setup.config import Experiment
+from understudy.setup.config import Experiment, at
 from understudy.task import State
 
 
@@ -179,6 +179,8 @@ class Training:
             self.job.forget_worlds()
         else:
             self.run.keep_metrics_until(self.progress.iteration)
+        before = at(meta["config"], "evaluation.criterion")
+        self.progress.met &= before == self.experiment.root.evaluation.criterion
 
     # ------------------------------------------------------------------ the loop
 
@@ -226,7 +228,7 @@ class Training:
                     self.reporter.notify("started", run)
                     if progress.iteration == 0:
                         self.save()
-                while not self._ended():
+                while not self.ended():
                     row = self.iterate()
                     stopping = distributed.anyone(stop.received is not None, self.job.device)
                     if distributed.rank() == 0 and not stopping:
@@ -255,7 +257,7 @@ class Training:
                 if run is not None:
                     self.reporter.notify("finished", run, self.outcome)
 
-    def _ended(self) -> bool:
+    def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
         own = 1 if self.progress.met else 2 if self._spent() else 3 if self.job.finished() else 0
@@ -289,10 +291,11 @@ class Training:
         progress.evaluated_at = progress.samples
         progress.evaluations += 1
         first = self._evaluate("evaluation", options.episodes, criterion)
+        row = first.row("evaluation")
         if criterion is not None and _reaches(first, criterion):
             second = self._evaluate("confirmation", options.final_episodes, criterion)
-            progress.met = _reaches(second, criterion)
-        return first.row() if first.complete else {}
+            progress.met, row = _reaches(second, criterion), row | second.row("confirmation")
+        return row
 
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
         draw = f"{kind}/{self.progress.evaluations}"

@@ -18,6 +18,8 @@ class Scene(ABC):
 
     #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has them.
     recorded: tuple[str, ...] = ()
+    #: Where :meth:`draw` looks, in degrees about the vertical from the x axis; None is the scene's own.
+    azimuth: float | None = None
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:

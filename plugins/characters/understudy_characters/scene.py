@@ -94,6 +94,7 @@ class CharacterScene(MujocoScene):
         beside = 0.0 if references is None else _BESIDE * length
         camera = mujoco.MjvCamera()
         camera.distance, camera.elevation, camera.azimuth = _DISTANCE * length, -10.0, 120.0
+        camera.azimuth = camera.azimuth if self.azimuth is None else self.azimuth
         first = True
         try:
             for frame, qpos in enumerate(tracks["qpos"]):
