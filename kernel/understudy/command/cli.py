@@ -11,13 +11,11 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from understudy import __version__
 from understudy.errors import ConfigError, PluginError, UnderstudyError, suggestion
-
-if TYPE_CHECKING:
-    from understudy.setup.registry import Registry
+from understudy.setup import plugins
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,13 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _check(words: Sequence[str], overrides_allowed: bool) -> None:
     """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
-    bad = [word for word in words if word.startswith("-") or not overrides_allowed]
-    if bad and not overrides_allowed:
-        raise ConfigError(f"'{bad[0]}' is not taken here. See `understudy COMMAND --help`.")
-    if bad:
-        key, _, value = bad[0].lstrip("-").partition("=")
-        value = value or "".join(words[words.index(bad[0]) + 1 :][:1]) or "…"
-        raise ConfigError(f"There is no option {bad[0]}. Write {key}={value}.")
+    for word, following in zip(words, [*words, "…"][1:], strict=True):
+        key, _, value = word.lstrip("-").partition("=")
+        if not overrides_allowed:
+            raise ConfigError(f"'{word}' is not taken here. See `understudy COMMAND --help`.")
+        if word.startswith("-"):
+            raise ConfigError(f"There is no option {word}. Write {key}={value or following}.")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -55,20 +52,17 @@ class _Parser(argparse.ArgumentParser):
         if wrong and message.startswith("argument COMMAND"):
             known = re.findall(r"[\w-]+", wrong[2])
             message = f"There is no command '{wrong[1]}'.{suggestion(wrong[1], known)}"
-            raise ConfigError(message + _registry().absent())
+            raise ConfigError(message + plugins.installed().registry.absent())
         raise ConfigError(f"{message[0].upper()}{message[1:]}. See `{self.prog} --help`.")
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    from understudy.setup.plugins import kernel_conf
-
     common: dict[str, Any] = {
-        "epilog": (kernel_conf() / "help.txt").read_text(encoding="utf-8"),
+        "epilog": (plugins.kernel_conf() / "help.txt").read_text(encoding="utf-8"),
         "formatter_class": argparse.RawDescriptionHelpFormatter,
     }
-    parser = _Parser(
-        "understudy", description="Simulated characters learn physical skills.", **common
-    )
+    text = "Simulated characters learn physical skills."
+    parser = _Parser("understudy", description=text, **common)
     parser.add_argument("--version", action="version", version=f"understudy {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, text in (
@@ -83,15 +77,9 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     return parser
 
 
-def _registry() -> Registry:
-    from understudy.setup.plugins import installed
-
-    return installed().registry
-
-
 def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
     """The commands that plugins register; of these only the one that is asked for is imported."""
-    registry = _registry()
+    registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     for name in registry.names("command"):
         component = registry.find("command", name)

@@ -51,32 +51,20 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
     if training.ended() and run.evaluated() == training.progress.samples:
+        more = {"criterion": "evaluation.criterion=null", "budget": "a larger budget.samples=…"}
+        hint = f" With {more[training.outcome]} it goes on." if training.outcome in more else ""
+        if leading:
+            tell(f"{run.path} is finished ({training.outcome}).{hint}")
+            print(f"run: {run.path}")
         training.close()
         distributed.stop()
-        if leading:
-            tell(_over(training, run))
-            print(f"run: {run.path}")
+        run.unlock()
         return 0
     if not leading:
         training.detach()
     elif overrides:  # what trains the weights from here on is what the folder says
         run.write_json("run.json", run.info)
     return _carry_out(training)
-
-
-def _over(training: Training, run: Run) -> str:
-    """That a run is finished, and what makes it go on."""
-    budget, samples = training.experiment.root.budget, training.progress.samples
-    more = f"budget.samples={2 * samples}"
-    if training.outcome == "criterion":
-        why, more = "its criterion is met", "evaluation.criterion=null"
-    elif training.outcome == "finished":
-        why, more = "its job has nothing left to do", ""
-    else:
-        why = "its budget is spent"
-        more = more if budget.samples else f"budget.minutes={2 * (budget.minutes or 0):g}"
-    further = f" To go on: understudy resume {run.path} {more}" if more else ""
-    return f"{run.path} is finished after {samples:,} samples: {why}.{further}"
 
 
 @contextlib.contextmanager

@@ -66,12 +66,12 @@ class Evaluation:
             return self.success_rate
         return self.measures[self.objective].mean
 
-    def row(self, kind: str) -> dict[str, float]:
+    def row(self, kind: str = "evaluation") -> dict[str, float]:
         """The figures for a row of metrics: KIND/success_rate, or KIND/success_rate_at_most alone."""
         found = {f"{kind}/{name}": m.mean for name, m in self.measures.items() if self.complete}
         if self.success_rate is not None:
-            bound = "" if self.complete else "_at_most"
-            found[f"{kind}/success_rate{bound}"] = self.success_rate
+            name = "success_rate" if self.complete else "success_rate_at_most"
+            found[f"{kind}/{name}"] = self.success_rate
         return found
 
     def as_json(self, samples: int) -> dict[str, Any]:

@@ -291,7 +291,7 @@ class Training:
         progress.evaluated_at = progress.samples
         progress.evaluations += 1
         first = self._evaluate("evaluation", options.episodes, criterion)
-        row = first.row("evaluation")
+        row = first.row()
         if criterion is not None and _reaches(first, criterion):
             second = self._evaluate("confirmation", options.final_episodes, criterion)
             progress.met, row = _reaches(second, criterion), row | second.row("confirmation")

@@ -13,7 +13,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import MISSING, OmegaConf, open_dict
+from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
@@ -56,12 +56,10 @@ def _check(override: str, plugins: Plugins) -> None:
     try:
         several = OverridesParser.create().parse_override(override).is_sweep_override()
     except HydraException as error:
-        advice = "its value cannot be read. Check brackets, quotes and commas."
-        raise ConfigError(f"{override}: {advice}") from error
+        raise ConfigError(f"{override} cannot be read. Check brackets and quotes.") from error
     if several:
-        form = f" A list is written {key}=[{value}]." if "." in key else ""
-        advice = "`understudy sweep` compares runs, seeds by outer_loop.seeds=[0,1,2]."
-        raise ConfigError(f"{override}: a run takes one value; {advice}{form}")
+        form = f" A list is written [{value}]; runs and seeds are compared by `understudy sweep`."
+        raise ConfigError(f"{override} has several values and a run takes one.{form}")
 
 
 def _plain(error: Exception, plugins: Plugins) -> str:
@@ -113,10 +111,11 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     return result
 
 
-def without_emptied(overrides: Sequence[str], plugins: Plugins) -> tuple[list[str], dict[str, str]]:
-    """The overrides that Hydra is to apply, and, by key, those (``policy=null``) that empty a slot
-    whatever else chooses it: Hydra has no null for a group of options."""
-    groups = _groups(plugins)
+def sorts(overrides: Sequence[str], plugins: Plugins) -> tuple[list[str], dict[str, str], set[str]]:
+    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot whatever
+    else chooses it, since Hydra has no null for a group of options; and the groups for which an
+    override chooses a file (``policy=mlp``)."""
+    groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
     kept: list[str] = []
     emptied: dict[str, str] = {}
     for override in overrides:
@@ -126,27 +125,9 @@ def without_emptied(overrides: Sequence[str], plugins: Plugins) -> tuple[list[st
         else:
             kept.append(override)
             emptied.pop(key.lstrip("+"), None)  # chosen again
-    return kept, emptied
-
-
-def _groups(plugins: Plugins) -> set[str]:
-    """The root keys for which plugins offer files of options, other than tasks and experiments."""
-    return {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
-
-
-def words(overrides: Sequence[str], plugins: Plugins) -> set[str]:
-    """The groups for which an override chooses a file (``policy=mlp``)."""
-    groups, found = _groups(plugins), set()
-    for override in overrides:
-        key, equals, value = override.lstrip("+").partition("=")
-        if equals and key in groups and not value.lstrip().startswith("{"):
-            found.add(key)
-    return found
-
-
-def _alone(overrides: Sequence[str], groups: set[str]) -> list[str]:
-    """Those of the overrides that concern `groups`."""
-    return [o for o in overrides if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in groups]
+    pairs = [o.lstrip("+").split("=", 1) for o in kept if "=" in o]
+    chosen = {key for key, value in pairs if key in groups and not value.lstrip().startswith("{")}
+    return kept, emptied, chosen
 
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
@@ -191,12 +172,12 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         if Hydra cannot compose it, or it contains a key that names code.
     """
     plugins = plugins or installed()
-    kept, emptied = without_emptied(overrides, plugins)
+    kept, emptied, chosen = sorts(overrides, plugins)
     with hydra_session(plugins, overrides):
         config = compose("config", overrides=for_hydra(kept, plugins))
-        chosen = words(kept, plugins)
         if chosen:  # what task and experiment say of other choices does not hold for these
-            alone = compose("config", overrides=for_hydra(_alone(kept, chosen), plugins))
+            own = [o for o in kept if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in chosen]
+            alone = compose("config", overrides=for_hydra(own, plugins))
             with open_dict(config):
                 for key in chosen:
                     config[key] = alone[key]
@@ -204,18 +185,9 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     assert isinstance(raw, dict)
     refuse_code(raw)
     given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
-    for path in _missing(given):
+    for path in sorted(OmegaConf.missing_keys(OmegaConf.create(given))):
         raise ConfigError(f"{path} is not set. Give it a value.")
     return given
-
-
-def _missing(value: Any, where: str = "") -> Iterator[str]:
-    """The key paths at which a value is still to be given."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _missing(item, f"{where}.{key}" if where else str(key))
-    elif value == MISSING:
-        yield where
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

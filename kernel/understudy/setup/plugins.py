@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import pluggy
 
-from understudy.errors import PluginError
+from understudy.errors import PluginError, suggestion
 from understudy.setup.registry import Registrar, Registry
 
 if TYPE_CHECKING:
@@ -83,10 +83,8 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     Raises
     ------
     PluginError
-        if two distributions provide a plugin of the same name.
+        if two distributions provide a plugin of the same name, or a variable names none.
     """
-    allowed = _names("UNDERSTUDY_PLUGINS") if only is None else set(only)
-    disabled = _names("UNDERSTUDY_DISABLE_PLUGINS") or set()
     manager = pluggy.PluginManager(GROUP)
     manager.add_hookspecs(Hooks)
     result = Plugins(manager, Registry())
@@ -94,6 +92,9 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         metadata.entry_points(group=GROUP),
         key=lambda e: (e.dist is None or e.dist.name != "understudy", e.name),
     )
+    there = {entry.name for entry in found}
+    allowed = (_names("UNDERSTUDY_PLUGINS", there) or None) if only is None else set(only)
+    disabled = _names("UNDERSTUDY_DISABLE_PLUGINS", there)
     seen: dict[str, str] = {}
     for entry in found:
         if (allowed is not None and entry.name not in allowed) or entry.name in disabled:
@@ -122,9 +123,12 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     return result
 
 
-def _names(variable: str) -> set[str] | None:
-    text = os.environ.get(variable)
-    return None if not text else {name.strip() for name in text.split(",") if name.strip()}
+def _names(variable: str, there: set[str]) -> set[str]:
+    names = {name.strip() for name in os.environ.get(variable, "").split(",") if name.strip()}
+    for name in sorted(names - there):
+        advice = suggestion(name, there)
+        raise PluginError(f"{variable} names '{name}', which is no installed plugin.{advice}")
+    return names
 
 
 def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> None:

@@ -13,7 +13,7 @@ from hydra.types import RunMode
 from understudy.errors import UnderstudyError
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.setup.composition import for_hydra, hydra_session, without_emptied, words
+from understudy.setup.composition import for_hydra, hydra_session, sorts
 from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 
@@ -57,14 +57,13 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
     """For each key path of the composed configuration, the file (or override) that set it."""
     plugins = plugins or installed()
     origin: dict[str, str] = {}
-    overrides, emptied = without_emptied(overrides, plugins)
+    overrides, emptied, chosen = sorts(overrides, plugins)
     with hydra_session(plugins, overrides):
         loader = GlobalHydra.instance().config_loader()
         defaults = loader.compute_defaults_list(
             "config", for_hydra(overrides, plugins), RunMode.RUN
         )
-        sources, chosen = [("understudy", kernel_conf())], words(overrides, plugins)
-        sources += plugins.config_directories()
+        sources = [("understudy", kernel_conf()), *plugins.config_directories()]
         for item in defaults.defaults:
             path = item.config_path
             if path is None or path.startswith("hydra/"):
