@@ -141,7 +141,7 @@ def _paragraphs(thing: Any) -> Iterator[str]:
 
 def _table(title: str, options: Mapping[str, Option], comments: Mapping[str, str]) -> str:
     rows = list(_rows(options, comments, ""))
-    first = min(40, max(len(f"{name}={default}") for name, default, _ in rows))
+    first = min(40, max((len(f"{name}={default}") for name, default, _ in rows), default=0))
     lines = []
     for name, default, text in rows:
         wrapped = textwrap.wrap(text, max(40, 96 - first)) or [""]
