@@ -125,7 +125,9 @@ def _value(key: str, text: str) -> Any:
     if key == "size":
         width, _, height = text.partition("x")
         if not (width.isdigit() and height.isdigit()):
-            raise ConfigError(f"size={text} is not possible. Write size=WIDTHxHEIGHT, as size=640x360.")
+            raise ConfigError(
+                f"size={text} is not possible. Write size=WIDTHxHEIGHT, as size=640x360."
+            )
         return [int(width), int(height)]
     try:
         value = yaml.safe_load(text)
