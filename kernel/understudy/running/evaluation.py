@@ -97,7 +97,8 @@ class Evaluation:
 
     def sentence(self) -> str:
         """The result in words."""
-        figures = [f"{name} {m.mean:.3g}" for name, m in self.measures.items() if name != "return"]
+        named = [n for n in self.measures if n != "return" and self.complete]
+        figures = [f"{name} {self.measures[name].mean:.3g}" for name in named]
         if self.success_rate is None:
             return "; ".join(figures) + "."
         bound, early = ("", "") if self.complete else ("at most ", ", stopped early")

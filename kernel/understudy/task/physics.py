@@ -18,8 +18,7 @@ class Scene(ABC):
 
     #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has them.
     recorded: tuple[str, ...] = ()
-    #: Where :meth:`draw` looks, in degrees about the vertical from the x axis; None is the scene's own.
-    azimuth: float | None = None
+    azimuth: float | None = None  #: where :meth:`draw` looks, degrees from x; None is its own
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:

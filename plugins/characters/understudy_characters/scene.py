@@ -17,7 +17,7 @@ from understudy_characters import staging
 from understudy_characters.character import Character, character_spec
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
-from understudy_characters.servos import ServoOptions, drive
+from understudy_characters.servos import ServoOptions, drive, gains_of
 from understudy_characters.state import Poses
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
@@ -137,6 +137,7 @@ class CharacterScene(MujocoScene):
             "character": self.character.name,
             "end_effectors": list(self.layout.end_effectors),
             "self_collision": self._options.self_collision,
+            "servos": gains_of(self.spec().compile()),
         }
 
 

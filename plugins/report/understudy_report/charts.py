@@ -80,10 +80,10 @@ def draw_chart(
         return f'<div class="card chart"><h4>{title}</h4>{note}</div>'
     points = points * [1, scale]
     unit = f" {chart.unit}" if chart.unit else ""
-    last = f"{words.short(points[-1, 1])}{unit}"
+    last = f"{'≤ ' if tuple(points[-1]) in rings else ''}{words.short(points[-1, 1])}{unit}"
     end = max(float(points[:, 0].max()), 1.0, end or 0.0)
     plot = _plot(chart, points, marks, end, rings)
-    note += "<small>○ at most: stopped early</small>" if rings else ""
+    note += "<small>○ at most</small>" if rings else ""
     return (
         f'<div class="card chart"><h4>{title}{note}<b>{escape(last)}</b></h4>'
         f"{svg(plot, f'{chart.title} against samples')}</div>"
@@ -244,8 +244,9 @@ def _curve(points: np.ndarray, axes: Axes, dots: bool, rings: set[tuple[float, f
         upper = [(x, s[:, 1].max()) for (x, _), s in zip(means, stretches, strict=True)]
         lower = [(x, s[:, 1].min()) for (x, _), s in zip(means, stretches, strict=True)]
         parts.append(f'<path class="band" d="{axes.path(upper + lower[::-1])}Z"/>')
-    if len(means) > 1:
-        parts.append(f'<path class="line" d="{axes.path(means)}"/>')
+    line = [point for point in means if point not in rings]
+    if len(line) > 1:
+        parts.append(f'<path class="line" d="{axes.path(line)}"/>')
     if len(means) == 1 or (dots and short):
         radius = 3.5 if len(means) == 1 else 2.5
         parts += [

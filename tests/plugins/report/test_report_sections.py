@@ -255,8 +255,10 @@ def test_bounds_are_rings(tmp_path: Path) -> None:
     html = LearningCurves().html(run)
     assert html is not None
     assert (html.count('class="ring"'), html.count('class="dot"')) == (2, 1)
-    assert "○ at most: stopped early" in html
+    assert "○ at most" in html
     assert html.count("<h4>Episodes that succeeded") == 1
+    first = html.partition("</svg>")[0]
+    assert 'class="line"' not in first, "no line through bounds"
     assert "bound" not in html, "no curve of what is only a mark"
 
 
