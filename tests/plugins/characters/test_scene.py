@@ -139,3 +139,12 @@ def test_outlines_join_each_link_to_its_parent(tmp_path: Path) -> None:
     assert none is None
     assert sticks is not None
     assert sticks.shape == (3, len(scene.layout.link_names) - 1, 2, 3)
+
+
+def test_gains_are_among_the_facts() -> None:
+    """Of the humanoid, the released DeepMimic character's."""
+    servos = scene_of("humanoid").describe()["servos"]
+    assert (
+        servos["kp 1000 N m/rad, kd 100 N m s/rad, at most 200 N m"] == "chest_x, chest_y, chest_z"
+    )
+    assert sum(len(names.split(", ")) for names in servos.values()) == 28
