@@ -24,5 +24,5 @@ class Sweep(Command):
         if not any(word.lstrip("+").startswith(asks) for word in options.overrides):
             plugins = installed()
             known = [f"{g}={name}" for g in ("ablation", "search") for name in choices(plugins, g)]
-            raise ConfigError(f"What is to be compared? Give one.{suggestion('', known)}")
+            raise ConfigError(f"Give ablation=…, search=… or outer_loop=….{suggestion('', known)}")
         return sweep(options.overrides)

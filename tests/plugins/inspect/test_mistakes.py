@@ -43,7 +43,7 @@ MISTAKES = {
     f"train {WALK} motion.file=nosuch.npz": "Clip nosuch.npz: there is no such file.",
     "evaluate": "arguments are required: run. See `understudy evaluate --help`.",
     "evaluate nosuch": "nosuch is no run folder",
-    f"sweep {WALK}": "What is to be compared? Give one. Known: ",
+    f"sweep {WALK}": "Give ablation=…, search=… or outer_loop=…. Known: ",
     f"sweep {WALK} --dry": "There is no option --dry.",
     "tasks foo": "'foo' is not taken here.",
     "describe": "arguments are required: part.",
