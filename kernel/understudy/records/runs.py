@@ -33,7 +33,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment, refuse_code
 
 #: Version of the folder's layout.
-LAYOUT = 3
+LAYOUT = 2
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 

@@ -16,60 +16,60 @@ def understudy_register(register: Registrar) -> None:
     add = register.component
     add(
         "termination",
-        "spacetime/com_bound",
+        "spacetime.com_bound",
         f"{_HERE}.bounds:ComBound",
         "centre of mass, per axis",
     )
-    add("termination", "spacetime/root_bound", f"{_HERE}.bounds:RootBound", "root orientation")
-    add("termination", "spacetime/joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
+    add("termination", "spacetime.root_bound", f"{_HERE}.bounds:RootBound", "root orientation")
+    add("termination", "spacetime.joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
     add(
         "termination",
-        "spacetime/end_effector_bound",
+        "spacetime.end_effector_bound",
         f"{_HERE}.bounds:EndEffectorBound",
         "hands and feet",
     )
     add(
         "fields",
-        "spacetime/alignment",
+        "spacetime.alignment",
         f"{_HERE}.alignment:Alignment",
         "the frame in which character and reference are compared",
     )
-    add("reward", "spacetime/survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
+    add("reward", "spacetime.survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
     add(
         "measure",
-        "spacetime/within_all_bounds",
+        "spacetime.within_all_bounds",
         f"{_HERE}.rewards:within_all_bounds",
         "whether no bound, and nothing else, is violated",
     )
     add(
         "encoder",
-        "spacetime/state",
+        "spacetime.state",
         f"{_HERE}.encoders:StateEncoder",
         "character, phase, root error",
     )
     add(
-        "encoder", "spacetime/feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose"
+        "encoder", "spacetime.feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose"
     )
     add(
         "policy",
-        "spacetime/feedforward_feedback",
+        "spacetime.feedforward_feedback",
         f"{_HERE}.policy:FeedforwardFeedback",
         "reference pose plus learned offset",
     )
     add(
         "initial_states",
-        "spacetime/importance",
+        "spacetime.importance",
         f"{_HERE}.initial_states:Importance",
         "reference states, more where returns are low",
     )
     add(
         "initial_states",
-        "spacetime/evolution",
+        "spacetime.evolution",
         f"{_HERE}.initial_states:Evolution",
         "elite states of past rollouts",
     )
-    add("overlay", "spacetime/bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
-    register.task("spacetime/walk", "walk within spacetime bounds of a clip, survival reward only")
+    add("overlay", "spacetime.bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
+    register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")
     register.citation(
         "spacetime",
         "Ma, Yang, Tong, Guo, Yin 2021. Learning and exploring motor skills with spacetime bounds. "

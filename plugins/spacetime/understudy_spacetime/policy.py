@@ -23,7 +23,7 @@ class FeedforwardFeedback(Policy):
 
     def __init__(self, options: Options, context: Context) -> None:
         super().__init__()
-        who = "policy 'spacetime/feedforward_feedback'"
+        who = "policy 'spacetime.feedforward_feedback'"
         size = observation_size(context, options.feedforward, who)
         if size != context.action_size:
             raise ConfigError(
