@@ -6,8 +6,8 @@ import argparse
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError, suggestion
+from understudy.setup import plugins as loaded
 from understudy.setup.composition import options as choices
-from understudy.setup.plugins import installed
 from understudy_sweeps.sweep import sweep
 
 
@@ -22,7 +22,7 @@ class Sweep(Command):
     def run(self, options: argparse.Namespace) -> int:
         asks = ("ablation=", "search=", "outer_loop")
         if not any(word.lstrip("+").startswith(asks) for word in options.overrides):
-            plugins = installed()
+            plugins = loaded.installed()
             known = [f"{g}={name}" for g in ("ablation", "search") for name in choices(plugins, g)]
             raise ConfigError(f"Give ablation=…, search=… or outer_loop=….{suggestion('', known)}")
         return sweep(options.overrides)
