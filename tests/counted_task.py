@@ -39,7 +39,7 @@ from understudy.task import (
 )
 from understudy.task.terms import Bound, Term, make_term, renamed
 from understudy.testing import fake
-from understudy_inspect import origins
+from understudy_inspect import commands, judging, origins
 from understudy_sweeps import sweep
 
 
@@ -342,5 +342,5 @@ def push(environment: Environment, *forces: float) -> Step:
 
 def install(monkeypatch: Any, plugins: Plugins) -> None:
     """Make `plugins` those that commands find installed."""
-    for module in (setup_plugins, composition, origins, sweep, workflow):
+    for module in (setup_plugins, composition, commands, judging, origins, sweep, workflow):
         monkeypatch.setattr(module, "installed", lambda: plugins)

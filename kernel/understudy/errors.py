@@ -44,13 +44,20 @@ class PreemptedError(UnderstudyError):
     exit_status = 75  # EX_TEMPFAIL of sysexits.h: "try again later", what cluster requeues look for
 
 
-def suggestion(word: str, known: Iterable[str], *, limit: int = 8) -> str:
-    """`` Did you mean 'x'?`` for a near miss of a known name, else the known names (at most `limit`)."""
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """`` Did you mean 'x'?`` for a near miss of known names, or their ends, else all known names; many
+    are grouped by what stands before their slash."""
     names = sorted(set(known))
-    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
-    if close:
-        return f" Did you mean '{close[0]}'?"
-    if not names:
-        return " None is known here."
-    shown = ", ".join(names[:limit]) + (", …" if len(names) > limit else "")
-    return f" Known: {shown}."
+    close = [n for n in names if n.endswith((f"/{word}", f".{word}"))]
+    close = close or difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if word and close:
+        return f" Did you mean {' or '.join(map(repr, close))}?"
+    if not 0 < len(names) <= 200:
+        return f" It is none of the {len(names)} known here." if names else " None is known here."
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        head, _, tail = name.rpartition("/") if len(names) > 8 else ("", "", name)
+        groups.setdefault(head, []).append(tail)
+    shown = groups.pop("", [])
+    shown += [f"{head}/{{{', '.join(tails)}}}" for head, tails in groups.items()]
+    return f" Known: {', '.join(shown)}."

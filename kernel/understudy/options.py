@@ -43,11 +43,9 @@ def options_of(factory: Any) -> dict[str, Option]:
         hints = typing.get_type_hints(schema)
         result = {}
         for item in dataclasses.fields(schema):
-            default: Any = item.default
-            if item.default_factory is not dataclasses.MISSING:
-                default = item.default_factory()
-            if default is dataclasses.MISSING:
-                default = REQUIRED
+            none, make = dataclasses.MISSING, item.default_factory
+            default: Any = item.default if make is none else make()
+            default = REQUIRED if default is none else default
             result[item.name] = Option(item.name, hints[item.name], default)
         return result
     if inspect.isclass(factory):
@@ -86,9 +84,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         raise ConfigError(
             f"{where}={value!r} is not possible.{suggestion(str(value), map(str, arguments))}"
         )
-    if annotation is bool and isinstance(value, bool):
-        return value
-    if annotation is int and isinstance(value, int) and not isinstance(value, bool):
+    if annotation in (bool, int, str) and type(value) is annotation:
         return value
     if annotation is int and isinstance(value, float) and value.is_integer():
         return int(value)  # 1e6 is how people write a million samples
@@ -96,8 +92,6 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         if not math.isfinite(value):
             raise ConfigError(f"{where}={value} is not possible; give a finite number.")
         return float(value)
-    if annotation is str and isinstance(value, str):
-        return value
     if origin in (tuple, list) and isinstance(value, (list, tuple)):
         if origin is tuple and arguments and arguments[-1] is not Ellipsis:
             if len(value) != len(arguments):
@@ -125,7 +119,8 @@ def make_options(schema: type, values: Any, where: str) -> Any:
     if isinstance(values, schema):
         return values
     if not isinstance(values, Mapping):
-        raise ConfigError(f"{where}={values!r} is not possible: it takes a mapping of options.")
+        known = ", ".join(options_of(schema))
+        raise ConfigError(f"{where}={values!r} is not possible: it takes a mapping of {known}.")
     arguments = checked_options(options_of(schema), values, where)
     try:
         return schema(**arguments)

@@ -9,13 +9,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from understudy import __version__
-from understudy.errors import PluginError, PreemptedError, UnderstudyError
+from understudy.errors import ConfigError, PluginError, PreemptedError, UnderstudyError, suggestion
+from understudy.setup import plugins
 from understudy.signals import StopRequest
 
 
@@ -24,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own = arguments is None
     with StopRequest(at_once=True, for_good=own) as stop:
         try:
-            return _run(list(sys.argv[1:] if own else arguments))
+            return _run(list(sys.argv[1:] if own else arguments) or ["--help"])
         except (Exception, KeyboardInterrupt) as error:
             if stop.received is not None and not isinstance(error, PreemptedError):
                 name = signal.Signals(stop.received).name  # whatever a library made of it
@@ -42,28 +44,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: list[str]) -> int:
     parser = _parser(arguments)
     options, overrides = parser.parse_known_args(arguments)
-    bad = [item for item in overrides if item.startswith("-")]
-    if bad or (overrides and not options.overrides_allowed):
-        parser.error(f"unknown argument '{(bad or overrides)[0]}'")
+    _check(overrides, options.overrides_allowed)
     return options.function(options, overrides)
 
 
+def _check(words: Sequence[str], overrides_allowed: bool) -> None:
+    """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
+    for word, following in zip(words, [*words, "…"][1:], strict=True):
+        key, _, value = word.lstrip("-").partition("=")
+        if not overrides_allowed:
+            raise ConfigError(f"'{word}' is not taken here. See `understudy COMMAND --help`.")
+        if word.startswith("-"):
+            raise ConfigError(f"There is no option {word}. Write {key}={value or following}.")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Its errors are one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if wrong and message.startswith("argument COMMAND"):
+            known = re.findall(r"[\w-]+", wrong[2])
+            message = f"There is no command '{wrong[1]}'.{suggestion(wrong[1], known)}"
+            raise ConfigError(message + plugins.installed().registry.absent())
+        raise ConfigError(f"{message[0].upper()}{message[1:]}. See `{self.prog} --help`.")
+
+
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="understudy",
-        description="Simulated characters learn physical skills.",
-        epilog="Overrides are Hydra's: experiment=spacetime/walk seed=3 motion.file=clip.txt",
-    )
+    common: dict[str, Any] = {
+        "epilog": (plugins.kernel_conf() / "help.txt").read_text(encoding="utf-8"),
+        "formatter_class": argparse.RawDescriptionHelpFormatter,
+    }
+    text = "Simulated characters learn physical skills."
+    parser = _Parser("understudy", description=text, **common)
     parser.add_argument("--version", action="version", version=f"understudy {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-
     for name, text in (
         ("train", "train an experiment: understudy train experiment=spacetime/walk"),
         ("resume", "continue a training from its last checkpoint"),
-        ("evaluate", "evaluate a trained run"),
-        ("render", "evaluate a run while recording, and make its report anew"),
     ):
-        parser_of = commands.add_parser(name, help=text, description=text)
+        parser_of = commands.add_parser(name, help=text, description=text, **common)
         parser_of.set_defaults(function=_work, work=name, overrides_allowed=True)
         if name != "train":
             parser_of.add_argument("run", help="run folder")
@@ -73,9 +93,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
     """The commands that plugins register; of these only the one that is asked for is imported."""
-    from understudy.setup.plugins import installed
-
-    registry = installed().registry
+    registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     for name in registry.names("command"):
         component = registry.find("command", name)
@@ -107,9 +125,9 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
 def _work(options: argparse.Namespace, overrides: list[str]) -> int:
     from understudy.command import workflow
 
-    if options.work == "train":
-        return workflow.train(overrides)
-    return getattr(workflow, options.work)(options.run, overrides)
+    if options.work == "resume":
+        return workflow.resume(options.run, overrides)
+    return workflow.train(overrides) if overrides else main(["experiments"]) or 2
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
-"""What the commands do: train, resume, evaluate, render; and what is left behind."""
+"""What the commands train and resume do, and what is left behind."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 from collections.abc import Iterator, Sequence
 
 from understudy import distributed
 from understudy.errors import RunError
-from understudy.records import checkpoint, runs
+from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import device_of
@@ -19,7 +18,8 @@ from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
 
 
-def _tell(text: str) -> None:
+def tell(text: str) -> None:
+    """A message to whoever runs the command."""
     with contextlib.suppress(OSError):  # a terminal that was closed stops nothing
         print(text, file=sys.stderr, flush=True)
 
@@ -51,9 +51,20 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     with _together(experiment):
         if leading:
             run.lock()
-        reporter = Reporter(message=_tell if leading else lambda text: None)
+        reporter = Reporter(message=tell if leading else lambda text: None)
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
+    progress = training.progress
+    if training.ended() and not progress.pending and run.evaluated() == progress.samples:
+        more = {"criterion": "evaluation.criterion=null", "budget": "a larger budget.samples=…"}
+        hint = f" With {more[training.outcome]} it goes on." if training.outcome in more else ""
+        if leading:
+            tell(f"{run.path} is finished ({training.outcome}).{hint}")
+            print(f"run: {run.path}")
+        training.close()
+        distributed.stop()
+        run.unlock()
+        return 0
     if not leading:
         training.detach()
     elif overrides:  # what trains the weights from here on is what the folder says
@@ -80,17 +91,17 @@ def _together(experiment: Experiment) -> Iterator[None]:
 def _carry_out(training: Training) -> int:
     run = training.run
     if run is not None:  # process 0, which alone writes and reports
-        training.reporter = Reporter(_tell, installed().observers())
+        training.reporter = Reporter(tell, installed().observers())
     try:
         reason, progress = training.train(), training.progress
         distributed.stop()
         if run is None:
             return 0
         time = f"{progress.seconds / 60:.1f} min of training"
-        _tell(f"Done ({reason}): {progress.samples:,} samples in {time}.")
+        tell(f"Done ({reason}): {progress.samples:,} samples in {time}.")
         for name, count in training.job.report().items():
-            _tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
-        _judge(training, run, training.reporter)
+            tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
+        judge(training, run, training.reporter)
     finally:
         training.close()
         distributed.stop()
@@ -99,7 +110,7 @@ def _carry_out(training: Training) -> int:
     return 0
 
 
-def _judge(training: Training, run: Run, reporter: Reporter) -> None:
+def judge(training: Training, run: Run, reporter: Reporter) -> None:
     """The last evaluation while recording: ``evaluation.json``, ``recording.npz``, and whatever the
     observers make of them."""
     evaluation, recording = training.judge(training.experiment.root.run.video_seconds)
@@ -108,38 +119,3 @@ def _judge(training: Training, run: Run, reporter: Reporter) -> None:
         recording.save(run.path / "recording.npz")
     reporter.notify("judged", run, recording, reporter.message)
     reporter.message(f"On starts never used in training: {evaluation.sentence()}")
-
-
-def evaluate(path: str, overrides: Sequence[str]) -> int:
-    """Evaluate the newest checkpoint of the run at `path`; writes ``evaluation.json``."""
-    training, run, _ = _load(path, overrides)
-    with contextlib.closing(training):
-        evaluation, _ = training.judge()
-    result = evaluation.as_json(training.progress.samples)
-    run.write_json("evaluation.json", result)
-    print(json.dumps(result, indent=1))
-    return 0
-
-
-def render(path: str, overrides: Sequence[str]) -> int:
-    """Evaluate once more while recording, and draw video and report."""
-    training, run, reporter = _load(path, overrides)
-    reporter.observers = installed().observers()
-    with contextlib.closing(training):
-        _judge(training, run, reporter)
-    print(f"run: {run.path}")
-    return 0
-
-
-def _load(path: str, overrides: Sequence[str]) -> tuple[Training, Run, Reporter]:
-    run = runs.open_run(path)
-    config = None
-    if overrides:
-        config = compose_raw(replaced(run.info["overrides"], overrides))
-    reporter = Reporter(_tell)
-    state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
-    if run.metrics() and not state["progress"]["samples"]:
-        raise RunError(f"{path}: only the checkpoint before training is intact. Resume it first.")
-    training = Training(run.experiment(installed().registry, config), reporter)
-    training.load_learned(state)
-    return training, run, reporter

@@ -57,7 +57,8 @@ class Evaluation:
     measures: Mapping[str, Measured] = field(default_factory=dict)
     objective: str = "success_rate"  #: what searches maximise: this, or a measure
     seconds: float | None = None  #: the episodes' length
-    complete: bool = True  #: False if it was stopped once success was out of reach
+    #: False if it was stopped once success was out of reach; then the rate is the most it could be.
+    complete: bool = True
 
     @property
     def objective_value(self) -> float | None:
@@ -65,11 +66,12 @@ class Evaluation:
             return self.success_rate
         return self.measures[self.objective].mean
 
-    def row(self) -> dict[str, float]:
-        """The figures for a row of metrics."""
-        found = {f"evaluation/{name}": m.mean for name, m in self.measures.items()}
+    def row(self, kind: str = "evaluation") -> dict[str, float]:
+        """The figures for a row of metrics: KIND/success_rate, or KIND/success_rate_at_most alone."""
+        found = {f"{kind}/{name}": m.mean for name, m in self.measures.items() if self.complete}
         if self.success_rate is not None:
-            found["evaluation/success_rate"] = self.success_rate
+            name = "success_rate" if self.complete else "success_rate_at_most"
+            found[f"{kind}/{name}"] = self.success_rate
         return found
 
     def as_json(self, samples: int) -> dict[str, Any]:
@@ -95,12 +97,13 @@ class Evaluation:
 
     def sentence(self) -> str:
         """The result in words."""
-        figures = [f"{name} {m.mean:.3g}" for name, m in self.measures.items() if name != "return"]
+        named = [n for n in self.measures if n != "return" and self.complete]
+        figures = [f"{name} {self.measures[name].mean:.3g}" for name in named]
         if self.success_rate is None:
             return "; ".join(figures) + "."
-        early = "" if self.complete else " (stopped early: out of reach)"
-        text = f"{self.success_rate:.0%} of {self.episodes} episodes succeeded{early}"
-        return "; ".join([f"{text} ({self.success})", *figures]) + "."
+        bound, early = ("", "") if self.complete else ("at most ", ", stopped early")
+        text = f"{bound}{self.success_rate:.0%} of {self.episodes} episodes succeeded{early} ({self.success})"
+        return "; ".join([text, *figures]) + "."
 
 
 def wilson_interval(rate: float, n: int, z: float = 1.96) -> tuple[float, float]:
@@ -287,7 +290,7 @@ class Evaluator:
             batch = self._batch(policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_step)
             complete = bool(batch.pop("complete"))
             lost += count - int(batch["success"].sum()) if self.success else 0
-            done += count
+            done = done + count if complete else episodes  # those that are left could all succeed
             found.append(batch)
             on_step = None
         joined = {name: torch.cat([batch[name] for batch in found]) for name in found[0]}
@@ -354,6 +357,7 @@ class Evaluator:
             if self.success
             else torch.ones_like(self._failed)
         )
+        success = success if complete else success | self._running
         found = {
             "success": success,
             "seconds": self._seconds,

@@ -165,7 +165,8 @@ class Reinforcement(Job):
             for name, section in (self.built.context.sections if self.built else {}).items()
             if hasattr(section, "provenance")
         }
-        return found | ({"start": self._started} if self._started else {})
+        scene = {"scene": self.built.scene.describe()} if self.built else {}
+        return found | scene | ({"start": self._started} if self._started else {})
 
     def report(self) -> Mapping[str, int]:
         return self.environment.parts.simulator.report()

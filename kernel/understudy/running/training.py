@@ -26,7 +26,7 @@ from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.warm_start import misshapen
-from understudy.setup.config import Experiment
+from understudy.setup.config import Experiment, at
 from understudy.signals import StopRequest
 from understudy.task import State
 
@@ -149,6 +149,8 @@ class Training:
             self.job.forget_worlds()
         else:
             self.run.keep_metrics_until(self.progress.iteration)
+        before = at(meta["config"], "evaluation.criterion")
+        self.progress.met &= before == self.experiment.root.evaluation.criterion
 
     def iterate(self) -> dict[str, Any]:
         """One iteration of the job; returns its row of metrics."""
@@ -191,7 +193,7 @@ class Training:
                     self.reporter.notify("started", run)
                     if progress.iteration == 0:
                         self.save()
-                while progress.pending or not self._ended():
+                while progress.pending or not self.ended():
                     row, progress.pending = progress.pending or self.iterate(), {}
                     if distributed.rank() == 0 and stop.received is None:
                         with contextlib.suppress(KeyboardInterrupt):  # noted by `stop`, too
@@ -232,7 +234,7 @@ class Training:
                 if run is not None:
                     self.reporter.notify("finished", run, self.outcome)
 
-    def _ended(self) -> bool:
+    def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
         budget, progress = self.experiment.root.budget, self.progress
@@ -258,12 +260,13 @@ class Training:
         if not self._due():
             return {}
         first = self._evaluate("evaluation", options.episodes, options.criterion)
+        row = first.row()
         if options.criterion is not None and _reaches(first, options.criterion):
             second = self._evaluate("confirmation", options.final_episodes, options.criterion)
-            met = _reaches(second, options.criterion)
+            met, row = _reaches(second, options.criterion), row | second.row("confirmation")
         progress.evaluated_at, progress.met = progress.samples, met
         progress.evaluations += 1
-        return first.row() if first.complete else {}
+        return row
 
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
         draw = f"{kind}/{self.progress.evaluations + 1}"

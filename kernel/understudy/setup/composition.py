@@ -5,70 +5,70 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.plugins import Plugins as HydraPlugins
 from hydra.errors import HydraException
-from hydra.plugins.search_path_plugin import SearchPathPlugin
-from omegaconf import MISSING, OmegaConf, open_dict
+from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
-from understudy.setup.config import GROUPS, Experiment, Root, at, refuse_code, validate
+from understudy.setup.config import (
+    GROUPS,
+    Experiment,
+    Root,
+    at,
+    refuse_code,
+    unknown_key,
+    validate,
+)
 from understudy.setup.plugins import Plugins, installed, kernel_conf
-
-_active = threading.local()
-
-
-class UnderstudySearchPath(SearchPathPlugin):
-    """Adds every plugin's config directory to Hydra's search path."""
-
-    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        plugins: Plugins | None = getattr(_active, "plugins", None)
-        if plugins is not None:
-            for name, directory in plugins.config_directories():
-                search_path.append(provider=f"understudy plugin {name}", path=f"file://{directory}")
 
 
 @contextlib.contextmanager
 def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     """Inside, Hydra composes from the options of the kernel and of `plugins`; its errors become ours."""
     for override in overrides:
-        if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
-            raise ConfigError(f"{override}: Hydra itself cannot be configured. Remove it.")
-    HydraPlugins.instance().register(UnderstudySearchPath)
+        _check(override, plugins)
     GlobalHydra.instance().clear()
-    _active.plugins = plugins
     try:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
             yield
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise ConfigError(_plain(error, plugins) + plugins.registry.absent()) from error
     finally:
-        _active.plugins = None
         GlobalHydra.instance().clear()
+
+
+def _check(override: str, plugins: Plugins) -> None:
+    """Raise :class:`ConfigError` for what is no single assignment."""
+    if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
+        raise ConfigError(f"{override}: Hydra itself cannot be configured. Remove it.")
+    key, equals, value = override.partition("=")
+    if not equals and not override.startswith("~"):
+        known = options(plugins, "experiment")
+        form = f"experiment={key}" if key in known else "KEY=VALUE, without spaces"
+        raise ConfigError(f"'{override}' sets nothing. Write {form}.")
+    try:
+        several = OverridesParser.create().parse_override(override).is_sweep_override()
+    except HydraException as error:
+        raise ConfigError(f"{override} cannot be read. Check brackets and quotes.") from error
+    if several:
+        form = f" A list is written [{value}]; runs and seeds are compared by `understudy sweep`."
+        raise ConfigError(f"{override} has several values and a run takes one.{form}")
 
 
 def _plain(error: Exception, plugins: Plugins) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
     text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-    missing = re.search(r"Could not find '([^/']+)/([^']+)'", text)
+    missing = re.search(r"Could not find '([^/']+)/([^']*)'", text)
     if missing:
         group, name = missing.groups()
-        folders = [folder / group for folder in option_directories(plugins)]
-        options = {
-            file.relative_to(folder).with_suffix("").as_posix()
-            for folder in folders
-            for file in folder.rglob("*.yaml")
-        }
-        return f"There is no {group}={name}.{suggestion(name, options)}"
+        return f"There is no {group}={name}.{suggestion(name, options(plugins, group))}"
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
         slots = {s.name: s for s in plugins.registry.slots.values()}
@@ -76,8 +76,7 @@ def _plain(error: Exception, plugins: Plugins) -> str:
             one = "{name: COMPONENT, …}"
             form = f"{{NAME: {one}}}" if slots[stray[1]].many else one
             return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
-        known = _VALUES | set(slots) | set(plugins.registry.sections)
-        return f"There is no configuration key '{stray[1]}'.{suggestion(stray[1], known)}"
+        return unknown_key(stray[1], plugins.registry)
     return text or type(error).__name__
 
 
@@ -86,22 +85,37 @@ def option_directories(plugins: Plugins) -> list[Path]:
     return [kernel_conf(), *(directory for _, directory in plugins.config_directories())]
 
 
+def options(plugins: Plugins, group: str) -> dict[str, Path]:
+    """The options that files offer for `group`, as one types them, and their files."""
+    return {
+        file.relative_to(folder / group).with_suffix("").as_posix(): file
+        for folder in option_directories(plugins)
+        for file in sorted((folder / group).rglob("*.yaml"))
+    }
+
+
 #: Root keys that are values, not groups of options.
 _VALUES = frozenset(f.name for f in dataclasses.fields(Root)) - {"task", "reward", "termination"}
 
 
-def settable(override: str) -> str:
-    """Let ``a.b=value`` set an option that no file mentions; validation knows which ones exist."""
-    key, equals, value = override.partition("=")
-    plain = bool(equals and key) and key[0] not in "+~"
-    sets = "." in key or value.startswith("{") or key in _VALUES
-    return f"++{override}" if plain and sets else override
+def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
+    """`overrides` for Hydra, which is to search the directories of all plugins and to let
+    ``a.b=value`` set an option that no file mentions; validation knows which ones exist."""
+    quoted = [str(path).replace("'", "\\'") for _, path in plugins.config_directories()]
+    result = ["hydra.searchpath=[" + ",".join(f"'file://{path}'" for path in quoted) + "]"]
+    for override in overrides:
+        key, equals, value = override.partition("=")
+        plain = bool(equals and key) and key[0] not in "+~"
+        sets = "." in key or value.startswith("{") or key in _VALUES
+        result.append(f"++{override}" if plain and sets else override)
+    return result
 
 
-def without_emptied(overrides: Sequence[str], plugins: Plugins) -> tuple[list[str], dict[str, str]]:
-    """The overrides that Hydra is to apply, and, by key, those (``policy=null``) that empty a slot
-    whatever else chooses it: Hydra has no null for a group of options."""
-    groups = _groups(plugins)
+def sorts(overrides: Sequence[str], plugins: Plugins) -> tuple[list[str], dict[str, str], set[str]]:
+    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot whatever
+    else chooses it, since Hydra has no null for a group of options; and the groups for which an
+    override chooses a file (``policy=mlp``)."""
+    groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
     kept: list[str] = []
     emptied: dict[str, str] = {}
     for override in overrides:
@@ -111,27 +125,9 @@ def without_emptied(overrides: Sequence[str], plugins: Plugins) -> tuple[list[st
         else:
             kept.append(override)
             emptied.pop(key.lstrip("+"), None)  # chosen again
-    return kept, emptied
-
-
-def _groups(plugins: Plugins) -> set[str]:
-    """The root keys for which plugins offer files of options, other than tasks and experiments."""
-    return {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
-
-
-def words(overrides: Sequence[str], plugins: Plugins) -> set[str]:
-    """The groups for which an override chooses a file (``policy=mlp``)."""
-    groups, found = _groups(plugins), set()
-    for override in overrides:
-        key, equals, value = override.lstrip("+").partition("=")
-        if equals and key in groups and not value.lstrip().startswith("{"):
-            found.add(key)
-    return found
-
-
-def _alone(overrides: Sequence[str], groups: set[str]) -> list[str]:
-    """Those of the overrides that concern `groups`."""
-    return [o for o in overrides if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in groups]
+    pairs = [o.lstrip("+").split("=", 1) for o in kept if "=" in o]
+    chosen = {key for key, value in pairs if key in groups and not value.lstrip().startswith("{")}
+    return kept, emptied, chosen
 
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
@@ -174,12 +170,12 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         ConfigError: if Hydra cannot compose it, or it contains a key that names code.
     """
     plugins = plugins or installed()
-    kept, emptied = without_emptied(overrides, plugins)
+    kept, emptied, chosen = sorts(overrides, plugins)
     with hydra_session(plugins, overrides):
-        config = compose("config", overrides=[settable(o) for o in kept])
-        chosen = words(kept, plugins)
+        config = compose("config", overrides=for_hydra(kept, plugins))
         if chosen:  # what task and experiment say of other choices does not hold for these
-            alone = compose("config", overrides=[settable(o) for o in _alone(kept, chosen)])
+            own = [o for o in kept if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in chosen]
+            alone = compose("config", overrides=for_hydra(own, plugins))
             with open_dict(config):
                 for key in chosen:
                     config[key] = alone[key]
@@ -187,18 +183,9 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     assert isinstance(raw, dict)
     refuse_code(raw)
     given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
-    for path in _missing(given):
+    for path in sorted(OmegaConf.missing_keys(OmegaConf.create(given))):
         raise ConfigError(f"{path} is not set. Give it a value.")
     return given
-
-
-def _missing(value: Any, where: str = "") -> Iterator[str]:
-    """The key paths at which a value is still to be given."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _missing(item, f"{where}.{key}" if where else str(key))
-    elif value == MISSING:
-        yield where
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

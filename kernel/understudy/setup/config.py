@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from understudy.errors import ConfigError, suggestion
 from understudy.inputs import Inputs
-from understudy.options import Option, check_range, checked_options, make_options
+from understudy.options import Option, check_range, checked_options, make_options, options_of
 from understudy.setup.registry import Component, Registry, Slot
 from understudy.task.terms import Outcome, Reduction
 
@@ -111,6 +111,8 @@ class CheckpointOptions:
 class RunOptions:
     dir: str | None = None  #: run folder; null makes ``runs/<experiment>-<n>``
     video_seconds: float = 8.0
+    video_size: tuple[int, int] | None = None  #: width and height in pixels; null is the report's
+    video_camera: float | None = None  #: degrees about the vertical; 0 is from behind, 90 the right
 
     def __post_init__(self) -> None:
         check_range(self, "video_seconds", least=0)
@@ -211,7 +213,7 @@ class Experiment:
         if chosen is None:
             kind = self.registry.slots[slot].kind
             raise ConfigError(
-                f"{slot} is not set. Choose an experiment (experiment=…) or a {kind} ({slot}=…)."
+                f"{slot} is not set. Choose an experiment (experiment=…), or set it ({slot}=…)."
                 + suggestion("", self.registry.names(kind))
             )
         return chosen
@@ -300,14 +302,10 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
     """
     refuse_code(raw)
     own = {f.name for f in dataclasses.fields(Root)}
-    slots = {slot.name for slot in registry.slots.values()}
-    known = own | {s for s in slots if "." not in s} | set(registry.sections)
+    known = root_keys(registry)
     for key in raw:
         if key not in known:
-            raise ConfigError(
-                f"There is no configuration key '{key}'.{suggestion(str(key), known)}"
-                + registry.absent()
-            )
+            raise ConfigError(unknown_key(str(key), registry) + registry.absent())
     filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in GROUPS)}
     root = make_options(Root, filled, "")
     choices = {
@@ -328,6 +326,21 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         experiment.need_measure(root.evaluation.objective, "evaluation.objective")
     _ = experiment.failures
     return experiment
+
+
+def root_keys(registry: Registry) -> set[str]:
+    """The keys at the top level of a configuration."""
+    slots = {slot for slot in registry.slots if "." not in slot}
+    return {f.name for f in dataclasses.fields(Root)} | slots | set(registry.sections)
+
+
+def unknown_key(key: str, registry: Registry) -> str:
+    """The sentence about a root key that is none; one may have left out what stands before a dot."""
+    groups = [o for o in options_of(Root).values() if dataclasses.is_dataclass(o.annotation)]
+    meant = [f"{o.name}.{key}" for o in groups if key in options_of(o.annotation)]
+    found = suggestion(key, meant or root_keys(registry) | {"experiment"})
+    part = f" An option of a part is written as PART.{key}." if "Known" in found else ""
+    return f"There is no configuration key '{key}'.{found}{part}"
 
 
 #: Groups of the root that an override of null empties.

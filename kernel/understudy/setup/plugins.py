@@ -80,11 +80,11 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     one provides already is recorded in ``registry.broken``, with nothing of it kept; the others
     still load. The bundled plugins come first, then the others by name.
 
-    Raises:
-        PluginError: if two distributions provide a plugin of the same name.
+    Raises
+    ------
+    PluginError
+        if two distributions provide a plugin of the same name, or a variable names none.
     """
-    allowed = _names("UNDERSTUDY_PLUGINS") if only is None else set(only)
-    disabled = _names("UNDERSTUDY_DISABLE_PLUGINS") or set()
     manager = pluggy.PluginManager(GROUP)
     manager.add_hookspecs(Hooks)
     result = Plugins(manager, Registry())
@@ -92,10 +92,9 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         metadata.entry_points(group=GROUP),
         key=lambda e: (e.dist is None or e.dist.name != "understudy", e.name),
     )
-    names = {entry.name for entry in found}
-    for name in sorted((allowed or set()) - names if only is None else ()):
-        hint = suggestion(name, names)
-        raise PluginError(f"UNDERSTUDY_PLUGINS names '{name}', which is no plugin here.{hint}")
+    there = {entry.name for entry in found}
+    allowed = (_names("UNDERSTUDY_PLUGINS", there) or None) if only is None else set(only)
+    disabled = _names("UNDERSTUDY_DISABLE_PLUGINS", there)
     seen: dict[str, str] = {}
     for entry in found:
         if (allowed is not None and entry.name not in allowed) or entry.name in disabled:
@@ -124,9 +123,12 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     return result
 
 
-def _names(variable: str) -> set[str] | None:
-    text = os.environ.get(variable)
-    return None if not text else {name.strip() for name in text.split(",") if name.strip()}
+def _names(variable: str, there: set[str]) -> set[str]:
+    names = {name.strip() for name in os.environ.get(variable, "").split(",") if name.strip()}
+    for name in sorted(names - there):
+        advice = suggestion(name, there)
+        raise PluginError(f"{variable} names '{name}', which is no installed plugin.{advice}")
+    return names
 
 
 def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> None:

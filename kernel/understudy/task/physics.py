@@ -18,6 +18,7 @@ class Scene(ABC):
 
     #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has them.
     recorded: tuple[str, ...] = ()
+    azimuth: float | None = None  #: where :meth:`draw` looks, degrees from x; None is its own
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:

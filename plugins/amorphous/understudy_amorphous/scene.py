@@ -180,7 +180,7 @@ class AmorphousScene(ParticleScene):
         }
         from understudy_pbd.drawing import draw
 
-        yield from draw(marked, shown, width, height)
+        yield from draw(marked, shown, width, height, self.azimuth)
 
     def describe(self) -> dict[str, Any]:
         return {**super().describe(), "material": self.options.material}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from understudy_characters.character import Character, character_spec
 from understudy_characters.heads import head_body, ring
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
-from understudy_characters.servos import ServoOptions, drive
+from understudy_characters.servos import ServoOptions, drive, gains_of
 from understudy_characters.state import Poses
 from understudy_characters.surroundings import Surroundings
 from understudy_motion.section import Motion
@@ -117,6 +117,8 @@ class CharacterScene(MujocoScene):
             height=0.48 * top,
             distance=_DISTANCE * top,
         )
+        if self.azimuth is not None:
+            camera = replace(camera, azimuth=self.azimuth)
         return draw_figures(self.shown().compile(), figures, camera, width, height)
 
     def outlines(
@@ -148,6 +150,7 @@ class CharacterScene(MujocoScene):
             "character": self.character.name,
             "end_effectors": list(self.layout.end_effectors),
             "self_collision": self._options.self_collision,
+            "servos": gains_of(self.spec().compile()),
         }
 
 

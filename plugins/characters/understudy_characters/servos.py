@@ -107,6 +107,19 @@ def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     )
 
 
+def gains_of(model: mujoco.MjModel) -> dict[str, str]:
+    """By gains in words (kp, kd less what stable PD adds to it, torque limit): the actuators."""
+    found: dict[str, list[str]] = {}
+    for actuator in range(model.nu):
+        kp, kd = model.actuator_gainprm[actuator, 0], -model.actuator_biasprm[actuator, 2]
+        kd -= kp * model.opt.timestep
+        limit = np.abs(model.actuator_forcerange[actuator]).max()
+        limited = f", at most {limit:g} N m" if model.actuator_forcelimited[actuator] else ""
+        gains = f"kp {kp:.4g} N m/rad, kd {kd:.4g} N m s/rad{limited}"
+        found.setdefault(gains, []).append(model.actuator(actuator).name)
+    return {gains: ", ".join(names) for gains, names in found.items()}
+
+
 def torque_limits(character: Character) -> np.ndarray:
     """(U,) N m: how strong each of :func:`drives` is, from the model where it says so.
 

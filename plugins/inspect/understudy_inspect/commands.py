@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from understudy.command.command import Command
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
-from understudy_inspect.origins import origins
+from understudy_inspect.catalogue import offers
+from understudy_inspect.describe import describe
+from understudy_inspect.origins import all_origins
 from understudy_inspect.replay import replay_step
 
 
@@ -63,6 +66,40 @@ class ListTasks(Command):
         return 0
 
 
+class ListExperiments(Command):
+    """What ``experiment=…`` can choose, with a line on each, plugin by plugin."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--json", action="store_true")
+
+    def run(self, options: argparse.Namespace) -> int:
+        found = list(offers(installed(), "experiment"))
+        if options.json:
+            rows = [{"name": o.name, "plugin": o.plugin, "summary": o.summary} for o in found]
+            print(json.dumps(rows, indent=1))
+            return 0
+        width = max((len(offer.name) for offer in found), default=0)
+        for plugin, group in groupby(found, key=lambda offer: offer.plugin):
+            print(plugin)
+            for offer in group:
+                print(f"  {offer.name:<{width}}  {offer.summary}".rstrip())
+        print("Train one: understudy train experiment=NAME")
+        return 0
+
+
+class Describe(Command):
+    """A part: what it is, its options with defaults, where they are from; or a file of options."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "part", help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk"
+        )
+
+    def run(self, options: argparse.Namespace) -> int:
+        print(describe(options.part, installed()))
+        return 0
+
+
 class ShowConfiguration(Command):
     """Every value of a composed and checked configuration, defaults too, with its origin."""
 
@@ -72,15 +109,16 @@ class ShowConfiguration(Command):
         parser.add_argument("--json", action="store_true", help="plain JSON, without origins")
 
     def run(self, options: argparse.Namespace) -> int:
-        effective = load_experiment(options.overrides).effective()
+        experiment = load_experiment(options.overrides)
+        effective = experiment.effective()
         if options.json:
             print(json.dumps(effective, indent=1))
             return 0
-        origin = origins(options.overrides)
+        origin = all_origins(experiment, options.overrides)
         rows = list(_flat(effective, ""))
         width = min(72, max(len(f"{key}: {value}") for key, value in rows))
         for key, value in rows:
-            print(f"{f'{key}: {value}':<{width}}  # {origin.get(key, 'default')}")
+            print(f"{f'{key}: {value}':<{width}}  # {origin[key]}")
         return 0
 
 

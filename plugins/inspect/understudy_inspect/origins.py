@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -11,44 +10,77 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 
-from understudy.setup.composition import (
-    hydra_session,
-    option_directories,
-    settable,
-    without_emptied,
-    words,
-)
-from understudy.setup.plugins import Plugins, installed
+from understudy.errors import UnderstudyError
+from understudy.records.observer import RunObserver
+from understudy.records.runs import Run
+from understudy.setup.composition import for_hydra, hydra_session, sorts
+from understudy.setup.config import Experiment, validate
+from understudy.setup.plugins import Plugins, installed, kernel_conf
+
+
+class RecordOrigins(RunObserver):
+    """Keeps in ``run.json``, as ``origins``, what set each value of the configuration."""
+
+    def started(self, run: Run) -> None:
+        plugins = installed()
+        try:
+            experiment = validate(run.config, plugins.registry)
+            run.info["origins"] = all_origins(experiment, run.info["overrides"], plugins)
+        except UnderstudyError:  # it was put together by a program, or in another environment
+            return
+        run.write_json("run.json", run.info)
+
+
+def all_origins(
+    experiment: Experiment, overrides: Sequence[str], plugins: Plugins | None = None
+) -> dict[str, str]:
+    """For each key path of the effective configuration, what set it: a word of the command line, a
+    plugin's file, or the default of a component and its plugin."""
+    given = origins(overrides, plugins)
+    owners = {
+        chosen.where: f"{chosen.component.kind} {chosen.component.name} [{chosen.component.plugin}]"
+        for choice in experiment.choices.values()
+        for chosen in choice
+    }
+    for name in experiment.sections:
+        owners[name] = f"section {name} [{experiment.registry.sections[name].plugin}]"
+    found = {}
+    for key in paths(experiment.effective(), ""):
+        above = [key[:i] for i in range(len(key), 0, -1) if i == len(key) or key[i] == "."]
+        owner = next((owners[path] for path in above if path in owners), "understudy")
+        by_name = above[1] if key.endswith(".name") and len(above) > 1 else key
+        found[key] = given.get(key) or given.get(by_name) or f"default of {owner}"
+    return found
 
 
 def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[str, str]:
     """For each key path of the composed configuration, the file (or override) that set it."""
     plugins = plugins or installed()
     origin: dict[str, str] = {}
-    overrides, emptied = without_emptied(overrides, plugins)
+    overrides, emptied, chosen = sorts(overrides, plugins)
     with hydra_session(plugins, overrides):
         loader = GlobalHydra.instance().config_loader()
         defaults = loader.compute_defaults_list(
-            "config", [settable(o) for o in overrides], RunMode.RUN
+            "config", for_hydra(overrides, plugins), RunMode.RUN
         )
-        sources, chosen = option_directories(plugins), words(overrides, plugins)
+        sources = [("understudy", kernel_conf()), *plugins.config_directories()]
         for item in defaults.defaults:
             path = item.config_path
             if path is None or path.startswith("hydra/"):
                 continue
-            for source in sources:
+            for owner, source in sources:
                 file = source / f"{path}.yaml"
                 if file.is_file():
                     package = item.package or ""
                     prefix = "" if package in ("_global_", "") else package
-                    for key in _paths(
-                        yaml.safe_load(file.read_text(encoding="utf-8")) or {}, prefix
-                    ):
+                    content = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
+                    for key in paths({k: v for k, v in content.items() if k != "defaults"}, prefix):
                         group = key.partition(".")[0]
                         if group not in chosen or path.startswith(f"{group}/"):
-                            origin[key] = _shorten(file)
+                            origin[key] = f"{path}.yaml [{owner}]"
         for override in OverridesParser.create().parse_overrides(list(overrides)):
-            for key in _paths(override.value(), override.key_or_group):
+            value = None if override.is_delete() else override.value()
+            for key in paths(value, override.key_or_group):
                 if not any(k.startswith(f"{key}.") for k in origin):  # else it chose a file
                     origin[key] = f"command line: {override.input_line}"
     for name, override in emptied.items():
@@ -57,18 +89,10 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
     return origin
 
 
-def _paths(value: Any, prefix: str) -> Iterator[str]:
-    if isinstance(value, Mapping):
+def paths(value: Any, prefix: str) -> Iterator[str]:
+    """The key paths of everything in a nested configuration; an empty mapping has one."""
+    if isinstance(value, Mapping) and (value or not prefix):
         for key, item in value.items():
-            if key != "defaults" or prefix:
-                yield from _paths(item, f"{prefix}.{key}" if prefix else str(key))
+            yield from paths(item, f"{prefix}.{key}" if prefix else str(key))
     else:
         yield prefix
-
-
-def _shorten(file: Path) -> str:
-    parts = file.parts
-    for anchor in ("plugins", "conf"):
-        if anchor in parts:
-            return "/".join(parts[parts.index(anchor) :])
-    return str(file)

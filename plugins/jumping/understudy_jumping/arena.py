@@ -17,7 +17,6 @@ import numpy as np
 from torch import Tensor
 
 from understudy.options import check_range
-from understudy.setup.registry import Registry
 from understudy.task import Context
 from understudy_characters.staging import make_solid
 from understudy_characters.surroundings import Surroundings
@@ -61,7 +60,7 @@ class Arena(Surroundings):
 
     recorded = ("obstacle_height", "obstacle_width", "mat_height")
 
-    def __init__(self, options: ArenaOptions, registry: Registry | None = None) -> None:
+    def __init__(self, options: ArenaOptions, *_: object) -> None:
         self.options = options
 
     def height(self, difficulty: Number) -> Number:

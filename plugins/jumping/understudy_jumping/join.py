@@ -15,7 +15,6 @@ from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.records import runs
 from understudy.setup.building import build_sections
-from understudy.setup.config import validate
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_basics import rotations
@@ -56,7 +55,7 @@ class Join(Command):
 def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
     """The motion drawn in the scene of the run `jump`, its obstacle as recorded there."""
     run = runs.open_run(jump)
-    experiment = validate(run.config, installed().registry)
+    experiment = run.experiment(installed().registry)
     control = experiment.root.control
     context = Context(
         seed=0,
@@ -65,6 +64,7 @@ def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
         sections=build_sections(experiment),
+        inputs=experiment.inputs,
     )
     scene = experiment.need("scene").build(context)
     assert isinstance(scene, CharacterScene)  # else its recording had been no clip

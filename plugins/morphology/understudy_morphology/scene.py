@@ -61,6 +61,7 @@ class WalkerScene(MujocoScene):
             raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
         camera = mujoco.MjvCamera()
         camera.distance, camera.elevation, camera.azimuth = 2.9 * self.standing_height, -8.0, 115.0
+        camera.azimuth = camera.azimuth if self.azimuth is None else self.azimuth
         try:
             for qpos in tracks["qpos"]:
                 data.qpos[:] = qpos

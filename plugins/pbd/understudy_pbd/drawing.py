@@ -37,7 +37,11 @@ _WORLD = """
 
 
 def draw(
-    model: ParticleModel, tracks: Mapping[str, np.ndarray], width: int, height: int
+    model: ParticleModel,
+    tracks: Mapping[str, np.ndarray],
+    width: int,
+    height: int,
+    azimuth: float | None = None,
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8 of the recorded ``particle_position`` (T, P, 3), and of tools
     and ``active_particles`` where they are recorded.
@@ -69,6 +73,7 @@ def draw(
     camera = mujoco.MjvCamera()
     camera.lookat[:] = centre
     camera.distance, camera.elevation, camera.azimuth = 1.2 * size, -28.0, 130.0
+    camera.azimuth = camera.azimuth if azimuth is None else azimuth
     try:
         for frame, here in enumerate(positions):
             renderer.update_scene(data, camera)

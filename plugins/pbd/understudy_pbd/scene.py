@@ -201,4 +201,4 @@ class ParticleScene(Scene):
         """Particles in their colours, or the colours of their materials, tools and the table."""
         from understudy_pbd.drawing import draw
 
-        yield from draw(self.model(), tracks, width, height)
+        yield from draw(self.model(), tracks, width, height, self.azimuth)

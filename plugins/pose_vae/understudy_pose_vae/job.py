@@ -22,7 +22,7 @@ from understudy.running.jobs import Job
 from understudy.running.reinforcement import misshapen
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
 from understudy.task import State
 from understudy_basics import averages, optimisers, rotations
@@ -271,7 +271,7 @@ def trained_poses(run: str, registry: Registry, device: torch.device) -> Trained
     RunError
         if it is no run of the job 'pose_vae.autoencoder', or its checkpoint does not fit.
     """
-    experiment = validate(runs.open_run(run).config, registry)
+    experiment = runs.open_run(run).experiment(registry)
     job = experiment.one("job")
     if job is None or job.component.factory is not LearnPoses:
         raise RunError(f"{run} trained no pose auto-encoder (experiment=pose_vae/poses).")

@@ -24,6 +24,8 @@ class Chart:
     high: float | None = None
     cut: tuple[float, float] = (-math.inf, math.inf)  #: the axis never extends beyond
     dots: bool = False  #: whether each value is marked, where there are few
+    #: A key whose rows have values that are only upper bounds: rings, below which the value lies.
+    bound: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,14 @@ def draw_chart(
     """
     values = [(row.get("samples"), row[chart.key]) for row in rows if chart.key in row]
     numbers = [(number(x), number(y)) for x, y in values]
+    scale = 100.0 if chart.unit == "%" else 1.0
+    rings = {
+        (x, scale * y)
+        for row in rows
+        if row.get(chart.bound) is True
+        and (x := number(row.get("samples"))) is not None
+        and (y := number(row.get(chart.key))) is not None
+    }
     points = np.array([(x, y) for x, y in numbers if x is not None and y is not None])
     if not values:
         return ""
@@ -68,12 +78,12 @@ def draw_chart(
     note = f"<small>{missing:,} not finite</small>" if missing else ""
     if not len(points):
         return f'<div class="card chart"><h4>{title}</h4>{note}</div>'
-    if chart.unit == "%":
-        points = points * [1, 100]
+    points = points * [1, scale]
     unit = f" {chart.unit}" if chart.unit else ""
-    last = f"{words.short(points[-1, 1])}{unit}"
+    last = f"{'≤ ' if tuple(points[-1]) in rings else ''}{words.short(points[-1, 1])}{unit}"
     end = max(float(points[:, 0].max()), 1.0, end or 0.0)
-    plot = _plot(chart, points, marks, end)
+    plot = _plot(chart, points, marks, end, rings)
+    note += "<small>○ at most</small>" if rings else ""
     return (
         f'<div class="card chart"><h4>{title}{note}<b>{escape(last)}</b></h4>'
         f"{svg(plot, f'{chart.title} against samples')}</div>"
@@ -156,10 +166,16 @@ def thinned(points: np.ndarray, most: int = _STRETCHES) -> np.ndarray:
     return np.array([stretch.mean(axis=0) for stretch in np.array_split(points, most)])
 
 
-def _plot(chart: Chart, points: np.ndarray, marks: Sequence[Mark], end: float) -> str:
-    """Axes, marks and the curve through `points` (n, 2) of samples and values."""
+def _plot(
+    chart: Chart,
+    points: np.ndarray,
+    marks: Sequence[Mark],
+    end: float,
+    rings: set[tuple[float, float]],
+) -> str:
+    """Axes, marks and the curve through `points` (n, 2) of samples and values, some as rings."""
     axes = Axes(*_range(points[:, 1], chart), end)
-    return grid(axes) + _marks(marks, axes) + _curve(points, axes, chart.dots)
+    return grid(axes) + _marks(marks, axes) + _curve(points, axes, chart.dots, rings)
 
 
 def _range(values: np.ndarray, chart: Chart) -> tuple[float, float]:
@@ -219,7 +235,7 @@ def _marks(marks: Sequence[Mark], axes: Axes) -> str:
     return "".join(parts)
 
 
-def _curve(points: np.ndarray, axes: Axes, dots: bool) -> str:
+def _curve(points: np.ndarray, axes: Axes, dots: bool, rings: set[tuple[float, float]]) -> str:
     short = len(points) <= 2 * _STRETCHES
     stretches = np.array_split(points, len(points) if short else _STRETCHES)
     means = [(s[:, 0].mean(), s[:, 1].mean()) for s in stretches]
@@ -228,12 +244,14 @@ def _curve(points: np.ndarray, axes: Axes, dots: bool) -> str:
         upper = [(x, s[:, 1].max()) for (x, _), s in zip(means, stretches, strict=True)]
         lower = [(x, s[:, 1].min()) for (x, _), s in zip(means, stretches, strict=True)]
         parts.append(f'<path class="band" d="{axes.path(upper + lower[::-1])}Z"/>')
-    if len(means) > 1:
-        parts.append(f'<path class="line" d="{axes.path(means)}"/>')
+    line = [point for point in means if point not in rings]
+    if len(line) > 1:
+        parts.append(f'<path class="line" d="{axes.path(line)}"/>')
     if len(means) == 1 or (dots and short):
         radius = 3.5 if len(means) == 1 else 2.5
         parts += [
-            f'<circle class="dot" cx="{axes.across(x):.1f}" cy="{axes.down(y):.1f}" r="{radius}"/>'
+            f'<circle class="{"ring" if (x, y) in rings else "dot"}" '
+            f'cx="{axes.across(x):.1f}" cy="{axes.down(y):.1f}" r="{radius}"/>'
             for x, y in means
         ]
     return "".join(parts)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from understudy.records.runs import Run
 from understudy_report.charts import Chart, Mark, draw_chart
 from understudy_report.section import ReportSection
-from understudy_report.values import Row, number
+from understudy_report.values import Row, number, read_evaluation
 
 _USUAL = (
     Chart("Episode length", "episode/episode_seconds", "s", low=0.0),
@@ -21,6 +21,11 @@ _USUAL = (
 #: whose text follows and whose value is not 0 where they happened.
 _ENDED_BY, _EVALUATION, _MARK = "episode/ended_by/", "evaluation/", "mark/"
 _SUCCESS, _OBJECTIVE = "evaluation/success_rate", "evaluation/objective"
+#: Whether a row's success is only a bound.
+BOUND = "evaluation/bound"
+#: Of an evaluation that was stopped once the criterion was out of reach.
+_AT_MOST = "evaluation/success_rate_at_most"
+_CONFIRMED = "confirmation/success_rate"
 
 
 class LearningCurves(ReportSection):
@@ -30,7 +35,7 @@ class LearningCurves(ReportSection):
     order = 60
 
     def html(self, run: Run) -> str | None:
-        rows = run.metrics()
+        rows = with_success(run.metrics(), read_evaluation(run))
         marks = marks_of(rows)
         end = max((x for row in rows if (x := number(row.get("samples"))) is not None), default=0.0)
         ended = [
@@ -65,6 +70,18 @@ def marks_of(rows: Sequence[Row]) -> list[Mark]:
     ]
 
 
+def with_success(rows: Sequence[Row], evaluation: Row) -> list[Row]:
+    """`rows` with the success of each evaluation under one key: what it found, else what its
+    confirmation or the bound at which it was given up says; the last is the run's `evaluation`."""
+    found: list[Row] = []
+    for row in rows:
+        share = next((row[k] for k in (_CONFIRMED, _SUCCESS, _AT_MOST) if k in row), None)
+        bound = share is not None and _CONFIRMED not in row and _SUCCESS not in row
+        found.append(row if share is None else {**row, _SUCCESS: share, BOUND: bound})
+    last = {"samples": evaluation.get("samples"), _SUCCESS: evaluation.get("success_rate")}
+    return [*found, last] if None not in last.values() else found
+
+
 def _keys(rows: Sequence[Row], prefix: str) -> list[str]:
     return sorted({key for row in rows for key in row if key.startswith(prefix)})
 
@@ -72,11 +89,11 @@ def _keys(rows: Sequence[Row], prefix: str) -> list[str]:
 def _evaluations(rows: Sequence[Row]) -> list[Chart]:
     """Success first, then the objective unless that is success, then the other measures."""
     objective_is_success = all(row.get(_OBJECTIVE) == row.get(_SUCCESS) for row in rows)
-    known = [Chart("Episodes that succeeded", _SUCCESS, "%", low=0.0, high=100.0, dots=True)]
+    known = [Chart("Episodes that succeeded", _SUCCESS, "%", 0.0, 100.0, dots=True, bound=BOUND)]
     if not objective_is_success:
         known.append(Chart("Objective", _OBJECTIVE, dots=True))
     return known + [
         Chart(key.removeprefix(_EVALUATION).replace("_", " "), key, dots=True)
         for key in _keys(rows, _EVALUATION)
-        if key not in (_SUCCESS, _OBJECTIVE)
+        if key not in (_SUCCESS, _OBJECTIVE, _AT_MOST, BOUND)
     ]

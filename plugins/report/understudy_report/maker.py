@@ -51,6 +51,9 @@ def _draw_video(run: Run, recording: Recording) -> str:
     began = time.perf_counter()
     every = max(1, round(1.0 / (FRAME_RATE * recording.control_dt)))
     tracks = {name: track[::every] for name, track in recording.tracks.items()}
-    frames = recording.scene.draw(tracks, WIDTH, HEIGHT)
+    options = run.config.get("run") or {}
+    width, height = options.get("video_size") or (WIDTH, HEIGHT)
+    recording.scene.azimuth = options.get("video_camera")
+    frames = recording.scene.draw(tracks, width, height)
     write_video(run.path / VIDEO, frames, 1.0 / (every * recording.control_dt))
     return f"Video drawn in {time.perf_counter() - began:.0f} s."

@@ -21,7 +21,7 @@ from understudy_report import words
 from understudy_report.markup import check_markup
 from understudy_report.section import ReportSection
 from understudy_report.stick_figures import PLAYER_SCRIPT
-from understudy_report.values import mapping
+from understudy_report.values import mapping, sequence
 
 _HERE = Path(__file__).parent
 _PAGE = Template((_HERE / "page.html").read_text(encoding="utf-8"))
@@ -43,9 +43,8 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
     RunError
         if the file cannot be written; the old one is untouched.
     """
-    task = words.text(mapping(run.info.get("config")).get("task") or run.path.name)
     page = html_page(
-        task,
+        _name(run),
         "understudy report",
         words.text(run.info.get("created", ""))[:16].replace("T", " "),
         _sections(run, registry or installed().registry),
@@ -53,6 +52,14 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
     path = run.path / "report.html"
     write_atomically(path, page)
     return path
+
+
+def _name(run: Run) -> str:
+    """The experiment of `run`, else its task, else its folder's name."""
+    given = map(words.text, sequence(run.info.get("overrides")))
+    named = [o.partition("=")[2] for o in given if o.lstrip("+").startswith("experiment=")]
+    task = mapping(run.info.get("config")).get("task")
+    return words.text((named or [task])[-1] or run.path.name)
 
 
 def html_page(title: str, over: str, created: str, content: str, style: str = "") -> bytes:

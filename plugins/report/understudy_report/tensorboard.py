@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
+from understudy_report.values import mapping, number, read_evaluation
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
+
+    from understudy.records.recording import Recording
 
 
 class TensorBoard(RunObserver):
@@ -30,6 +33,22 @@ class TensorBoard(RunObserver):
             for name, value in row.items():
                 if name not in ("iteration", "samples"):
                     self._writer.add_scalar(name, value, int(row["samples"]))
+
+    def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
+        """The figures of the last evaluation as ``final/…``, beside those of the training."""
+        from torch.utils.tensorboard.writer import SummaryWriter
+
+        evaluation = read_evaluation(run)
+        samples, rate = number(evaluation.get("samples")), number(evaluation.get("success_rate"))
+        means = {
+            k: number(mapping(v).get("mean"))
+            for k, v in mapping(evaluation.get("measures")).items()
+        }
+        if samples is not None:
+            with SummaryWriter(str(run.path / "tensorboard")) as writer:
+                for name, value in {"success_rate": rate, **means}.items():
+                    if value is not None:
+                        writer.add_scalar(f"final/{name}", value, int(samples))
 
     def finished(self, run: Run, outcome: str) -> None:
         if self._writer is not None:

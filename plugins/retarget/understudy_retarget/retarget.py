@@ -174,7 +174,7 @@ def _check(source: Figure, target: Figure, clip: Clip, character: Character) -> 
         raise ConfigError(
             f"Clip {clip.source}: none of its joints is recognised as the {part}{more}, which "
             f"{character.name} has; say which one it is with --map {part}=JOINT."
-            f"{suggestion(part, clip.joint_names, limit=60)}"
+            f"{suggestion(part, clip.joint_names)}"
         )
     for bone, (start, end) in BONES.items():
         if start in source.points and end in source.points and source.length(start, end) < 1e-6:

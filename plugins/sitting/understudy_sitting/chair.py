@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.inputs import Inputs
 from understudy.options import check_range
 from understudy.setup.registry import Registry
 from understudy_characters.staging import make_solid
@@ -100,8 +101,8 @@ def slabs(
 class Chair(Surroundings):
     """A chair beside the character, and what senses feet on the floor and the pelvis on the seat."""
 
-    def __init__(self, options: ChairOptions, registry: Registry) -> None:
-        self.options = options
+    def __init__(self, options: ChairOptions, registry: Registry, inputs: Inputs) -> None:
+        self.options, self._inputs = options, inputs
         #: Parameters in which chairs of other sizes differ.
         self.sizes = tuple(
             f"{field}/{slab.name}" for slab in slabs(options) for field in ("geom_pos", "geom_size")
@@ -112,7 +113,9 @@ class Chair(Surroundings):
         body = spec.worldbody.add_body(name=BODY, mocap=True)
         boxes = list(slabs(self.options))
         if self.options.mesh is not None:
-            parts = convex_parts(Path(self.options.mesh), self.options.mesh_scale)
+            path = Path(self.options.mesh)
+            path = self._inputs.file(f"chair.mesh={path}", lambda: [path])
+            parts = convex_parts(path, self.options.mesh_scale)
             for number, vertices in enumerate(parts):
                 name = f"chair_part{number}"
                 spec.add_mesh(name=name, uservert=vertices.flatten().tolist())
@@ -166,7 +169,7 @@ class SolesOptions:
 class Soles(Surroundings):
     """What senses the feet on the floor."""
 
-    def __init__(self, options: SolesOptions, registry: Registry) -> None:
+    def __init__(self, options: SolesOptions, registry: Registry, inputs: Inputs) -> None:
         self._options = options
 
     def add(self, spec: mujoco.MjSpec) -> None:

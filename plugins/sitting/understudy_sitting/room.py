@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 
 from understudy.errors import FileError
+from understudy.inputs import Inputs
 from understudy.options import check_range
 from understudy.setup.registry import Registry
 from understudy_characters.staging import make_solid
@@ -186,8 +187,9 @@ class RoomOptions:
 class Room(Surroundings):
     """Everything in the room but the chair, as boxes that one runs into."""
 
-    def __init__(self, options: RoomOptions, registry: Registry) -> None:
-        self.scene = read_scene(Path(options.file) if options.file else EXAMPLE)
+    def __init__(self, options: RoomOptions, registry: Registry, inputs: Inputs) -> None:
+        path = Path(options.file) if options.file else EXAMPLE
+        self.scene = read_scene(inputs.file(f"room.file={options.file}", lambda: [path]))
         if options.chair >= len(self.scene.chairs):
             raise FileError(
                 f"room.chair={options.chair}: the scene has {len(self.scene.chairs)} chairs, from 0."

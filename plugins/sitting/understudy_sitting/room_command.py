@@ -81,7 +81,7 @@ def _act(built: Built, run: Run, seconds: float) -> tuple[np.ndarray, torch.Tens
     """The motion (T, nq), a state each control period, of the trial that sat longest, and how long each
     sat, (N,) s."""
     environment = built.environment
-    trained = validate(run.config, installed().registry)
+    trained = run.experiment(installed().registry)
     periods = trained.root.control.decision
     policy = build_policy(trained, built.context)
     policy.load_state_dict(newest_state(str(run.path))["policy"])

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from understudy.records.runs import Run
-from understudy.setup.config import validate
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_basics.rotations import angle_between
@@ -36,7 +33,7 @@ class EvolvedSection(ReportSection):
         chosen = mapping(mapping(run.info.get("config")).get("initial_states")).get("name")
         if chosen != "spacetime.evolution" or not any(run.checkpoints.glob("*")):
             return None
-        found = evolution_of(run.path.as_posix(), run.config)
+        found = evolution_of(run)
         segment = int(found.distances.mean(1).argmax())
         count = len(found.distances)
         where = f"phase {segment / count:.2f} to {(segment + 1) / count:.2f}"
@@ -59,16 +56,17 @@ class Evolved:
     distances: np.ndarray  #: (n, m) rad, the mean over the joints of how far they are apart
 
 
-def evolution_of(path: str, config: Mapping[str, Any]) -> Evolved:
-    """What the newest checkpoint of the run folder `path` has evolved to."""
-    states = evolved_states(path)
-    experiment = validate(config, installed().registry)
+def evolution_of(run: Run) -> Evolved:
+    """What the newest checkpoint of `run` has evolved to."""
+    states = evolved_states(run.path.as_posix())
+    experiment = run.experiment(installed().registry)
     control = experiment.root.control
     context = Context(
         0, torch.device("cpu"), 1,
         control_dt=1.0 / control.frequency, substeps=control.substeps,
         sections={"motion": experiment.registry.sections["motion"].make(
-            experiment.sections["motion"], experiment.registry)},
+            experiment.sections["motion"], experiment.registry, experiment.inputs)},
+        inputs=experiment.inputs,
     )  # fmt: skip
     context.scene = experiment.need("scene").build(context)
     layout = context.need_scene(CharacterScene, "the report of evolved states").layout

@@ -18,7 +18,7 @@ from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import device_of
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context, State
 from understudy_basics import averages, optimisers
@@ -191,7 +191,7 @@ def trained_network(run: str, scene: CharacterScene, registry: Registry) -> Moti
     Raises:
         RunError: it is no run of the job 'styles.autoencoder', or one of another character.
     """
-    job = validate(runs.open_run(run).config, registry).one("job")
+    job = runs.open_run(run).experiment(registry).one("job")
     if job is None or job.component.factory is not LearnFeatures:
         raise RunError(f"{run} trained no auto-encoder of motions (experiment=styles/autoencoder).")
     network = new_network(job.options, scene, 0)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 
 from understudy.command.command import Command
+from understudy.errors import ConfigError, suggestion
+from understudy.setup import plugins as loaded
+from understudy.setup.composition import options as choices
 from understudy_sweeps.sweep import sweep
 
 
@@ -17,4 +20,9 @@ class Sweep(Command):
         pass
 
     def run(self, options: argparse.Namespace) -> int:
+        asks = ("ablation=", "search=", "outer_loop")
+        if not any(word.lstrip("+").startswith(asks) for word in options.overrides):
+            plugins = loaded.installed()
+            known = [f"{g}={name}" for g in ("ablation", "search") for name in choices(plugins, g)]
+            raise ConfigError(f"Give ablation=…, search=… or outer_loop=….{suggestion('', known)}")
         return sweep(options.overrides)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import imageio_ffmpeg
 import pytest
 
 from understudy.command.cli import main
@@ -130,8 +131,35 @@ def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_pat
     evaluation = json.loads((run / "evaluation.json").read_text())
     assert {"episodes", "success_rate", "mean_episode_seconds", "samples"} <= evaluation.keys()
     assert evaluation["samples"] == 64
+    info = json.loads((run / "run.json").read_text())
+    assert info["origins"]["learner.gamma"] == "default of learner ppo [ppo]"
+    assert info["origins"]["motion.name"] == "task/spacetime/walk.yaml [spacetime]"
+    assert "default of learner ppo [ppo]" in (run / "report.html").read_text()
     line = complaint(capsys, "train", *QUICK, f"run.dir={run}")
     assert "already holds a run" in line
+
+    before = (run / "evaluation.json").stat().st_mtime_ns
+    assert main(["resume", str(run)]) == 0
+    captured = capsys.readouterr()
+    assert f"{run} is finished (budget). With a larger budget.samples=… it goes on." in captured.err
+    assert captured.out == f"run: {run}\n"
+    assert (run / "evaluation.json").stat().st_mtime_ns == before, "nothing was judged again"
+
+    words = ["episodes=1", "seconds=0.1"]
+    assert main(["evaluate", str(run), *words, "checkpoint=0"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["samples"], found["episodes"], found["seconds"]) == (0, 1, 0.1)
+    assert json.loads((run / "evaluation-00000000.json").read_text()) == found
+    assert (run / "evaluation.json").stat().st_mtime_ns == before
+    assert "checkpoint=7" in complaint(capsys, "evaluate", str(run), "checkpoint=7")
+    assert "WIDTHxHEIGHT" in complaint(capsys, "render", str(run), "size=big")
+    assert main(["render", str(run), *words, "size=160x90", "camera=90"]) == 0
+    assert json.loads((run / "evaluation.json").read_text())["episodes"] == 1
+    assert json.loads((run / "run.json").read_text())["config"] == info["config"], "as trained"
+    video = run / "video.mp4"
+    if video.exists():  # there is OpenGL
+        shown = next(imageio_ffmpeg.read_frames(str(video)))
+        assert tuple(shown["source_size"]) == (160, 90)
     assert main(["resume", str(run), "budget.samples=128"]) == 0
     assert main(["evaluate", str(run)]) == 0
     assert json.loads((run / "evaluation.json").read_text())["samples"] == 128
@@ -149,5 +177,7 @@ def test_lists(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "experiment=spacetime/walk", "seed=7"]) == 0
     shown = capsys.readouterr().out.splitlines()
     line = next(x for x in shown if x.startswith("termination.terms.com.size: 0.2"))
-    assert line.endswith("understudy_spacetime/conf/termination/spacetime.yaml")
+    assert line.endswith("# termination/spacetime.yaml [spacetime]")
+    line = next(x for x in shown if x.startswith("learner.gamma: 0.95"))
+    assert line.endswith("# default of learner ppo [ppo]")
     assert next(x for x in shown if x.startswith("seed: 7")).endswith("command line: seed=7")

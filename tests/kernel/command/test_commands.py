@@ -51,10 +51,13 @@ def test_what_the_user_can_cause_is_one_line(capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize("arguments", [["say"], ["say", "hello"], ["say", "hello", "a", "--soft"]])
-def test_wrong_arguments_are_refused(arguments: list[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(arguments)
-    assert stopped.value.code == 2
+def test_wrong_arguments_are_refused(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(arguments) == 2
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err.count("\n")) == ("", 1)
+    assert captured.err.startswith("understudy: ")
 
 
 def test_help_lists_commands_without_importing_them(capsys: pytest.CaptureFixture[str]) -> None:

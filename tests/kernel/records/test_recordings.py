@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from understudy.records.recording import Recording
 from understudy.records.runs import Run
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import hookimpl, load
+from understudy_inspect import judging
 
 QUICK = (
     *PADDLE_TASK, *SMALL, "budget.samples=128", "evaluation.episodes=4", "evaluation.seconds=0.2",
@@ -65,12 +67,13 @@ def test_observers_are_told_after_training_and_render(
         only=["mujoco", "basics", "ppo"],
         extra=[("test", sys.modules[worlds.__name__]), ("watch", Watch(watcher))],
     )
-    monkeypatch.setattr(workflow, "installed", lambda: plugins)
+    for module in (workflow, judging):
+        monkeypatch.setattr(module, "installed", lambda: plugins)
     monkeypatch.setattr(PaddleScene, "recorded", fields)
     overrides = [*QUICK, f"run.dir={path}"]
     monkeypatch.setattr(workflow, "load_experiment", lambda given: load_experiment(given, plugins))
     assert workflow.train(overrides) == 0
-    assert workflow.render(str(path), []) == 0
+    assert judging.Render().run(argparse.Namespace(run=str(path), overrides=[])) == 0
     messages = capsys.readouterr().err
     assert messages.count("The observer Breaking is left out: ValueError: too dark") == 2
     assert messages.count("I have seen it.") == 2

@@ -325,20 +325,35 @@ def test_several_batches_are_one_evaluation(episodes: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("criterion", "complete", "episodes"), [(0.5, True, 8), (0.75, False, 8), (1.0, False, 4)]
+    ("criterion", "complete", "rate"), [(0.5, True, 0.5), (0.75, False, 0.5), (1.0, False, 0.75)]
 )
 def test_giving_up_when_success_is_out_of_reach(
-    criterion: float, complete: bool, episodes: int
+    criterion: float, complete: bool, rate: float
 ) -> None:
     """Two of four worlds fail in each batch at once: 4 of 8, 2 more than 0.75 allows, or in the first
-    batch already 2 more than 1.0 allows."""
+    batch already 2 more than 1.0 allows; the second batch could still succeed."""
     made = evaluator(far(6), "evaluation.seconds=60", "+measure.at={name: line.value}")
     still = policy(0)
     made.built.environment.parts.initial_states.sample = (  # type: ignore[method-assign]
         lambda streams, **fields: {"x": torch.tensor([[0.0], [6.0], [0.0], [7.0]])}
     )
     found = made.run(still, "a", 8, give_up_below=criterion)
-    assert (found.complete, found.episodes) == (complete, episodes)
+    assert (found.complete, found.episodes, found.success_rate) == (complete, 8, rate)
+    if complete:
+        assert found.row()["evaluation/success_rate"] == rate
+    else:
+        assert found.row() == {"evaluation/success_rate_at_most": rate}
+        assert f"at most {rate:.0%} of 8 episodes succeeded, stopped early" in found.sentence()
+
+
+def test_a_success_term_that_may_still_come_is_not_out_of_reach() -> None:
+    """Stopped early, worlds that are still running count as if they reached the term."""
+    made = evaluator(far(9, "success", "there"), far(6), "evaluation.seconds=60")
+    made.built.environment.parts.initial_states.sample = (  # type: ignore[method-assign]
+        lambda streams, **fields: {"x": torch.tensor([[0.0], [6.0], [0.0], [7.0]])}
+    )
+    found = made.run(policy(0), "a", 4, give_up_below=0.75)
+    assert (found.complete, found.success_rate) == (False, 0.5)
 
 
 def test_only_first_episodes_count() -> None:
@@ -398,6 +413,7 @@ def test_the_criterion_needs_both_draws(tmp_path: Path, monkeypatch: pytest.Monk
     assert training.progress.iteration == 3
     rows = training.run.metrics()
     assert [row["evaluation/success_rate"] for row in rows] == [0.5, 1.0, 0.95]
+    assert [row.get("confirmation/success_rate") for row in rows] == [None, 0.8, 0.9]
 
 
 def test_an_incomplete_evaluation_meets_no_criterion(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -409,6 +425,7 @@ def test_an_incomplete_evaluation_meets_no_criterion(monkeypatch: pytest.MonkeyP
     rows = list(training.rows())
     assert training.outcome == "budget"
     assert not any("evaluation/success_rate" in row for row in rows)
+    assert all(row["evaluation/success_rate_at_most"] == 1.0 for row in rows)
 
 
 def test_judging_is_on_a_draw_of_its_own() -> None:

@@ -254,7 +254,7 @@ def test_slots_of_plugins() -> None:
     with pytest.raises(ConfigError, match=r"^There is no data 'my\.wave' \(asked for at data\)"):
         load_experiment([*TASK, "data.name=my.wave"], plugins())
     with pytest.raises(
-        ConfigError, match=r"^data is not set\. .* a data \(data=…\)\. Known: my\.waves\."
+        ConfigError, match=r"^data is not set\. .* set it \(data=…\)\. Known: my\.waves\."
     ):
         make_training(plugins(), ["+job={name: my.regression}"])
 

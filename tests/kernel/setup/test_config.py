@@ -53,7 +53,7 @@ def test_provenance(plugins: Plugins) -> None:
     ]
     origin = origins(overrides, plugins)
     assert "num_worlds" not in origin, "nobody set it"
-    assert origin["learner.name"] == "plugins/ppo/understudy_ppo/conf/learner/ppo.yaml"
+    assert origin["learner.name"] == "learner/ppo.yaml [ppo]"
     assert origin["seed"] == "command line: seed=3"
     assert origin["control.frequency"] == "command line: control.frequency=60"
     assert origin["learner.clip"] == "command line: +learner.clip=0.3"
@@ -158,10 +158,10 @@ def test_the_command_shows_defaults(
     lines = capsys.readouterr().out.splitlines()
     shown = {line.partition(": ")[0]: line.partition(": ")[2] for line in lines}
     assert shown["learner.rollout_steps"].split("  # ")[0].strip() == "2"
-    assert shown["learner.rollout_steps"].endswith("# default")
+    assert shown["learner.rollout_steps"].endswith("# default of learner line.nudge [line]")
     assert shown["learner.rate"].endswith("# command line: learner.rate=3")
-    assert shown["evaluation.gate"].endswith("# default")
-    assert shown["curriculum"].endswith("# default")
+    assert shown["evaluation.gate"].endswith("# default of understudy")
+    assert shown["curriculum"].endswith("# default of understudy")
     assert shown["control.frequency"].endswith("# command line: control.frequency=1")
     assert main(["config", "--json", *LINE_TASK]) == 0
     assert json.loads(capsys.readouterr().out)["learner"]["rate"] == 1.0
@@ -267,7 +267,7 @@ def test_the_origin_of_a_part_that_a_word_chose() -> None:
     overrides = ["experiment=miniature/chopsticks", "policy=mlp", "policy.hidden=[8]"]
     origin = {k: v for k, v in origins(overrides).items() if k.startswith("policy.")}
     assert origin == {
-        "policy.name": "plugins/basics/understudy_basics/conf/policy/mlp.yaml",
+        "policy.name": "policy/mlp.yaml [basics]",
         "policy.hidden": "command line: policy.hidden=[8]",
     }
 

@@ -124,3 +124,12 @@ def test_outlines_join_each_link_to_its_parent_and_have_a_head(tmp_path: Path) -
     ring = sticks[0, bones:]
     np.testing.assert_allclose(ring[:, 1], np.roll(ring[:, 0], -1, axis=0), atol=1e-9)  # closed
     assert ring[..., 2].max() > sticks[0, :bones, ..., 2].max()
+
+
+def test_gains_are_among_the_facts() -> None:
+    """Of the humanoid, the released DeepMimic character's."""
+    servos = scene_of("humanoid").describe()["servos"]
+    assert (
+        servos["kp 1000 N m/rad, kd 100 N m s/rad, at most 200 N m"] == "chest_x, chest_y, chest_z"
+    )
+    assert sum(len(names.split(", ")) for names in servos.values()) == 28

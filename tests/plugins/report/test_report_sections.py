@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from report_runs import EVIL, STILL, add_metrics, make_run, report
+from report_runs import EVIL, STILL, Page, add_metrics, make_run, report
 
 from understudy.records.runs import Run
 from understudy.setup.plugins import hookimpl, load
 from understudy.setup.registry import Registrar, Registry
 from understudy_report.charts import Chart, Mark, draw_chart
-from understudy_report.learning import marks_of
+from understudy_report.configuration import Configuration
+from understudy_report.learning import BOUND, LearningCurves, marks_of, with_success
 from understudy_report.markup import bar, check_markup, grid, nested, table
 from understudy_report.section import ReportSection
 from understudy_report.stick_figures import stick_figure_animation
@@ -227,3 +228,48 @@ def test_an_objective_of_its_own_is_shown(tmp_path: Path) -> None:
     run.append_metrics({"samples": 1, "evaluation/success_rate": 0.5, "evaluation/objective": 1.7})
     page, _ = report(run)
     assert "Objective1.7" in page.text
+
+
+def test_success_is_one_curve() -> None:
+    """Bounds of evaluations that were stopped, confirmations in place of what they confirmed, and
+    the last evaluation at the end."""
+    rows = [
+        {"samples": 100, "evaluation/success_rate_at_most": 0.4},
+        {"samples": 200},
+        {"samples": 300, "evaluation/success_rate": 0.95, "confirmation/success_rate": 0.8},
+        {"samples": 400, "evaluation/success_rate": 0.9},
+    ]
+    found = with_success(rows, {"samples": 500, "success_rate": 0.97})
+    shares = [row.get("evaluation/success_rate") for row in found]
+    assert shares == [0.4, None, 0.8, 0.9, 0.97]
+    assert [row.get(BOUND) for row in found] == [True, None, False, False, None]
+    assert len(with_success(rows, {})) == 4
+
+
+def test_bounds_are_rings(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    for i, key in enumerate(
+        ("evaluation/success_rate_at_most",) * 2 + ("evaluation/success_rate",)
+    ):
+        run.append_metrics({"samples": 1000 * (i + 1), key: 0.2 * (i + 1)})
+    html = LearningCurves().html(run)
+    assert html is not None
+    assert (html.count('class="ring"'), html.count('class="dot"')) == (2, 1)
+    assert "○ at most" in html
+    assert html.count("<h4>Episodes that succeeded") == 1
+    first = html.partition("</svg>")[0]
+    assert 'class="line"' not in first, "no line through bounds"
+    assert "bound" not in html, "no curve of what is only a mark"
+
+
+def test_the_configuration_says_what_set_each_value(tmp_path: Path) -> None:
+    config = {"seed": 3, "learner": {"name": "ppo", "gamma": 0.95}, "memory": {}}
+    origins = {"seed": "command line: seed=3", "learner.gamma": f"default of learner {EVIL}"}
+    html = Configuration().html(make_run(tmp_path, config=config, origins=origins))
+    assert html is not None
+    check_markup(html)
+    page = Page(html)
+    assert "What files and the command line set (3 values)" in page.text
+    assert "Defaults (1 values)" in page.text
+    assert f"learner.gamma0.95default of learner {EVIL}" in page.text
+    assert "<script>" not in html

@@ -12,6 +12,7 @@ import trimesh
 from sitting_tasks import build
 
 from understudy.errors import ConfigError, FileError
+from understudy.inputs import Inputs
 from understudy.setup.building import Built
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
@@ -89,7 +90,7 @@ def test_a_mesh_becomes_the_hulls_of_its_parts(tmp_path: Path, suffix: str) -> N
     assert sizes == [(0.05, 0.4, 0.5), (0.4, 0.4, 0.05)]
     spec = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
     spec.worldbody.add_body(name="root").add_geom(size=[0.1, 0, 0])
-    Chair(ChairOptions(mesh=str(path), mesh_scale=0.01), installed().registry).add(spec)
+    Chair(ChairOptions(mesh=str(path), mesh_scale=0.01), installed().registry, Inputs()).add(spec)
     model = spec.compile()
     assert model.nmesh == 2
 

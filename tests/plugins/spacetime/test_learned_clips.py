@@ -108,7 +108,7 @@ def test_evolved_states_are_drawn_beside_the_reference(evolved: Run) -> None:
     assert html is not None
     check_markup(html)
     assert html.count("<circle") == 8
-    found = evolution_of(str(evolved.path), evolved.config)
+    found = evolution_of(evolved)
     assert found.distances.shape == (20, 8)
     assert 0.0 < found.distances.max() < 1.0
 
@@ -119,7 +119,7 @@ def test_states_that_have_not_evolved_are_the_reference(tmp_path: Path) -> None:
     training = Training(experiment).prepare().attach(runs.create(experiment, [], {}))
     training.save()
     training.close()
-    found = evolution_of(str(tmp_path / "run"), experiment.effective())
+    found = evolution_of(runs.open_run(tmp_path / "run"))
     assert found.distances.max() < 2e-3
 
 

@@ -134,7 +134,7 @@ def _document(path: Path, content: bytes) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise FileError(f"Clip {path}: not a clip: no 'Loop' and 'Frames' at the top level.")
     if "Frames" not in document:
-        found = suggestion("Frames", document, limit=4)
+        found = suggestion("Frames", document) if len(document) <= 20 else ""
         raise FileError(f"Clip {path}: not a clip: 'Frames' is missing.{found}")
     return document
 

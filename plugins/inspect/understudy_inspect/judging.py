@@ -1,0 +1,148 @@
+"""Evaluating a run again, and drawing it."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from understudy.command.command import Command
+from understudy.command.workflow import judge, tell
+from understudy.errors import ConfigError, RunError, suggestion
+from understudy.records import checkpoint, runs
+from understudy.records.runs import Run
+from understudy.running.training import Reporter, Training
+from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.plugins import installed
+
+#: Words for what one changes of an evaluation most often, and the keys that they stand for.
+_EVALUATION = {"episodes": "evaluation.final_episodes", "seconds": "evaluation.seconds"}
+_PICTURE = {
+    "episodes": "evaluation.final_episodes",
+    "seconds": "run.video_seconds",
+    "size": "run.video_size",
+    "camera": "run.video_camera",
+}
+
+
+class Evaluate(Command):
+    """Judges a checkpoint on starts that no training drew; writes ``evaluation.json``, or for an older
+    checkpoint ``evaluation-ITERATION.json``."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.usage = (
+            "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION] [KEY=VALUE …]"
+        )
+        parser.add_argument("run", help="run folder")
+
+    def run(self, options: argparse.Namespace) -> int:
+        training, run, _, chosen = load(options.run, options.overrides, _EVALUATION)
+        try:
+            evaluation, _ = training.judge()
+        finally:
+            training.close()
+        result = evaluation.as_json(training.progress.samples)
+        run.write_json(f"evaluation-{chosen}.json" if chosen else "evaluation.json", result)
+        print(json.dumps(result, indent=1))
+        return 0
+
+
+class Render(Command):
+    """Judges a checkpoint while recording it, and makes the run's pictures and report anew."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.usage = (
+            "understudy render RUN [episodes=N] [seconds=S] [size=WIDTHxHEIGHT] [camera=DEGREES] "
+            "[checkpoint=ITERATION] [KEY=VALUE …]"
+        )
+        parser.add_argument("run", help="run folder")
+
+    def run(self, options: argparse.Namespace) -> int:
+        training, run, reporter, _ = load(options.run, options.overrides, _PICTURE)
+        reporter.observers = installed().observers()
+        try:
+            judge(training, run, reporter)
+        finally:
+            training.close()
+        print(f"run: {run.path}")
+        return 0
+
+
+def load(
+    path: str, words: Sequence[str], short: Mapping[str, str]
+) -> tuple[Training, Run, Reporter, str]:
+    """The run at `path` with what was learned of it, as `words` of the command line change it, and the
+    name of the checkpoint if they choose one.
+
+    Words are overrides; those of `short` set what the run recorded and nothing else.
+    """
+    run = runs.open_run(path)
+    given = {key: value for key, _, value in (word.partition("=") for word in words)}
+    own = {key: given[key] for key in (*short, "checkpoint") if key in given}
+    overrides = [word for word in words if word.partition("=")[0] not in own]
+    config = copy.deepcopy(run.config)
+    if overrides:
+        config = compose_raw(replaced(run.info["overrides"], overrides))
+    chosen = own.pop("checkpoint", "")
+    for key, value in own.items():
+        _set(config, short[key], _value(key, value))
+    if "episodes" in own:  # as many at once as there are
+        most = config["evaluation"].get("episodes", 64)
+        _set(config, "evaluation.episodes", min(most, _value("episodes", own["episodes"])))
+    experiment = run.experiment(installed().registry, config)
+    run.info["config"] = experiment.effective()  # what is drawn; the file keeps what was trained
+    reporter = Reporter(tell)
+    if chosen:
+        state, chosen = _checkpoint(run, chosen)
+    else:
+        state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
+        if run.metrics() and not state["progress"]["samples"]:
+            raise RunError(
+                f"{path}: only the checkpoint before training is intact. Resume it first."
+            )
+    training = Training(experiment, reporter)
+    training.load_learned(state)
+    return training, run, reporter, chosen
+
+
+def _checkpoint(run: Run, chosen: str) -> tuple[Any, str]:
+    """The state of the checkpoint made after the iteration `chosen`, and its name."""
+    there = {path.name: path for path in checkpoint.newest(run.checkpoints)}
+    name = chosen.rpartition("/")[2].partition(".")[0]
+    name = name.zfill(8) if name.isdigit() else name
+    if name not in there:
+        known = [str(int(n)) for n in there]
+        raise RunError(f"{run.path} keeps no checkpoint={chosen}.{suggestion('', known)}")
+    return checkpoint.load(there[name])[0], name
+
+
+def _value(key: str, text: str) -> Any:
+    if key == "size":
+        width, _, height = text.partition("x")
+        if not (width.isdigit() and height.isdigit()):
+            raise ConfigError(
+                f"size={text} is not possible. Write size=WIDTHxHEIGHT, as size=640x360."
+            )
+        return [int(width), int(height)]
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        value = text
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"{key}={text} is not possible: it takes a number.")
+    if key == "episodes" and (not isinstance(value, int) or value < 1):
+        raise ConfigError(f"episodes={text} is not possible: it takes a whole number from 1.")
+    return value
+
+
+def _set(config: dict[str, Any], path: str, value: Any) -> None:
+    group, _, key = path.partition(".")
+    config[group] = {**(config.get(group) or {}), key: value}

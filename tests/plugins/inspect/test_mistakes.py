@@ -1,0 +1,114 @@
+"""What one types wrong on the first day is answered in one sentence that says what to type instead."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from understudy.command.cli import main
+
+WALK = "experiment=spacetime/walk"
+
+MISTAKES = {
+    f"trian {WALK}": "no command 'trian'. Did you mean 'train'?",
+    "motion chek x": "no command 'chek'. Did you mean 'check'?",
+    "help": "Known: amorphous, completion, config,",
+    "train spacetime/walk": "Write experiment=spacetime/walk.",
+    "train --seed 3": "There is no option --seed. Write seed=3.",
+    f"train {WALK} --learner=trpo": "Write learner=trpo.",
+    f"train {WALK} seed = 3": "'seed' sets nothing. Write KEY=VALUE, without spaces.",
+    f"train {WALK} seed=1,2,3": "several values and a run takes one. A list is written [1,2,3];",
+    f"train {WALK},deepmimic/walk": "compared by `understudy sweep`",
+    f"train {WALK} seed=three": "seed='three' is not possible: it takes int.",
+    "train experiment=walk": "'deepmimic/walk' or 'morphology/walk' or 'spacetime/walk'?",
+    "train experiment=Spacetime/Walk": "Did you mean 'spacetime/walk'?",
+    "train experiment=": "spacetime/{backflip, cartwheel,",
+    "train experimnt=spacetime/walk": "Did you mean 'experiment'?",
+    "train task=spacetime/walk": "policy is not set. Choose an experiment",
+    f"train {WALK} learner=sac": "Known: ppo, trpo, amorphous/{many_worlds, ppo}, ",
+    f"train {WALK} leaner=ppo": "Did you mean 'learner'?",
+    f"train {WALK} learner.lr=1e-3": "weight_decay.",
+    f"train {WALK} lr=1e-3": "An option of a part is written as PART.lr.",
+    f"train {WALK} samples=1000": "Did you mean 'budget.samples'?",
+    f"train {WALK} worlds=16": "Did you mean 'num_worlds'?",
+    f"train {WALK} budget=100000": "it takes a mapping of samples, minutes.",
+    f"train {WALK} learner.gamma=2": "learner.gamma=2.0 is not possible: it must be at most 1.",
+    f"train {WALK} device=gpu": "Use cpu, cuda, or cuda:1.",
+    f"train {WALK} scene.character=humanoyd": "Did you mean 'humanoid'?",
+    f"train {WALK} termination.terms.com.size=[0.1": "cannot be read. Check brackets and quotes.",
+    f"train {WALK} +foo=3": "no configuration key 'foo'",
+    f"train {WALK} motion.file=nosuch.npz": "Clip nosuch.npz: there is no such file.",
+    "evaluate": "arguments are required: run. See `understudy evaluate --help`.",
+    "evaluate nosuch": "nosuch is no run folder",
+    f"sweep {WALK}": "Give ablation=…, search=… or outer_loop=…. Known: ",
+    f"sweep {WALK} --dry": "There is no option --dry.",
+    "tasks foo": "'foo' is not taken here.",
+    "describe": "arguments are required: part.",
+    "describe ppp": "There is nothing called 'ppp'. Write KIND/NAME, as in learner/ppo.",
+    "describe learner/pop": "There is no learner 'pop'. Did you mean 'ppo'?",
+    "completion csh": "invalid choice: 'csh'",
+}
+
+
+@pytest.mark.parametrize("typed", MISTAKES)
+def test_one_sentence(
+    typed: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(typed.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("understudy: ")
+    assert captured.err.count("\n") == 1
+    assert MISTAKES[typed] in captured.err
+    assert ", …" not in captured.err, "lists are whole"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "answer"),
+    [
+        ("UNDERSTUDY_PLUGINS", "nope", "UNDERSTUDY_PLUGINS names 'nope', which is no installed plugin."),
+        ("UNDERSTUDY_PLUGINS", "spacetme,ppo", "Did you mean 'spacetime'?"),
+        ("UNDERSTUDY_DISABLE_PLUGINS", "report;sweeps", "names 'report;sweeps'"),
+    ],
+)  # fmt: skip
+def test_variables_that_name_no_plugin(
+    variable: str, value: str, answer: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(variable, value)
+    command = [sys.executable, "-m", "understudy", "tasks"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("understudy: ")
+    assert ended.stderr.count("\n") == 1
+    assert answer in ended.stderr
+
+
+def test_train_alone_lists_experiments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train"]) == 2, "nothing was trained"
+    lines = capsys.readouterr().out.splitlines()
+    assert "spacetime" in lines
+    walk = next(line for line in lines if line.startswith("  spacetime/walk "))
+    assert walk.endswith("survival reward (thesis, section 3.5.1; at most 4.08 M samples)")
+    assert all(line.partition("  ")[2].strip() for line in lines if line.startswith("  "))
+    assert lines[-1] == "Train one: understudy train experiment=NAME"
+
+
+def test_help_names_the_keys_that_one_types(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    for key in (
+        "experiment=",
+        "seed=3",
+        "num_worlds=",
+        "budget.samples=",
+        "motion.file=",
+        "run.dir=",
+    ):
+        assert key in shown
