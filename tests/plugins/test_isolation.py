@@ -26,7 +26,9 @@ MATERIAL = {
     "doctor": FIGURE,
     "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,
-    "spacetime": FIGURE | {"retarget"},
+    "reproduce": TOYS | FIGURE | {"spacetime"},
+    "spacetime": FIGURE | {"deepmimic", "retarget"},
+    "styles": FIGURE | {"ppo", "report", "spacetime"},
     "sweeps": TOYS,
 }
 
