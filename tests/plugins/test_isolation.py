@@ -27,7 +27,9 @@ MATERIAL = {
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,
-    "spacetime": FIGURE | {"retarget"},
+    "reproduce": TOYS | FIGURE | {"spacetime"},
+    "spacetime": FIGURE | {"deepmimic", "retarget"},
+    "styles": FIGURE | {"ppo", "report", "spacetime"},
     "sweeps": TOYS,
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,6 @@ from typing import Any
 
 from understudy import __version__
 from understudy.records.checkpoint import write_atomically
-from understudy.records.runs import Run
 from understudy_report import words
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page
@@ -207,16 +207,7 @@ def _printed(number: Any) -> str:
 def _device(result: Result) -> str:
     """What the trial ran on."""
     try:
-        info = mapping(_info(result.path))
-    except OSError:
-        return "an unknown device"
-    return str(mapping(info.get("config")).get("device") or "an unknown device")
-
-
-def _info(path: Path) -> Any:
-    import json
-
-    try:
-        return json.loads((Run(path, {}).path / "run.json").read_bytes())
-    except (ValueError, RecursionError):
-        return {}
+        info = json.loads((result.path / "run.json").read_bytes())
+    except (OSError, ValueError, RecursionError):
+        info = {}
+    return str(mapping(mapping(info).get("config")).get("device") or "an unknown device")
