@@ -27,8 +27,7 @@ class Inputs:
             RunError: if a copy is not what the run was made with.
         """
         if asked not in self.kept:
-            if asked not in self._read:
-                self._read[asked] = list(find())
+            self._read[asked] = self._read.get(asked) or list(find())
             return self._read[asked][0]
         for name, digest in self.kept[asked].items():
             path = self.folder / name

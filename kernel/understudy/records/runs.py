@@ -230,11 +230,10 @@ def open_run(path: str | Path) -> Run:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
     if layout != LAYOUT:
-        newer = not isinstance(layout, int) or layout > LAYOUT
-        who = (
-            "a newer understudy" if newer else "an older understudy, whose tasks mean other things"
-        )
-        what = "Install that version." if newer else "Use that version for it, or train anew."
+        who, what = "a newer understudy", "Install that version or a newer one."
+        if isinstance(layout, int) and layout < LAYOUT:
+            who = "an older understudy, whose tasks and states mean other things"
+            what = "Use that version for it, or train anew."
         raise RunError(
             f"{path} was written by {who} (layout {layout}; this one reads {LAYOUT}). {what}"
         )

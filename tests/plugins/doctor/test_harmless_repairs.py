@@ -221,6 +221,7 @@ def test_hard_clips_gain_nothing(name: str, humanoid: Character) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # a clip of 40 s may be examined 30 times
 @pytest.mark.parametrize("path", list(real_clips()), ids=lambda path: path.stem)
 def test_no_clip_gains_a_major_finding(path: Path, humanoid: Character) -> None:
     clip = library.find(str(path), installed().registry)
@@ -230,6 +231,7 @@ def test_no_clip_gains_a_major_finding(path: Path, humanoid: Character) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # a clip of 40 s may be examined 30 times
 @pytest.mark.parametrize("legs", [0.77, 1.3])
 @pytest.mark.parametrize("path", list(real_clips()), ids=lambda path: path.stem)
 def test_no_clip_of_another_body_gains_one(path: Path, legs: float, humanoid: Character) -> None:
