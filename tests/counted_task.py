@@ -240,27 +240,27 @@ class Nudge(Learner):
 def understudy_register(register: Registrar) -> None:
     register.component("scene", "line", LineScene)
     register.component("simulator", "line", Line)
-    register.component("encoder", "line.where", Where)
-    register.component("actuation", "line.push", Push)
-    register.component("initial_states", "line.starts", Starts)
+    register.component("encoder", "line/where", Where)
+    register.component("actuation", "line/push", Push)
+    register.component("initial_states", "line/starts", Starts)
     for kind in ("reward", "measure"):
-        register.component(kind, "line.value", value)
+        register.component(kind, "line/value", value)
     for kind in ("termination", "measure"):
-        register.component(kind, "line.beyond", beyond)
-    register.component("policy", "line.steady", Steady)
-    register.component("learner", "line.nudge", Nudge)
+        register.component(kind, "line/beyond", beyond)
+    register.component("policy", "line/steady", Steady)
+    register.component("learner", "line/nudge", Nudge)
 
 
 #: Overrides that make a complete task: decisions of one second, of one physics step each.
 LINE_TASK = (
     "+scene={name: line}",
     "+simulator={name: line}",
-    "+encoder.state={name: line.where}",
-    "+actuation={name: line.push}",
-    "+reward.terms.at={name: line.value}",
-    "+initial_states={name: line.starts}",
-    "+policy={name: line.steady}",
-    "+learner={name: line.nudge}",
+    "+encoder.state={name: line/where}",
+    "+actuation={name: line/push}",
+    "+reward.terms.at={name: line/value}",
+    "+initial_states={name: line/starts}",
+    "+policy={name: line/steady}",
+    "+learner={name: line/nudge}",
     "num_worlds=4",
     "control.frequency=1",
     "control.substeps=1",

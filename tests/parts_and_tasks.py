@@ -70,7 +70,7 @@ def parts(plugins: Plugins) -> list[str]:
 
 def tasks(plugins: Plugins) -> list[str]:
     """The columns: every registered task, and those above other runs."""
-    return sorted({*(t.option for t in plugins.registry.tasks.values()), *ABOVE})
+    return sorted({*(t.name for t in plugins.registry.tasks.values()), *ABOVE})
 
 
 def attempt(

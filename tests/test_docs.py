@@ -80,7 +80,7 @@ def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
     assert len(overrides) == 4
     for items in overrides:
         experiment = load_experiment(items, balance)
-        assert "balance.upright" in [
+        assert "balance/upright" in [
             term.component.name for term in experiment.many("reward.terms")
         ]
     check_plugin("balance", balance)

@@ -33,13 +33,13 @@ SMALL = (
 
 #: A box that falls beside a motorised paddle, which can hit it: contacts, a sensor, truncations.
 PADDLE_TASK = (
-    "+scene={name: test.paddle}",
+    "+scene={name: test/paddle}",
     "+simulator={name: mujoco, threads: 1}",
-    "+encoder.state={name: test.state}",
-    "+actuation={name: test.direct}",
-    "+reward.terms.low={name: test.low}",
-    "+termination.terms.gone={name: test.gone}",
-    "+initial_states={name: test.above}",
+    "+encoder.state={name: test/state}",
+    "+actuation={name: test/direct}",
+    "+reward.terms.low={name: test/low}",
+    "+termination.terms.gone={name: test/gone}",
+    "+initial_states={name: test/above}",
     "episode.seconds=0.5",
     "control.substeps=5",
 )
@@ -113,12 +113,12 @@ def gone(qpos: Tensor) -> Tensor:
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component("scene", "test.paddle", PaddleScene)
-    register.component("encoder", "test.state", StateEncoder)
-    register.component("actuation", "test.direct", Direct)
-    register.component("reward", "test.low", low)
-    register.component("termination", "test.gone", gone)
-    register.component("initial_states", "test.above", Above)
+    register.component("scene", "test/paddle", PaddleScene)
+    register.component("encoder", "test/state", StateEncoder)
+    register.component("actuation", "test/direct", Direct)
+    register.component("reward", "test/low", low)
+    register.component("termination", "test/gone", gone)
+    register.component("initial_states", "test/above", Above)
 
 
 def all_plugins() -> Plugins:

@@ -42,8 +42,8 @@ def test_is_listed_with_its_distribution(site: Path) -> None:
     balance = rows["balance"]
     assert balance["distribution"] == "understudy-balance"
     assert (balance["version"], balance["status"]) == ("0.3.0", "ok")
-    assert "reward/balance.upright" in balance["components"]
-    assert "balance.stand" in understudy(site, "tasks")
+    assert "reward/balance/upright" in balance["components"]
+    assert "balance/stand" in understudy(site, "tasks")
 
 
 def test_trains_for_a_few_iterations(site: Path, tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_trains_for_a_few_iterations(site: Path, tmp_path: Path) -> None:
     )  # fmt: skip
     assert out.splitlines()[-1] == f"run: {run}"
     info = json.loads((run / "run.json").read_text())
-    assert {"name": "balance.upright", "plugin": "balance"}.items() <= {
+    assert {"name": "balance/upright", "plugin": "balance"}.items() <= {
         k: v for c in info["components"] if c["kind"] == "reward" for k, v in c.items()
     }.items()
     assert len((run / "metrics.jsonl").read_text().splitlines()) == 3
@@ -69,18 +69,18 @@ def test_its_option_and_term_swap_into_another_task(site: Path) -> None:
     config = json.loads(
         understudy(site, "config", "--json", "experiment=spacetime/walk", "reward=upright_gentle")
     )
-    upright = {"name": "balance.upright", "scale": 1.0, "weight": 1.0}
+    upright = {"name": "balance/upright", "scale": 1.0, "weight": 1.0}
     assert config["reward"]["terms"] == {"upright": upright}
     shown = understudy(
-        site, "config", "experiment=spacetime/walk", "+reward.terms.upright={name: balance.upright}"
+        site, "config", "experiment=spacetime/walk", "+reward.terms.upright={name: balance/upright}"
     )
-    assert "balance.upright" in shown
+    assert "balance/upright" in shown
 
 
 def test_its_term_counts_in_another_plugins_task(site: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     understudy(
-        site, "train", "experiment=spacetime/walk", "reward.terms.upright={name: balance.upright}",
+        site, "train", "experiment=spacetime/walk", "reward.terms.upright={name: balance/upright}",
         "num_worlds=8", "learner.rollout_steps=4", "learner.minibatches=2",
         "policy.feedback.hidden=[16]", "budget.samples=32", "evaluation.episodes=2",
         "evaluation.seconds=0.2", "run.video_seconds=0.2", f"run.dir={run}",

@@ -94,8 +94,8 @@ class Gains(Starts):
 def test_every_control_of_a_decision_replays(tmp_path: Path, every: str) -> None:
     """Two control periods of three sub-steps; worlds that go wrong in any of them, and differ."""
     swing: Any = type("Any", (Swing,), {"every": every, "__doc__": "x"})
-    plugins = line_plugins(actuation={"my.swing": swing}, initial_states={"my.gains": Gains})
-    overrides = [*LINE_TASK, "actuation={name: my.swing}", "initial_states={name: my.gains}",
+    plugins = line_plugins(actuation={"my/swing": swing}, initial_states={"my/gains": Gains})
+    overrides = [*LINE_TASK, "actuation={name: my/swing}", "initial_states={name: my/gains}",
                  "num_worlds=64", "control.decision=2", "control.substeps=3"]  # fmt: skip
     training = make_training(plugins, overrides, tmp_path / "run")
     environment = training.job.environment

@@ -40,7 +40,7 @@ def untouched(tmp_path: Path) -> Path:
         *(f"+scene.{key}=sentinel.x" for key in sorted(CODE_KEYS)),
         "+learner={name: ppo, _target_: sentinel.x}",
         "+anything.deep={list: [{_target_: sentinel.x}]}",
-        "+reward.terms.a={_target_: sentinel.x, name: fake.near_origin}",
+        "+reward.terms.a={_target_: sentinel.x, name: fake/near_origin}",
         "hydra.searchpath=[pkg://sentinel]",
         "++hydra.searchpath=[pkg://sentinel]",
         "+hydra.callbacks.a._target_=sentinel.x",

@@ -47,7 +47,7 @@ def assert_isolated(plugins: Plugins, reason: str) -> None:
     assert "stranger" not in [name for name, _ in plugins.config_directories()]
     assert all(p.status == "ok" for p in plugins.loaded if p.name in ("ppo", "mujoco", "fake"))
     build_environment(load_experiment([*FAKE_TASK, *SMALL], plugins)).environment.reset()
-    raw = [*FAKE_TASK, *SMALL, "learner.name=stranger.learner"]
+    raw = [*FAKE_TASK, *SMALL, "learner.name=stranger/learner"]
     with pytest.raises(ConfigError) as caught:
         load_experiment(raw, plugins)
     assert f"Plugin 'stranger' did not load: {status(plugins)}" in str(caught.value)
@@ -58,20 +58,20 @@ def loaded(stranger: Any) -> Plugins:
 
 
 def duplicate(register: Registrar) -> None:
-    register.component("learner", "stranger.learner", object)
+    register.component("learner", "stranger/learner", object)
     register.component("learner", "ppo", object)
 
 
 def duplicate_section(register: Registrar) -> None:
     register.section("stranger", dict, dict)
-    register.task("stranger.task", "a task")
-    register.component("learner", "stranger.learner", object)
-    register.component("learner", "stranger.learner", object)
+    register.task("stranger/task", "a task")
+    register.component("learner", "stranger/learner", object)
+    register.component("learner", "stranger/learner", object)
 
 
 def unknown_kind(register: Registrar) -> None:
-    register.component("learner", "stranger.learner", object)
-    register.component("lerner", "stranger.other", object)
+    register.component("learner", "stranger/learner", object)
+    register.component("lerner", "stranger/other", object)
 
 
 def kinds(register: Registrar) -> None:
@@ -87,7 +87,7 @@ def dotted(register: Registrar) -> None:
 
 
 def raises(register: Registrar) -> None:
-    register.component("learner", "stranger.learner", object)
+    register.component("learner", "stranger/learner", object)
     raise RuntimeError("no\nlicence")
 
 
@@ -99,7 +99,7 @@ def leaves(register: Registrar) -> None:
     ("register", "reason"),
     [
         (duplicate, "Both plugin 'ppo' and plugin 'stranger' register the learner 'ppo'"),
-        (duplicate_section, "register the learner 'stranger.learner'"),
+        (duplicate_section, "register the learner 'stranger/learner'"),
         (unknown_kind, "no kind of component. Did you mean 'learner'?"),
         (kinds, "adds the slot 'job', which exists already"),
         (dotted, "adds the slot 'reward.more', which exists already or has a dot"),
@@ -113,7 +113,7 @@ def test_registering(register: Any, reason: str) -> None:
 
 def test_misspelled_hook() -> None:
     def register(register: Registrar) -> None:
-        register.component("learner", "stranger.learner", object)
+        register.component("learner", "stranger/learner", object)
 
     assert_isolated(
         loaded(module(understudy_register=register, understudy_registre=register)),
@@ -133,7 +133,7 @@ def test_wrong_hook_signature() -> None:
 
 def test_config_directories(tmp_path: Path) -> None:
     (tmp_path / "conf/learner").mkdir(parents=True)
-    (tmp_path / "conf/learner/ppo.yaml").write_text("name: stranger.learner\n")
+    (tmp_path / "conf/learner/ppo.yaml").write_text("name: stranger/learner\n")
     shadows = module(understudy_config_directory=lambda: tmp_path / "conf")
     assert_isolated(
         loaded(shadows), "the config option 'learner/ppo', which plugin 'ppo' provides already"
@@ -199,8 +199,8 @@ def test_component_whose_module_is_missing() -> None:
     """Registered lazily: only asking for it fails, and says whose it is."""
 
     def register(register: Registrar) -> None:
-        register.component("learner", "stranger.learner", "no_such_module:Learner")
-        register.component("learner", "stranger.other", "understudy_ppo.learner:Missing")
+        register.component("learner", "stranger/learner", "no_such_module:Learner")
+        register.component("learner", "stranger/other", "understudy_ppo.learner:Missing")
 
     plugins = loaded(module(understudy_register=register))
     assert status(plugins) == "ok"
@@ -209,9 +209,9 @@ def test_component_whose_module_is_missing() -> None:
         ("other", "which does not exist"),
     ):
         with pytest.raises(
-            Exception, match=rf"learner 'stranger.{name}' of plugin 'stranger' .*{reason}"
+            Exception, match=rf"learner 'stranger/{name}' of plugin 'stranger' .*{reason}"
         ):
-            load_experiment([*FAKE_TASK, *SMALL, f"learner.name=stranger.{name}"], plugins)
+            load_experiment([*FAKE_TASK, *SMALL, f"learner.name=stranger/{name}"], plugins)
 
 
 def test_commands(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,7 +55,7 @@ INVALID: dict[str, tuple[str, ...]] = {
     "+learner.precision": ("float16",),
     "simulator.name": ("fak", "3"),
     "learner.name": ("pop",),
-    "reward.terms.near.name": ("fake.near",),
+    "reward.terms.near.name": ("fake/near",),
 }  # fmt: skip
 
 CASES = [(key, value) for key, values in INVALID.items() for value in values]

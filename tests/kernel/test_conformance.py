@@ -188,13 +188,13 @@ def test_check_simulator_refuses(kind: type[Line]) -> None:
 # ---------------------------------------------------------------------- plugins
 
 TASK = """# @package _global_
-task: mine.task
+task: mine/task
 scene: {name: fake}
 simulator: {name: fake}
-encoder: {state: {name: fake.point}}
-actuation: {name: fake.force}
-reward: {terms: {near: {name: mine.near}}}
-initial_states: {name: fake.somewhere}
+encoder: {state: {name: fake/point}}
+actuation: {name: fake/force}
+reward: {terms: {near: {name: mine/near}}}
+initial_states: {name: fake/somewhere}
 """
 
 
@@ -205,10 +205,10 @@ def mine(tmp_path: Path, near: Any = fake.near_origin, task: str = TASK, **more:
     module = ModuleType("mine")
 
     def register(register: Registrar) -> None:
-        register.component("reward", "mine.near", near)
-        register.task("mine.task", "a task")
+        register.component("reward", "mine/near", near)
+        register.task("mine/task", "a task")
         for kind, factory in more.items():
-            register.component(kind, "mine.more", factory)
+            register.component(kind, "mine/more", factory)
 
     module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
     module.understudy_config_directory = hookimpl(lambda: tmp_path)  # type: ignore[attr-defined]
@@ -225,7 +225,7 @@ def test_check_plugin_refuses_what_did_not_load(tmp_path: Path) -> None:
         check_plugin("yours", mine(tmp_path))
     with pytest.raises(
         AssertionError,
-        match=r"plugin 'mine' is PluginError: it registers 'mine\.more' as a 'lerner'",
+        match=r"plugin 'mine' is PluginError: it registers 'mine/more' as a 'lerner'",
     ):
         check_plugin("mine", mine(tmp_path / "again", lerner=Documented))
 
@@ -245,9 +245,9 @@ def odd_default(qpos: Tensor, *, scale: float = None) -> Tensor:  # type: ignore
     [
         ({"near": infinite}, "numbers went wrong"),
         ({"near": undocumented}, "has no docstring"),
-        ({"encoder": Undocumented}, "encoder 'mine.more' has no docstring"),
-        ({"task": TASK.replace("mine.near", "mine.nearer")}, "There is no reward 'mine.nearer'"),
-        ({"task": TASK.replace("fake.force", "fake.farce")}, "There is no actuation 'fake.farce'"),
+        ({"encoder": Undocumented}, "encoder 'mine/more' has no docstring"),
+        ({"task": TASK.replace("mine/near", "mine/nearer")}, "There is no reward 'mine/nearer'"),
+        ({"task": TASK.replace("fake/force", "fake/farce")}, "There is no actuation 'fake/farce'"),
         ({"near": odd_default}, "reward.terms.near.scale=None is not possible"),
     ],
 )

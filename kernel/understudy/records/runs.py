@@ -36,7 +36,7 @@ from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.registry import Registry
 
 #: Version of the folder's layout.
-LAYOUT = 2
+LAYOUT = 3
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 

@@ -120,7 +120,7 @@ class Section:
 
 @dataclass(frozen=True)
 class TaskEntry:
-    """A task's place in the registry; its parts are the config option ``task/<name with />``."""
+    """A task's place in the registry; its parts are the config option ``task/<name>``."""
 
     name: str
     summary: str
@@ -128,13 +128,13 @@ class TaskEntry:
     distribution: str = ""
     version: str = ""
 
-    @property
-    def option(self) -> str:
-        return self.name.replace(".", "/")
-
 
 def _refuse_twice(other: Component | TaskEntry | Section | None, plugin: str, what: str) -> None:
-    """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already."""
+    """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already, or
+    under a name that is not as it is typed."""
+    if "." in what:
+        typed = what.replace(".", "/")
+        raise PluginError(f"Plugin '{plugin}' registers the {what}. Write it as the {typed}.")
     if other is not None:
         raise PluginError(
             f"Both plugin '{other.plugin}' and plugin '{plugin}' register the {what}. Rename one of "
@@ -225,7 +225,7 @@ class Registrar:
         )
 
     def task(self, name: str, summary: str) -> None:
-        """Register a task whose parts stand in the plugin's ``conf/task/<name with />.yaml``."""
+        """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""
         _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
         entry = TaskEntry(name, summary, self.plugin, self.distribution, self.version)
         self.registry.tasks[name] = entry

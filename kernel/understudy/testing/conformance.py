@@ -160,9 +160,7 @@ def check_plugin(name: str, plugins: Plugins | None = None, num_worlds: int = 4)
             check_component(component)
     for task in plugins.registry.tasks.values():
         if task.plugin == name:
-            experiment = load_experiment(
-                [f"task={task.option}", f"num_worlds={num_worlds}"], plugins
-            )
+            experiment = load_experiment([f"task={task.name}", f"num_worlds={num_worlds}"], plugins)
             effective = experiment.effective()
             assert validate(effective, plugins.registry).effective() == effective, (
                 f"task '{task.name}': the configuration with every default filled in is another one"

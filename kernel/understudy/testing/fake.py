@@ -158,22 +158,22 @@ def far_away(qpos: Tensor, *, limit: float = 3.0) -> Tensor:
 def understudy_register(register: Registrar) -> None:
     register.component("scene", "fake", FakeScene)
     register.component("simulator", "fake", FakeSimulator)
-    register.component("encoder", "fake.point", PointEncoder)
-    register.component("actuation", "fake.force", Force)
-    register.component("initial_states", "fake.somewhere", Somewhere)
-    register.component("reward", "fake.near_origin", near_origin)
-    register.component("termination", "fake.far_away", far_away)
+    register.component("encoder", "fake/point", PointEncoder)
+    register.component("actuation", "fake/force", Force)
+    register.component("initial_states", "fake/somewhere", Somewhere)
+    register.component("reward", "fake/near_origin", near_origin)
+    register.component("termination", "fake/far_away", far_away)
 
 
 #: Overrides that make a complete task of the fake parts.
 FAKE_TASK = (
     "+scene={name: fake}",
     "+simulator={name: fake}",
-    "+encoder.state={name: fake.point}",
-    "+actuation={name: fake.force}",
-    "+reward.terms.near={name: fake.near_origin}",
-    "+termination.terms.far={name: fake.far_away}",
-    "+initial_states={name: fake.somewhere}",
+    "+encoder.state={name: fake/point}",
+    "+actuation={name: fake/force}",
+    "+reward.terms.near={name: fake/near_origin}",
+    "+termination.terms.far={name: fake/far_away}",
+    "+initial_states={name: fake/somewhere}",
 )
 
 

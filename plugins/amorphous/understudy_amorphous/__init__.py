@@ -48,10 +48,10 @@ def understudy_register(register: Registrar) -> None:
     for (module, kind), parts in _PARTS.items():
         for name, (target, summary) in parts.items():
             where = f"understudy_amorphous.{module}:{target}"
-            register.component(kind, f"amorphous.{name}", where, summary)
+            register.component(kind, f"amorphous/{name}", where, summary)
     here = "understudy_amorphous"
     register.component(
-        "character", "amorphous.cook", f"{here}.character:build_cook", "a cook, standing"
+        "character", "amorphous/cook", f"{here}.character:build_cook", "a cook, standing"
     )
     register.component(
         "command",
@@ -64,7 +64,7 @@ def understudy_register(register: Registrar) -> None:
         "spread": "a scraper spreads a pile over a table",
         "flip": "a pan tosses a disk so that it turns over",
     }.items():
-        register.task(f"amorphous.{name}", summary)
+        register.task(f"amorphous/{name}", summary)
     register.citation(
         "amorphous",
         "Zhang, Yu, Liu, Kemp, Turk 2020. Learning to manipulate amorphous materials. ACM Transactions "

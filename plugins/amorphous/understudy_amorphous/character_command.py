@@ -53,7 +53,7 @@ class HoldTool(Command):
             help="the clip to write, such as cook.npz, .bvh or .glb; by default RUN/character.npz. The "
             "video is beside it, as .mp4",
         )
-        add("--character", default="amorphous.cook", metavar="NAME", help="or an MJCF file")
+        add("--character", default="amorphous/cook", metavar="NAME", help="or an MJCF file")
         add("--hand", default="right_grip", metavar="SITE", help="what holds: a site, or a body")
         add(
             "--grip",
@@ -207,7 +207,7 @@ def _scene(run: Run) -> AmorphousScene:
     if not isinstance(scene, AmorphousScene):
         raise ConfigError(
             f"The run's scene '{chosen.component.name}' has no tool for a hand; give a run of "
-            "amorphous.gather, amorphous.spread or amorphous.flip."
+            "amorphous/gather, amorphous/spread or amorphous/flip."
         )
     return scene
 

@@ -101,7 +101,7 @@ class Turned(Memory):
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
-        scene = context.need_scene(ParticleScene, "memory 'amorphous.turned'")
+        scene = context.need_scene(ParticleScene, "memory 'amorphous/turned'")
         rest = np.asarray(scene.model().positions, np.float32)
         flat = torch.from_numpy(rest - rest.mean(axis=0)).to(context.device)
         self._x, self._z = flat[:, 0], flat[:, 2]

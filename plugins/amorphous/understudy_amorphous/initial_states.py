@@ -90,7 +90,7 @@ class AroundGoal(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
-        self._blocks = _Blocks(context, "initial_states 'amorphous.clusters'")
+        self._blocks = _Blocks(context, "initial_states 'amorphous/clusters'")
         self._goal = torch.tensor(options.goal, device=context.device)
         self._number = torch.arange(self._blocks.count, device=context.device)
 
@@ -134,7 +134,7 @@ class Pile(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
-        self._blocks = _Blocks(context, "initial_states 'amorphous.pile'", only=1)
+        self._blocks = _Blocks(context, "initial_states 'amorphous/pile'", only=1)
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         options = self.options
@@ -159,7 +159,7 @@ class OnTool(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
-        self._blocks = _Blocks(context, "initial_states 'amorphous.on_tool'", only=1)
+        self._blocks = _Blocks(context, "initial_states 'amorphous/on_tool'", only=1)
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         options = self.options

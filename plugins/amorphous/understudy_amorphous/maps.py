@@ -121,7 +121,7 @@ class MaterialMaps(Encoder):
         self.reads = ("particle_position", "tool_position", "tool_orientation")
         if "goal" in options.channels:
             self.reads = (*self.reads, "goal")
-        scene = context.need_scene(AmorphousScene, "encoder 'amorphous.maps'")
+        scene = context.need_scene(AmorphousScene, "encoder 'amorphous/maps'")
         self._scaled = replace(options, scale=options.scale / scene.options.resolution**3)
 
     def encode(self, **fields: Tensor) -> Tensor:

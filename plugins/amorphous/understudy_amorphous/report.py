@@ -32,7 +32,7 @@ class MapsSection(ReportSection):
     def html(self, run: Run) -> str | None:
         file = run.path / "recording.npz"
         encoders = run.config.get("encoder") or {}
-        options = [o for o in encoders.values() if o and o.get("name") == "amorphous.maps"]
+        options = [o for o in encoders.values() if o and o.get("name") == "amorphous/maps"]
         if not options or not file.is_file():
             return None
         with np.load(file, allow_pickle=False) as arrays:

@@ -20,43 +20,43 @@ def understudy_register(register: Registrar) -> None:
     add("scene", "character", f"{_HERE}.scene:CharacterScene", "a character on a floor")
     add(
         "fields",
-        "characters.kinematics",
+        "characters/kinematics",
         f"{_HERE}.parts:Kinematics",
         "links, joints, end-effectors",
     )
     add(
         "fields",
-        "characters.reference",
+        "characters/reference",
         f"{_HERE}.parts:Reference",
         "the clip's state at this time",
     )
     add(
         "actuation",
-        "characters.joint_targets",
+        "characters/joint_targets",
         f"{_HERE}.parts:JointTargets",
         "PD targets of all joints",
     )
     add(
         "initial_states",
-        "characters.reference_states",
+        "characters/reference_states",
         f"{_HERE}.initial_states:ReferenceStates",
         "the clip's state at a uniformly drawn time",
     )
     add(
         "termination",
-        "characters.fall",
+        "characters/fall",
         f"{_HERE}.parts:Fall",
         "trunk or head touch the floor where the clip's do not",
     )
     add(
         "termination",
-        "characters.floor_contact",
+        "characters/floor_contact",
         f"{_HERE}.parts:FloorContact",
         "trunk or head touch the floor",
     )
     add(
         "termination",
-        "characters.motion_end",
+        "characters/motion_end",
         f"{_HERE}.parts:motion_end",
         "the clip is over",
     )

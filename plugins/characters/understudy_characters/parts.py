@@ -40,7 +40,7 @@ class Kinematics(Fields):
     }
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "fields 'characters.kinematics'").layout
+        layout = context.need_scene(CharacterScene, "fields 'characters/kinematics'").layout
         self._layout = layout.to(context.device)
         self.provides = _sized(self.provides, layout)
 
@@ -73,7 +73,7 @@ class Reference(Fields):
     }
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "fields 'characters.reference'")
+        scene = context.need_scene(CharacterScene, "fields 'characters/reference'")
         self._reference = reference_motion(context)
         self.provides = {
             **_sized(self.provides, scene.layout),
@@ -107,7 +107,7 @@ class JointTargets(Actuation):
     """The action is the target of every servo: angles of hinges, exponential maps of balls, in rad."""
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "actuation 'characters.joint_targets'")
+        scene = context.need_scene(CharacterScene, "actuation 'characters/joint_targets'")
         self.action_space = box(scene.layout.num_actuators)
 
     def control(self, action: Tensor) -> Tensor:
@@ -143,7 +143,7 @@ class FloorContact:
         clearance: float = 0.0
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._upright = _UprightLinks(options.bodies, context, "characters.floor_contact")
+        self._upright = _UprightLinks(options.bodies, context, "characters/floor_contact")
         self._clearance = options.clearance
 
     def __call__(self, xpos: Tensor, xquat: Tensor) -> Tensor:
@@ -171,7 +171,7 @@ class Fall:
             check_range(self, "margin", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._upright = _UprightLinks(options.bodies, context, "characters.fall")
+        self._upright = _UprightLinks(options.bodies, context, "characters/fall")
         self._clearance, self._margin = options.clearance, options.margin
 
     def __call__(self, xpos: Tensor, xquat: Tensor, reference_link_clearances: Tensor) -> Tensor:

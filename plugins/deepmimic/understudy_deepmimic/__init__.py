@@ -14,32 +14,32 @@ _HERE = "understudy_deepmimic"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     add = register.component
-    add("reward", "deepmimic.pose", f"{_HERE}.rewards:pose", "joint orientations")
-    add("reward", "deepmimic.velocity", f"{_HERE}.rewards:Velocity", "joint angular velocities")
-    add("reward", "deepmimic.end_effectors", f"{_HERE}.rewards:end_effectors", "hands and feet")
-    add("reward", "deepmimic.com", f"{_HERE}.rewards:com", "centre of mass")
-    add("reward", "deepmimic.imitation", f"{_HERE}.rewards:Imitation", "all four, weighted")
-    add("encoder", "deepmimic.state", f"{_HERE}.encoders:StateEncoder", "links and phase")
+    add("reward", "deepmimic/pose", f"{_HERE}.rewards:pose", "joint orientations")
+    add("reward", "deepmimic/velocity", f"{_HERE}.rewards:Velocity", "joint angular velocities")
+    add("reward", "deepmimic/end_effectors", f"{_HERE}.rewards:end_effectors", "hands and feet")
+    add("reward", "deepmimic/com", f"{_HERE}.rewards:com", "centre of mass")
+    add("reward", "deepmimic/imitation", f"{_HERE}.rewards:Imitation", "all four, weighted")
+    add("encoder", "deepmimic/state", f"{_HERE}.encoders:StateEncoder", "links and phase")
     add(
         "curriculum",
-        "deepmimic.adaptive",
+        "deepmimic/adaptive",
         f"{_HERE}.curricula:Adaptive",
         "episodes get longer while few fail",
     )
     add(
         "curriculum",
-        "deepmimic.annealed",
+        "deepmimic/annealed",
         f"{_HERE}.curricula:Annealed",
         "episodes get longer by samples",
     )
-    add("termination", "deepmimic.horizon", f"{_HERE}.horizon:Horizon", "T(z) is over")
+    add("termination", "deepmimic/horizon", f"{_HERE}.horizon:Horizon", "T(z) is over")
     add(
         "measure",
-        "deepmimic.normalised_return",
+        "deepmimic/normalised_return",
         f"{_HERE}.horizon:NormalisedReturn",
         "the episode's return over T(z)",
     )
-    register.task("deepmimic.walk", "imitate a clip: pose, velocity, end-effectors, centre of mass")
+    register.task("deepmimic/walk", "imitate a clip: pose, velocity, end-effectors, centre of mass")
     register.citation(
         "deepmimic",
         "Peng, Abbeel, Levine, van de Panne 2018. DeepMimic: Example-guided deep reinforcement "

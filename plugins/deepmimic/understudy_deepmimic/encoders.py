@@ -31,7 +31,7 @@ class StateEncoder(Encoder):
     shape: Shape
 
     def __init__(self, options: Options, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "encoder 'deepmimic.state'").layout
+        layout = context.need_scene(CharacterScene, "encoder 'deepmimic/state'").layout
         self._deviation = options.deviation
         self.reads = (
             "phase", "root_position",

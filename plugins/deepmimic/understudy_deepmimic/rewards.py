@@ -45,7 +45,7 @@ class Velocity:
             check_range(self, "scale", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "reward 'deepmimic.velocity'").layout
+        layout = context.need_scene(CharacterScene, "reward 'deepmimic/velocity'").layout
         root = layout.root_dof + torch.arange(3, 6)
         hinges = layout.hinge_dofs[layout.hinge_used.bool()]
         self._turning = torch.cat([root, layout.ball_dofs.flatten(), hinges]).to(context.device)

@@ -11,29 +11,29 @@ REQUIRES = ("basics", "bayes", "ppo", "report", "sweeps")
 #: By module and kind: the component's name, its class or function, and what it is.
 _PARTS = {
     ("search", "outer_loop"): {
-        "diversity.bayesian": ("DiversitySearch", "Bayesian diversity search"),
-        "diversity.random": ("RandomDiversity", "strategies at points drawn uniformly"),
+        "diversity/bayesian": ("DiversitySearch", "Bayesian diversity search"),
+        "diversity/random": ("RandomDiversity", "strategies at points drawn uniformly"),
     },
     ("map_elites", "outer_loop"): {
-        "diversity.map_elites": ("MapElites", "MAP-Elites, through pyribs"),
+        "diversity/map_elites": ("MapElites", "MAP-Elites, through pyribs"),
     },
     ("novel_policies", "outer_loop"): {
-        "diversity.novel_policies": ("NovelPolicies", "other policies from strategies found"),
+        "diversity/novel_policies": ("NovelPolicies", "other policies from strategies found"),
     },
-    ("novelty", "reward"): {"diversity.novelty": ("Novelty", "unlike the strategies known")},
-    ("gallery", "sweep_page"): {"diversity.gallery": ("Gallery", "the strategies of a search")},
-    ("vault", "scene"): {"diversity.vault": ("VaultScene", "a jumper and a bar, in the plane")},
-    ("vault", "simulator"): {"diversity.vault": ("Vault", "a body that tucks and turns in flight")},
-    ("vault", "initial_states"): {"diversity.take_off": ("TakeOff", "spin, climb and lean")},
-    ("vault", "fields"): {"diversity.bar": ("Bar", "how high above the bar the body is")},
-    ("vault", "encoder"): {"diversity.body_state": ("BodyState", "the body in flight")},
-    ("vault", "actuation"): {"diversity.limbs": ("Limbs", "how tucked to be, how hard to turn")},
+    ("novelty", "reward"): {"diversity/novelty": ("Novelty", "unlike the strategies known")},
+    ("gallery", "sweep_page"): {"diversity/gallery": ("Gallery", "the strategies of a search")},
+    ("vault", "scene"): {"diversity/vault": ("VaultScene", "a jumper and a bar, in the plane")},
+    ("vault", "simulator"): {"diversity/vault": ("Vault", "a body that tucks and turns in flight")},
+    ("vault", "initial_states"): {"diversity/take_off": ("TakeOff", "spin, climb and lean")},
+    ("vault", "fields"): {"diversity/bar": ("Bar", "how high above the bar the body is")},
+    ("vault", "encoder"): {"diversity/body_state": ("BodyState", "the body in flight")},
+    ("vault", "actuation"): {"diversity/limbs": ("Limbs", "how tucked to be, how hard to turn")},
     ("vault", "reward"): {
-        "diversity.passing": ("passing", "passed the bar, the higher the better")
+        "diversity/passing": ("passing", "passed the bar, the higher the better")
     },
     ("vault", "termination"): {
-        "diversity.knocked": ("knocked", "passed the bar too low"),
-        "diversity.landed": ("landed", "on the mat behind the bar"),
+        "diversity/knocked": ("knocked", "passed the bar too low"),
+        "diversity/landed": ("landed", "on the mat behind the bar"),
     },
 }
 
@@ -43,7 +43,7 @@ def understudy_register(register: Registrar) -> None:
     for (module, kind), parts in _PARTS.items():
         for name, (target, summary) in parts.items():
             register.component(kind, name, f"understudy_diversity.{module}:{target}", summary)
-    register.task("diversity.vault", "a body passes over a bar in one way or another")
+    register.task("diversity/vault", "a body passes over a bar in one way or another")
     register.citation(
         "diversity",
         "Yin, Yang, van de Panne, Yin 2021. Discovering diverse athletic jumping strategies. "

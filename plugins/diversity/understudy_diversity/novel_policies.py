@@ -77,7 +77,7 @@ class NovelPolicies(OuterLoop):
         found = [list(s.feature) for s in self.strategies() if s.feature is not None]
         options = self._options
         novelty = (
-            f"{{name:diversity.novelty,reads:{{feature:{options.feature_field}}},found:{json.dumps(found)},"
+            f"{{name:diversity/novelty,reads:{{feature:{options.feature_field}}},found:{json.dumps(found)},"
             f"threshold:{options.threshold!r},metric:{options.metric}}}"
         )
         trial = Trial(

@@ -37,7 +37,7 @@ class Novelty:
         feature = feature.view(len(feature), -1)
         if feature.shape[1] != self._found.shape[1]:
             raise ConfigError(
-                f"reward 'diversity.novelty': the feature has {feature.shape[1]} numbers and those in "
+                f"reward 'diversity/novelty': the feature has {feature.shape[1]} numbers and those in "
                 f"found have {self._found.shape[1]}. Read another field, or give other features."
             )
         nearest = distances(feature, self._found, self._options.metric).amin(-1)

@@ -77,7 +77,7 @@ class Vault(Simulator):
     fields = {"position": (2,), "velocity": (2,), "pitch": (), "spin": (), "tuck": ()}
 
     def __init__(self, options: None, context: Context) -> None:
-        context.need_scene(VaultScene, "simulator 'diversity.vault'")
+        context.need_scene(VaultScene, "simulator 'diversity/vault'")
         self._dt, self._substeps = context.control_dt / context.substeps, context.substeps
         n, device = context.num_worlds, context.device
         self._state = {
@@ -129,7 +129,7 @@ class TakeOff(InitialStates):
             check_range(self, "climb", "noise", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        context.need_scene(VaultScene, "initial_states 'diversity.take_off'")
+        context.need_scene(VaultScene, "initial_states 'diversity/take_off'")
         self._options = options
         self._begin = torch.tensor([START, HEIGHT], device=context.device)
 
@@ -154,7 +154,7 @@ class Bar(Fields):
     provides = {"bar_height": (), "cleared": (), "crossing": (), "clearance": (), "landed": ()}
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(VaultScene, "fields 'diversity.bar'")
+        scene = context.need_scene(VaultScene, "fields 'diversity/bar'")
         self._bar = scene.options.bar
 
     def compute(
@@ -200,7 +200,7 @@ class Limbs(Actuation):
             check_range(self, "push", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        context.need_scene(VaultScene, "actuation 'diversity.limbs'")
+        context.need_scene(VaultScene, "actuation 'diversity/limbs'")
         self._push, self.action_space = options.push, box(2)
 
     def control(self, action: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """Any task as a Gymnasium vector environment::
 
     import understudy_gym.envs  # registers the tasks
-    envs = gymnasium.make_vec("understudy/spacetime.walk", num_envs=64)
+    envs = gymnasium.make_vec("spacetime/walk", num_envs=64)
 
 For users of other learners. Observations are a dict of float32 arrays; ended worlds reset in the
 same step (Gymnasium's ``AutoresetMode.SAME_STEP``), with the last observation of a truncated
@@ -24,10 +24,10 @@ from understudy.setup.plugins import installed
 
 
 def register_envs() -> None:
-    """Register every task as ``understudy/<task>``; importing this module does it."""
+    """Register every task under its own name; importing this module does it."""
     for name in installed().registry.tasks:
         gymnasium.register(
-            id=f"understudy/{name}",
+            id=name,
             vector_entry_point="understudy_gym.envs:UnderstudyVectorEnv",
             kwargs={"task": name},
         )
@@ -39,8 +39,7 @@ class UnderstudyVectorEnv(VectorEnv):
     def __init__(
         self, task: str, num_envs: int = 1, overrides: tuple[str, ...] = (), **_: Any
     ) -> None:
-        option = installed().registry.tasks[task].option
-        experiment = load_experiment([f"task={option}", *overrides, f"num_worlds={num_envs}"])
+        experiment = load_experiment([f"task={task}", *overrides, f"num_worlds={num_envs}"])
         self._environment = build_environment(experiment).environment
         self._seed = experiment.root.seed
         self.num_envs = num_envs

@@ -14,7 +14,7 @@ _HERE = "understudy_jumping"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     def add(kind: str, name: str, where: str, summary: str) -> None:
-        register.component(kind, f"jumping.{name}", f"{_HERE}.{where}", summary)
+        register.component(kind, f"jumping/{name}", f"{_HERE}.{where}", summary)
 
     register.section("arena", f"{_HERE}.arena:ArenaOptions", f"{_HERE}.arena:Arena")
     add("character", "weak_leg", "athletes:build_weak_leg", "the jumper with a weak take-off leg")
@@ -38,9 +38,9 @@ def understudy_register(register: Registrar) -> None:
     add("termination", "arrived", "run_up:arrived", "the take-off has come")
     add("reward", "match", "run_up:match", "the take-off that is wanted")
     add("curriculum", "accumulated", "curriculum:Accumulated", "a higher bar for enough reward")
-    register.task("jumping.high", "jump over a bar from a take-off state")
-    register.task("jumping.obstacle", "jump over a box from a take-off state")
-    register.task("jumping.run_up", "imitate a run-up, and arrive at a take-off state")
+    register.task("jumping/high", "jump over a bar from a take-off state")
+    register.task("jumping/obstacle", "jump over a box from a take-off state")
+    register.task("jumping/run_up", "imitate a run-up, and arrive at a take-off state")
     register.component(
         "command", "jumping join", f"{_HERE}.join:Join", "join a run-up and its jump in one motion"
     )

@@ -50,7 +50,7 @@ class Attempt(Memory):
             check_range(self, "behind", "tolerance", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        who = "memory 'jumping.attempt'"
+        who = "memory 'jumping/attempt'"
         self._options, self._arena = options, arena_of(context, who)
         self._body = body = body_of(context, who)
         self._widths = body.widths
@@ -159,7 +159,7 @@ class Jump(Fields):
         limit: tuple[float, float] = (48.0, 15.0)  #: rad, c_offset at ρ = 0 and 1
 
     def __init__(self, options: Options, context: Context) -> None:
-        who = "fields 'jumping.jump'"
+        who = "fields 'jumping/jump'"
         layout = context.need_scene(CharacterScene, who).layout
         self._at, self._dof, self._root = layout.root_address, layout.root_dof, layout.root_body
         self._arena, self._limit = arena_of(context, who), options.limit

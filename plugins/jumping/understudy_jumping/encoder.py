@@ -27,7 +27,7 @@ class GlobalState(Encoder):
     shape: Shape
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "encoder 'jumping.state'")
+        scene = context.need_scene(CharacterScene, "encoder 'jumping/state'")
         layout = scene.layout
         self._links = layout.link_bodies.to(context.device)
         self._root = layout.root_body

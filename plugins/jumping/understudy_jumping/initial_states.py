@@ -70,7 +70,7 @@ class Takeoffs(InitialStates):
             check_range(self, "noise", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        who = "initial_states 'jumping.takeoff'"
+        who = "initial_states 'jumping/takeoff'"
         scene = context.need_scene(CharacterScene, who)
         self._arena, self._distance = arena_of(context, who), options.distance
         self._noise, layout = options.noise, scene.layout
@@ -124,7 +124,7 @@ class Harvested(InitialStates):
         distance: Distance = field(default_factory=Distance)
 
     def __init__(self, options: Options, context: Context) -> None:
-        who = "initial_states 'jumping.harvested'"
+        who = "initial_states 'jumping/harvested'"
         scene, device = context.need_scene(CharacterScene, who), context.device
         self._arena, self._distance = arena_of(context, who), options.distance
         states = bank.load(options.file)

@@ -46,7 +46,7 @@ class OffsetTargets(Actuation):
     reads = ("reference_joint_targets",)
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "actuation 'jumping.offset_targets'")
+        scene = context.need_scene(CharacterScene, "actuation 'jumping/offset_targets'")
         self.action_space = box(scene.layout.num_actuators)
 
     def control(self, action: Tensor, reference_joint_targets: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ class Arrival(Fields):
             check_range(self, "at", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "fields 'jumping.arrival'").layout
+        layout = context.need_scene(CharacterScene, "fields 'jumping/arrival'").layout
         self._at, self._dof, self._options = layout.root_address, layout.root_dof, options
         self._omega = torch.tensor(options.omega, device=context.device)
         self._time = options.at - 0.5 * context.control_dt

@@ -49,7 +49,7 @@ class Targets(Actuation):
             check_range(self, "margin", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "actuation 'jumping.targets'")
+        scene = context.need_scene(CharacterScene, "actuation 'jumping/targets'")
         known = {
             name: tuple((low - options.margin, high + options.margin) for low, high in ranges)
             for name, ranges in (RANGES | _left(RANGES)).items()

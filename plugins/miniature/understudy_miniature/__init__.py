@@ -69,7 +69,7 @@ def understudy_register(register: Registrar) -> None:
     for (module, kind), parts in _PARTS.items():
         for name, (target, summary) in parts.items():
             where = f"understudy_miniature.{module}:{target}"
-            register.component(kind, f"miniature.{name}", where, summary)
+            register.component(kind, f"miniature/{name}", where, summary)
     for name, summary in {
         "go": "a point goes to a target that is drawn anew",
         "stop": "a point comes to rest",
@@ -78,7 +78,7 @@ def understudy_register(register: Registrar) -> None:
         "jumping": "a point jumps over a bar",
         "chopsticks": "two sticks take two objects to their places",
     }.items():
-        register.task(f"miniature.{name}", summary)
+        register.task(f"miniature/{name}", summary)
 
 
 @hookimpl

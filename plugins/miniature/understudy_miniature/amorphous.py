@@ -50,7 +50,7 @@ class Grains(Simulator):
     state_fields = ("grains", "tool")
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(GrainsScene, "simulator 'miniature.grains'").options
+        scene = context.need_scene(GrainsScene, "simulator 'miniature/grains'").options
         self._radius, self._substeps = scene.tool, context.substeps
         self._dt = context.control_dt / context.substeps
         self.fields: Mapping[str, Shape] = {"grains": (scene.grains, 2), "tool": (2,)}
@@ -105,7 +105,7 @@ class Clusters(InitialStates):
             check_range(self, "table", "size", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(GrainsScene, "initial_states 'miniature.clusters'")
+        scene = context.need_scene(GrainsScene, "initial_states 'miniature/clusters'")
         self._options, self._grains = options, scene.options.grains
         self._tool = torch.tensor(options.tool, device=context.device)
         self._cluster = torch.arange(self._grains, device=context.device) % options.clusters

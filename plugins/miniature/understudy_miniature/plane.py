@@ -73,7 +73,7 @@ class Plane(Simulator):
     parameters = {"drag": ()}
 
     def __init__(self, options: None, context: Context) -> None:
-        self._scene = scene = context.need_scene(PlaneScene, "simulator 'miniature.plane'").options
+        self._scene = scene = context.need_scene(PlaneScene, "simulator 'miniature/plane'").options
         n, device = context.num_worlds, context.device
         shape = (scene.bodies, 2)
         self.fields: Mapping[str, Shape] = {"positions": shape, "velocities": shape}
@@ -145,7 +145,7 @@ class Somewhere(InitialStates):
         drag: tuple[float, float] | None = None  #: 1/s, its range among worlds; null: the scene's
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(PlaneScene, "initial_states 'miniature.somewhere'")
+        scene = context.need_scene(PlaneScene, "initial_states 'miniature/somewhere'")
         self._options, self._bodies = options, scene.options.bodies
         self.varies = ("drag",) if options.drag is not None else ()
         axes = [1.0, 0.0] if options.flat else [1.0, 1.0]

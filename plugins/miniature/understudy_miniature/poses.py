@@ -148,7 +148,7 @@ def trained_decoder(run: str, context: Context) -> tuple[nn.Module, int]:
     Raises
     ------
     RunError
-        if it is no run of the job 'miniature.autoencoder'.
+        if it is no run of the job 'miniature/autoencoder'.
     """
     assert context.registry is not None
     experiment = runs.open_run(run).experiment(context.registry)

@@ -54,7 +54,7 @@ class Arm(Simulator):
     state_fields = ("angles",)
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(ArmScene, "simulator 'miniature.arm'").options
+        scene = context.need_scene(ArmScene, "simulator 'miniature/arm'").options
         self.control_size, self._substeps = scene.joints, context.substeps
         self.fields: Mapping[str, Shape] = {"angles": (scene.joints,)}
         self._angles = torch.zeros(context.num_worlds, scene.joints, device=context.device)
@@ -86,7 +86,7 @@ class Straight(InitialStates):
     """The arm nearly straight."""
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(ArmScene, "initial_states 'miniature.straight'").options
+        scene = context.need_scene(ArmScene, "initial_states 'miniature/straight'").options
         self._joints = scene.joints
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
@@ -100,7 +100,7 @@ class Tip(Fields):
     provides = {"tip": (2,)}
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(ArmScene, "fields 'miniature.tip'").options
+        scene = context.need_scene(ArmScene, "fields 'miniature/tip'").options
         self._link = scene.length / scene.joints
 
     def compute(self, angles: Tensor) -> dict[str, Tensor]:
@@ -115,7 +115,7 @@ class Posture(Encoder):
     reads = ("angles", "target")
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(ArmScene, "encoder 'miniature.posture'").options
+        scene = context.need_scene(ArmScene, "encoder 'miniature/posture'").options
         self.shape = (scene.joints + 2,)
 
     def encode(self, angles: Tensor, target: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ _HERE = "understudy_morphology"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     def add(kind: str, name: str, where: str, summary: str) -> None:
-        register.component(kind, f"morphology.{name}", f"{_HERE}.{where}", summary)
+        register.component(kind, f"morphology/{name}", f"{_HERE}.{where}", summary)
 
     add("scene", "walker", "scene:WalkerScene", "a walker of twelve scales")
     add("fields", "guidance", "assistance:Guidance", "how stiff the help is, and the target speed")
@@ -27,7 +27,7 @@ def understudy_register(register: Registrar) -> None:
     add("encoder", "body", "walking:Body", "what the walker feels")
     add("initial_states", "standing", "walking:Standing", "standing, a little disturbed")
     add("curriculum", "lessons", "lessons:Lessons", "less help when the return allows it")
-    register.task("morphology.walk", "walk fast with little torque, whatever the limbs")
+    register.task("morphology/walk", "walk fast with little torque, whatever the limbs")
     register.citation(
         "yu2018symmetric",
         "Yu, Turk, Liu. Learning symmetric and low-energy locomotion. ACM TOG 37(4), 2018.",

@@ -82,7 +82,7 @@ class HelpedTorques(Actuation):
             check_range(self, "rotation", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(WalkerScene, "actuation 'morphology.helped_torques'")
+        scene = context.need_scene(WalkerScene, "actuation 'morphology/helped_torques'")
         self.action_space = box(scene.joints)
         self._rotation = options.rotation
 

@@ -39,7 +39,7 @@ class Gait(Fields):
     }  # fmt: skip
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(WalkerScene, "fields 'morphology.gait'")
+        scene = context.need_scene(WalkerScene, "fields 'morphology/gait'")
         model = scene.model
         self._standing, self._torso = scene.standing_height, model.body(TORSO).id
         self._feet = [model.geom(name).id for name in FEET]
@@ -166,7 +166,7 @@ class Body(Encoder):
     reads = ("qpos", "qvel", "clearance", "target_velocity", "slowness")
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(WalkerScene, "encoder 'morphology.body'")
+        scene = context.need_scene(WalkerScene, "encoder 'morphology/body'")
         self.shape: Shape = (2 + 6 + 6 + len(FEET) + 2 + 2 * scene.joints,)
 
     def encode(
@@ -202,7 +202,7 @@ class Standing(InitialStates):
             check_range(self, "noise", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(WalkerScene, "initial_states 'morphology.standing'")
+        scene = context.need_scene(WalkerScene, "initial_states 'morphology/standing'")
         model, device = scene.model, context.device
 
         def constant(values: object) -> Tensor:

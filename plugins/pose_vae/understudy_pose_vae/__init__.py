@@ -14,12 +14,12 @@ _HERE = "understudy_pose_vae"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     add = register.component
-    add("job", "pose_vae.autoencoder", f"{_HERE}.job:LearnPoses", "a pose auto-encoder of clips")
-    add("actuation", "pose_vae.offset", f"{_HERE}.actuation:PoseOffset", "decoded pose plus offset")
-    add("reward", "pose_vae.naturalness", f"{_HERE}.terms:naturalness", "with small offsets")
+    add("job", "pose_vae/autoencoder", f"{_HERE}.job:LearnPoses", "a pose auto-encoder of clips")
+    add("actuation", "pose_vae/offset", f"{_HERE}.actuation:PoseOffset", "decoded pose plus offset")
+    add("reward", "pose_vae/naturalness", f"{_HERE}.terms:naturalness", "with small offsets")
     add(
         "measure",
-        "pose_vae.distance",
+        "pose_vae/distance",
         f"{_HERE}.terms:PoseDistance",
         "degrees to the nearest pose of a run's clips",
     )

@@ -37,7 +37,7 @@ class PoseOffset(Actuation):
 
     def __init__(self, options: Options, context: Context) -> None:
         assert context.registry is not None
-        scene = context.need_scene(CharacterScene, "actuation 'pose_vae.offset'")
+        scene = context.need_scene(CharacterScene, "actuation 'pose_vae/offset'")
         trained = trained_poses(options.run, context.registry, context.device)
         source = f"actuation.run={options.run}"
         self._options, self._network = options, trained.network

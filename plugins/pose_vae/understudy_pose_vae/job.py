@@ -269,7 +269,7 @@ def trained_poses(run: str, registry: Registry, device: torch.device) -> Trained
     Raises
     ------
     RunError
-        if it is no run of the job 'pose_vae.autoencoder', or its checkpoint does not fit.
+        if it is no run of the job 'pose_vae/autoencoder', or its checkpoint does not fit.
     """
     experiment = runs.open_run(run).experiment(registry)
     job = experiment.one("job")

@@ -42,7 +42,7 @@ class PoseDistance:
 
     def __init__(self, options: Options, context: Context) -> None:
         assert context.registry is not None
-        scene = context.need_scene(CharacterScene, "measure 'pose_vae.distance'")
+        scene = context.need_scene(CharacterScene, "measure 'pose_vae/distance'")
         trained = trained_poses(options.run, context.registry, context.device)
         names = scene.layout.joint_names
         shared = [name for name in names if name in trained.joints]

@@ -12,48 +12,48 @@ _HERE = "understudy_sitting"
 #: By module and kind: the component's name, its class or function, and what it is.
 _PARTS = {
     ("figure", "character"): {
-        "sitting.humanoid": ("build_humanoid", "the humanoid of 21 hinges, 45 kg"),
+        "sitting/humanoid": ("build_humanoid", "the humanoid of 21 hinges, 45 kg"),
     },
     ("clips", "clip"): {
-        "sitting.step_back": ("generated_step_back", "a generated walk backwards"),
-        "sitting.whole": ("generated_whole", "generated walking, turning and sitting down"),
+        "sitting/step_back": ("generated_step_back", "a generated walk backwards"),
+        "sitting/whole": ("generated_whole", "generated walking, turning and sitting down"),
     },
     ("state", "fields"): {
-        "sitting.body": ("Body", "the figure's 50 numbers, the torso's motion"),
-        "sitting.reference": ("Reference", "the same of the reference"),
-        "sitting.goal": ("Goal", "the direction to a target"),
-        "sitting.seat": ("Seat", "the chair, and the pelvis on its seat"),
+        "sitting/body": ("Body", "the figure's 50 numbers, the torso's motion"),
+        "sitting/reference": ("Reference", "the same of the reference"),
+        "sitting/goal": ("Goal", "the direction to a target"),
+        "sitting/seat": ("Seat", "the chair, and the pelvis on its seat"),
     },
-    ("state", "encoder"): {"sitting.state": ("State", "figure, goal and chair")},
+    ("state", "encoder"): {"sitting/state": ("State", "figure, goal and chair")},
     ("actuation", "actuation"): {
-        "sitting.around_clip": ("AroundClip", "servo targets in units of the clip"),
+        "sitting/around_clip": ("AroundClip", "servo targets in units of the clip"),
     },
     ("orders", "actuation"): {
-        "sitting.in_order": ("InOrder", "skills in a fixed order, Table 3"),
+        "sitting/in_order": ("InOrder", "skills in a fixed order, Table 3"),
     },
     ("targets", "memory"): {
-        "sitting.target_ahead": ("TargetAhead", "a place to walk to, drawn anew"),
+        "sitting/target_ahead": ("TargetAhead", "a place to walk to, drawn anew"),
     },
     ("targets", "fields"): {
-        "sitting.target_by_chair": ("TargetByChair", "a place that was chosen, by the chair"),
+        "sitting/target_by_chair": ("TargetByChair", "a place that was chosen, by the chair"),
     },
     ("terms", "reward"): {
-        "sitting.pose": ("pose", "joint angles are the reference's, eq. 3"),
-        "sitting.velocity": ("velocity", "joint velocities are the reference's, eq. 3"),
-        "sitting.steering": ("steering", "moves as the reference does, eq. 4"),
-        "sitting.approach": ("Approach", "comes to the target, eq. 5"),
-        "sitting.turning": ("turning", "turns as the reference does, eq. 6"),
-        "sitting.nearing": ("Nearing", "the pelvis comes to the seat, eq. 7"),
-        "sitting.sit_down": ("SitDown", "on the seat or nearing it, eq. 8"),
+        "sitting/pose": ("pose", "joint angles are the reference's, eq. 3"),
+        "sitting/velocity": ("velocity", "joint velocities are the reference's, eq. 3"),
+        "sitting/steering": ("steering", "moves as the reference does, eq. 4"),
+        "sitting/approach": ("Approach", "comes to the target, eq. 5"),
+        "sitting/turning": ("turning", "turns as the reference does, eq. 6"),
+        "sitting/nearing": ("Nearing", "the pelvis comes to the seat, eq. 7"),
+        "sitting/sit_down": ("SitDown", "on the seat or nearing it, eq. 8"),
     },
     ("terms", "measure"): {
-        "sitting.pose": ("pose", "joint angles are the reference's, eq. 3"),
-        "sitting.approach": ("Approach", "comes to the target, eq. 5"),
-        "sitting.turning": ("turning", "turns as the reference does, eq. 6"),
+        "sitting/pose": ("pose", "joint angles are the reference's, eq. 3"),
+        "sitting/approach": ("Approach", "comes to the target, eq. 5"),
+        "sitting/turning": ("turning", "turns as the reference does, eq. 6"),
     },
     ("terms", "termination"): {
-        "sitting.low": ("low", "the torso is too low"),
-        "sitting.off_course": ("off_course", "turned otherwise than the reference"),
+        "sitting/low": ("low", "the torso is too low"),
+        "sitting/off_course": ("off_course", "turned otherwise than the reference"),
     },
     ("trials", "command"): {
         "sitting trials": ("Trials", "judge a controller that sits down over many trials"),
@@ -70,11 +70,11 @@ _PARTS = {
     ("trials", "report_section"): {
         "trials": ("TransitionsSection", "success by zone, which skill followed which"),
     },
-    ("chain", "outer_loop"): {"sitting.chain": ("Chain", "trainings that build on one another")},
+    ("chain", "outer_loop"): {"sitting/chain": ("Chain", "trainings that build on one another")},
     ("initial_states", "initial_states"): {
-        "sitting.from_reference": ("FromReference", "the reference, the chair behind"),
-        "sitting.where_others_ended": ("WhereOthersEnded", "where other skills ended"),
-        "sitting.around_chair": ("AroundChair", "standing around the chair, by zones"),
+        "sitting/from_reference": ("FromReference", "the reference, the chair behind"),
+        "sitting/where_others_ended": ("WhereOthersEnded", "where other skills ended"),
+        "sitting/around_chair": ("AroundChair", "standing around the chair, by zones"),
     },
 }
 
@@ -90,9 +90,9 @@ def understudy_register(register: Registrar) -> None:
         "room": "room:Room",
     }.items():
         register.section(section, f"{_HERE}.{where}Options", f"{_HERE}.{where}")
-    register.task("sitting.walk", "walk to targets that are drawn anew")
-    register.task("sitting.turn", "turn in place")
-    register.task("sitting.sit", "sit down on a chair behind")
+    register.task("sitting/walk", "walk to targets that are drawn anew")
+    register.task("sitting/turn", "turn in place")
+    register.task("sitting/sit", "sit down on a chair behind")
     register.citation(
         "sitting",
         "Chao, Yang, Chen, Deng 2021. Learning to sit: synthesizing human-chair interactions via "

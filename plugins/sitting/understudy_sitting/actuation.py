@@ -33,7 +33,7 @@ class AroundClip(Actuation):
             check_range(self, "least", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "actuation 'sitting.around_clip'")
+        scene = context.need_scene(CharacterScene, "actuation 'sitting/around_clip'")
         reference = reference_motion(context)
         times = torch.linspace(0.0, reference.duration, _SAMPLES, device=context.device)
         targets = reference.sample(times * (1 - 1e-6))["reference_joint_targets"]

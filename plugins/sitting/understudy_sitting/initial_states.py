@@ -160,7 +160,7 @@ class WhereOthersEnded(InitialStates):
     class Options:
         banks: tuple[str, ...]  #: banks of states, or the folders of runs that have one
         share: float = 1.0
-        metres: float = 0.0  #: these three as of ``sitting.from_reference``
+        metres: float = 0.0  #: these three as of ``sitting/from_reference``
         degrees: float = 0.0
         chairs: Chairs = Chairs()
 
@@ -173,7 +173,7 @@ class WhereOthersEnded(InitialStates):
     episode_fields: Mapping[str, Shape] = {"motion_start": ()}
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "initial_states 'sitting.where_others_ended'")
+        scene = context.need_scene(CharacterScene, "initial_states 'sitting/where_others_ended'")
         self._layout = layout = scene.layout.to(context.device)
         found = [bank.load(file) for file in options.banks]
         for file, states in zip(options.banks, found, strict=True):
@@ -246,9 +246,9 @@ class AroundChair(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
-        scene = context.need_scene(CharacterScene, "initial_states 'sitting.around_chair'")
+        scene = context.need_scene(CharacterScene, "initial_states 'sitting/around_chair'")
         self._layout = scene.layout.to(context.device)
-        chair = context.need_section("chair", Chair, "initial_states 'sitting.around_chair'")
+        chair = context.need_section("chair", Chair, "initial_states 'sitting/around_chair'")
         self._sizes = _Sizes(chair, options.chairs)
         self.varies = (PLACE, TURN, *self._sizes.varies)
         standing = reference_motion(context).sample(torch.zeros(1, device=context.device))

@@ -102,7 +102,7 @@ class Body(Fields):
         torso: str = TORSO  #: the figure's link that the paper calls root
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene, self._torso = torso_link(context, options.torso, "fields 'sitting.body'")
+        scene, self._torso = torso_link(context, options.torso, "fields 'sitting/body'")
         self._joints = Joints(scene.layout, context.device)
         self._root, count = scene.layout.root_body, self._joints.count
         self.provides = {
@@ -172,7 +172,7 @@ class Reference(Fields):
         torso: str = TORSO
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene, body = torso_link(context, options.torso, "fields 'sitting.reference'")
+        scene, body = torso_link(context, options.torso, "fields 'sitting/reference'")
         row = next(k for k, joint in enumerate(scene.character.joints) if joint.body == body)
         self._torso = row - 1 if row else None  # among the joints without the root
         offset = scene.character.rest_positions[row]
@@ -249,7 +249,7 @@ class Seat(Fields):
     }
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "fields 'sitting.seat'")
+        scene = context.need_scene(CharacterScene, "fields 'sitting/seat'")
         self._pelvis = scene.character.root
         self._chair, self._seat = chair_of(scene.model)
 
@@ -293,7 +293,7 @@ class State(Encoder):
         chair: bool = False  #: the 7 numbers of the chair
 
     def __init__(self, options: Options, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "encoder 'sitting.state'").layout
+        layout = context.need_scene(CharacterScene, "encoder 'sitting/state'").layout
         count = Joints(layout, context.device).count
         self.reads = (
             "proprioception",

@@ -16,85 +16,85 @@ def understudy_register(register: Registrar) -> None:
     add = register.component
     add(
         "termination",
-        "spacetime.com_bound",
+        "spacetime/com_bound",
         f"{_HERE}.bounds:ComBound",
         "centre of mass, per axis",
     )
-    add("termination", "spacetime.root_bound", f"{_HERE}.bounds:RootBound", "root orientation")
-    add("termination", "spacetime.joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
+    add("termination", "spacetime/root_bound", f"{_HERE}.bounds:RootBound", "root orientation")
+    add("termination", "spacetime/joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
     add(
         "termination",
-        "spacetime.end_effector_bound",
+        "spacetime/end_effector_bound",
         f"{_HERE}.bounds:EndEffectorBound",
         "hands and feet",
     )
     add(
         "fields",
-        "spacetime.alignment",
+        "spacetime/alignment",
         f"{_HERE}.alignment:Alignment",
         "the frame in which character and reference are compared",
     )
-    add("reward", "spacetime.survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
+    add("reward", "spacetime/survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
     add(
         "measure",
-        "spacetime.within_all_bounds",
+        "spacetime/within_all_bounds",
         f"{_HERE}.rewards:within_all_bounds",
         "1 inside all bounds and without a fall, else 0",
     )
     add(
         "measure",
-        "spacetime.com_deviation",
+        "spacetime/com_deviation",
         f"{_HERE}.rewards:com_deviation",
         "how far the centre of mass is from its reference",
     )
     add(
         "measure",
-        "spacetime.joint_deviation",
+        "spacetime/joint_deviation",
         f"{_HERE}.rewards:joint_deviation",
         "how far the farthest joint is from its reference",
     )
     add(
         "encoder",
-        "spacetime.state",
+        "spacetime/state",
         f"{_HERE}.encoders:StateEncoder",
         "character, phase, root error",
     )
     add(
-        "encoder", "spacetime.feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose"
+        "encoder", "spacetime/feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose"
     )
     add(
         "policy",
-        "spacetime.feedforward_feedback",
+        "spacetime/feedforward_feedback",
         f"{_HERE}.policy:FeedforwardFeedback",
         "reference pose plus learned offset",
     )
     add(
         "initial_states",
-        "spacetime.importance",
+        "spacetime/importance",
         f"{_HERE}.initial_states:Importance",
         "reference states, more where returns are low",
     )
     add(
         "initial_states",
-        "spacetime.evolution",
+        "spacetime/evolution",
         f"{_HERE}.initial_states:Evolution",
         "elite states of past rollouts",
     )
     add(
         "initial_states",
-        "spacetime.clip_start",
+        "spacetime/clip_start",
         f"{_HERE}.initial_states:ClipStart",
         "the clip's beginning",
     )
     add(
         "initial_states",
-        "spacetime.evolved",
+        "spacetime/evolved",
         f"{_HERE}.initial_states:Evolved",
         "the evolved initial states of another run",
     )
     add(
         "curriculum",
-        "spacetime.adaptive_bounds",
+        "spacetime/adaptive_bounds",
         f"{_HERE}.adaptive:AdaptiveBounds",
         "bounds that tighten where the motion is mastered",
     )
@@ -112,8 +112,8 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.learned:Learned",
         "write the motion that a run learned as a clip, in place of its reference",
     )
-    add("overlay", "spacetime.bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
-    register.task("spacetime.walk", "walk within spacetime bounds of a clip, survival reward only")
+    add("overlay", "spacetime/bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
+    register.task("spacetime/walk", "walk within spacetime bounds of a clip, survival reward only")
     register.citation(
         "spacetime",
         "Ma, Yang, Tong, Guo, Yin 2021. Learning and exploring motor skills with spacetime bounds. "

@@ -43,7 +43,7 @@ class Alignment(Fields):
     }
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "fields 'spacetime.alignment'").layout
+        layout = context.need_scene(CharacterScene, "fields 'spacetime/alignment'").layout
         count = len(layout.end_effectors)
         self.provides = {**self.provides, "aligned_end_effector_positions": (count, 3)}
 

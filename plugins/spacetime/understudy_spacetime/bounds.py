@@ -67,7 +67,7 @@ class ComBound:
         size: Size = 0.2
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._size = BoundSize(options.size, "spacetime.com_bound", context.device)
+        self._size = BoundSize(options.size, "spacetime/com_bound", context.device)
 
     def __call__(
         self,
@@ -88,7 +88,7 @@ class RootBound:
         size: Size = 0.7
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._size = BoundSize(options.size, "spacetime.root_bound", context.device)
+        self._size = BoundSize(options.size, "spacetime/root_bound", context.device)
 
     def __call__(
         self,
@@ -110,7 +110,7 @@ class JointBound:
         joints: tuple[str, ...] = ()  #: bounded joints; empty bounds all
 
     def __init__(self, options: Options, context: Context) -> None:
-        who = "spacetime.joint_bound"
+        who = "spacetime/joint_bound"
         names = context.need_scene(CharacterScene, who).layout.joint_names
         for name in options.joints:
             if name not in names:
@@ -144,7 +144,7 @@ class EndEffectorBound:
         size: Size = 0.5
 
     def __init__(self, options: Options, context: Context) -> None:
-        self._size = BoundSize(options.size, "spacetime.end_effector_bound", context.device)
+        self._size = BoundSize(options.size, "spacetime/end_effector_bound", context.device)
 
     def __call__(
         self,

@@ -32,7 +32,7 @@ class StateEncoder(Encoder):
     shape: Shape
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "encoder 'spacetime.state'").layout
+        layout = context.need_scene(CharacterScene, "encoder 'spacetime/state'").layout
         links, effectors = len(layout.link_names), len(layout.end_effectors)
         self.shape = (3 + 3 + 1 + 2 + links * (3 + 6 + 3 + 3) + effectors * 3,)
 
@@ -70,7 +70,7 @@ class FeedforwardEncoder(Encoder):
     reads = ("reference_joint_targets",)
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "encoder 'spacetime.feedforward'").layout
+        layout = context.need_scene(CharacterScene, "encoder 'spacetime/feedforward'").layout
         self.shape: Shape = (layout.num_actuators,)
 
     def encode(self, reference_joint_targets: Tensor) -> Tensor:

@@ -25,7 +25,7 @@ Fields = Mapping[str, Tensor]
 
 class BoundsOverlay(Overlay):
     """A box around the reference's centre of mass and balls around its hands and feet, of the sizes
-    that the run's terminations ``spacetime.*`` have; and how near each deviation is to its bound."""
+    that the run's terminations ``spacetime/*`` have; and how near each deviation is to its bound."""
 
     def marks(
         self, config: Mapping[str, Any], tracks: Mapping[str, np.ndarray]
@@ -113,7 +113,7 @@ def _joints(
     names = scene.layout.joint_names
     for name in options.joints:
         if name not in names:
-            raise ConfigError(f"spacetime.joint_bound: no joint '{name}'.{suggestion(name, names)}")
+            raise ConfigError(f"spacetime/joint_bound: no joint '{name}'.{suggestion(name, names)}")
     chosen = [names.index(name) for name in options.joints or names]
     angles = angle_between(fields["joint_rotations"], fields["reference_joint_rotations"])
     return [Gauge("joints", angles[:, chosen].amax(dim=1).numpy(), size, "rad")]
@@ -137,8 +137,8 @@ def _end_effectors(
 
 
 _DRAWN: Mapping[str, tuple[Any, Callable[..., list[Gauge | Region]]]] = {
-    "spacetime.com_bound": (bounds.ComBound, _com),
-    "spacetime.root_bound": (bounds.RootBound, _root),
-    "spacetime.joint_bound": (bounds.JointBound, _joints),
-    "spacetime.end_effector_bound": (bounds.EndEffectorBound, _end_effectors),
+    "spacetime/com_bound": (bounds.ComBound, _com),
+    "spacetime/root_bound": (bounds.RootBound, _root),
+    "spacetime/joint_bound": (bounds.JointBound, _joints),
+    "spacetime/end_effector_bound": (bounds.EndEffectorBound, _end_effectors),
 }

@@ -24,7 +24,7 @@ class FeedforwardFeedback(Policy):
 
     def __init__(self, options: Options, context: Context) -> None:
         super().__init__()
-        who = "policy 'spacetime.feedforward_feedback'"
+        who = "policy 'spacetime/feedforward_feedback'"
         size = context.action_size
         if options.feedforward is not None:
             size = observation_size(context, options.feedforward, who)

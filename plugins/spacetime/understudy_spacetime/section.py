@@ -31,7 +31,7 @@ class EvolvedSection(ReportSection):
 
     def html(self, run: Run) -> str | None:
         chosen = mapping(mapping(run.info.get("config")).get("initial_states")).get("name")
-        if chosen != "spacetime.evolution" or not any(run.checkpoints.glob("*")):
+        if chosen != "spacetime/evolution" or not any(run.checkpoints.glob("*")):
             return None
         found = evolution_of(run)
         segment = int(found.distances.mean(1).argmax())

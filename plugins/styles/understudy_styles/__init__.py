@@ -14,28 +14,28 @@ _HERE = "understudy_styles"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     add = register.component
-    add("fields", "styles.energy", f"{_HERE}.energy:KineticEnergy", "kinetic energy about the com")
-    add("fields", "styles.volume", f"{_HERE}.volume:HullVolume", "volume of the convex hull")
+    add("fields", "styles/energy", f"{_HERE}.energy:KineticEnergy", "kinetic energy about the com")
+    add("fields", "styles/volume", f"{_HERE}.volume:HullVolume", "volume of the convex hull")
     add(
         "fields",
-        "styles.accelerations",
+        "styles/accelerations",
         f"{_HERE}.regularity:Accelerations",
         "of links, and of joints",
     )
-    add("fields", "styles.features", f"{_HERE}.features:MotionFeatures", "a frame of a motion")
+    add("fields", "styles/features", f"{_HERE}.features:MotionFeatures", "a frame of a motion")
     add(
         "fields",
-        "styles.gram",
+        "styles/gram",
         f"{_HERE}.gram:GramDistance",
         "how far a cycle's style is from a clip's",
     )
-    add("reward", "styles.low_energy", f"{_HERE}.rewards:low_energy", "less kinetic energy")
-    add("reward", "styles.high_energy", f"{_HERE}.rewards:high_energy", "more kinetic energy")
-    add("reward", "styles.small_volume", f"{_HERE}.rewards:small_volume", "a small convex hull")
-    add("reward", "styles.large_volume", f"{_HERE}.rewards:large_volume", "a large convex hull")
-    add("reward", "styles.near", f"{_HERE}.rewards:near", "the style of a clip")
-    add("reward", "styles.regularity", f"{_HERE}.regularity:Regularity", "calm links and joints")
-    add("job", "styles.autoencoder", f"{_HERE}.autoencoder:LearnFeatures", "features of motions")
+    add("reward", "styles/low_energy", f"{_HERE}.rewards:low_energy", "less kinetic energy")
+    add("reward", "styles/high_energy", f"{_HERE}.rewards:high_energy", "more kinetic energy")
+    add("reward", "styles/small_volume", f"{_HERE}.rewards:small_volume", "a small convex hull")
+    add("reward", "styles/large_volume", f"{_HERE}.rewards:large_volume", "a large convex hull")
+    add("reward", "styles/near", f"{_HERE}.rewards:near", "the style of a clip")
+    add("reward", "styles/regularity", f"{_HERE}.regularity:Regularity", "calm links and joints")
+    add("job", "styles/autoencoder", f"{_HERE}.autoencoder:LearnFeatures", "features of motions")
     register.citation(
         "styles",
         "Holden, Saito, Komura 2016. A deep learning framework for character motion synthesis and "

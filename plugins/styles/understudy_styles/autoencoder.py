@@ -93,7 +93,7 @@ class LearnFeatures(Job):
         )
         scene = experiment.need("scene").build(context)
         if not isinstance(scene, CharacterScene):
-            raise ConfigError("job 'styles.autoencoder' needs a character (scene=humanoid).")
+            raise ConfigError("job 'styles/autoencoder' needs a character (scene=humanoid).")
         self._scene, self._registry = scene, experiment.registry
         self.network = new_network(options, scene, root.seed).to(self.device)
         self._windows: dict[str, Tensor] = {}
@@ -189,7 +189,7 @@ def trained_network(run: str, scene: CharacterScene, registry: Registry) -> Moti
     """The frozen auto-encoder of the run folder `run`.
 
     Raises:
-        RunError: it is no run of the job 'styles.autoencoder', or one of another character.
+        RunError: it is no run of the job 'styles/autoencoder', or one of another character.
     """
     job = runs.open_run(run).experiment(registry).one("job")
     if job is None or job.component.factory is not LearnFeatures:

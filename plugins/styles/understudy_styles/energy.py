@@ -20,7 +20,7 @@ class KineticEnergy(Fields):
     provides: Mapping[str, Shape] = {"kinetic_energy": ()}
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "fields 'styles.energy'")
+        scene = context.need_scene(CharacterScene, "fields 'styles/energy'")
         model, device = scene.model, context.device
         bodies = scene.layout.link_bodies
 

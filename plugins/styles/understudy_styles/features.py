@@ -47,7 +47,7 @@ class MotionFeatures(Fields):
     provides: Mapping[str, Shape] = {"motion_features": (0,)}
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "fields 'styles.features'").layout
+        layout = context.need_scene(CharacterScene, "fields 'styles/features'").layout
         self.provides = {"motion_features": (3 * len(layout.link_names) + 5,)}
 
     def compute(self, **fields: Tensor) -> Mapping[str, Tensor]:

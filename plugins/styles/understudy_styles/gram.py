@@ -40,7 +40,7 @@ class GramDistance(Fields):
             check_range(self, "frames", least=2)
 
     def __init__(self, options: Options, context: Context) -> None:
-        who = "fields 'styles.gram'"
+        who = "fields 'styles/gram'"
         scene = context.need_scene(CharacterScene, who)
         motion = context.need_section("motion", Motion, who)
         assert context.registry is not None
@@ -54,7 +54,7 @@ class GramDistance(Fields):
         unit = (style - gram_of(motion.clip)).norm()
         if float(unit) < 1e-6:
             raise ConfigError(
-                f"fields 'styles.gram': {options.style} has the style of the reference itself; name "
+                f"fields 'styles/gram': {options.style} has the style of the reference itself; name "
                 "another clip (fields.gram.style=CLIP)."
             )
         self._network = network.to(context.device)

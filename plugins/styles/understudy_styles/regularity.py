@@ -28,7 +28,7 @@ class Accelerations(Fields):
     provides: Mapping[str, Shape] = {"link_accelerations": (0,), "joint_accelerations": (0,)}
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "fields 'styles.accelerations'").layout
+        layout = context.need_scene(CharacterScene, "fields 'styles/accelerations'").layout
         links, joints = len(layout.link_names), len(layout.joint_names)
         self.provides = {"link_accelerations": (links,), "joint_accelerations": (joints,)}
         own = layout.to(context.device)

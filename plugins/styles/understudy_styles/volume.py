@@ -31,7 +31,7 @@ class HullVolume(Fields):
         links: tuple[str, ...] = ()  #: whose centres of mass are the points; empty takes all
 
     def __init__(self, options: Options, context: Context) -> None:
-        who = "fields 'styles.volume'"
+        who = "fields 'styles/volume'"
         layout = context.need_scene(CharacterScene, who).layout
         for name in options.links:
             if name not in layout.link_names:

@@ -39,9 +39,9 @@ def test_unknown_names_are_answered_with_suggestions(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     run = f"run.dir={tmp_path / 'run'}"
-    line = complaint(capsys, "train", *QUICK, run, "reward.terms.survival.name=spacetime.survial")
-    assert "There is no reward 'spacetime.survial'" in line
-    assert "Did you mean 'spacetime.survival'?" in line
+    line = complaint(capsys, "train", *QUICK, run, "reward.terms.survival.name=spacetime/survial")
+    assert "There is no reward 'spacetime/survial'" in line
+    assert "Did you mean 'spacetime/survival'?" in line
     line = complaint(capsys, "train", *QUICK, run, "learner.epoch=3")
     assert "learner has no option 'epoch'. Did you mean 'epochs'?" in line
     line = complaint(capsys, "train", *QUICK, run, "termination.terms.com.sice=0.3")
@@ -59,7 +59,7 @@ def test_combinations_that_make_no_sense_say_what_is_missing(
     assert "needs the observation 'feedforward', which no encoder of this task provides" in line
     line = complaint(capsys, "train", *QUICK, run, "~fields.reference")
     assert "needs the state field" in line
-    assert "It would come from fields 'characters.reference'" in line
+    assert "It would come from fields 'characters/reference'" in line
     line = complaint(capsys, "train", *QUICK, run, "~reward.terms.survival")
     assert "reward.terms is empty" in line
     assert not (tmp_path / "run").exists()
@@ -173,7 +173,7 @@ def test_lists(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"name", "distribution", "version", "status", "components"} <= rows[0].keys()
     assert all(row["status"] == "ok" for row in rows)
     assert main(["tasks"]) == 0
-    assert "spacetime.walk" in capsys.readouterr().out
+    assert "spacetime/walk" in capsys.readouterr().out
     assert main(["config", "experiment=spacetime/walk", "seed=7"]) == 0
     shown = capsys.readouterr().out.splitlines()
     line = next(x for x in shown if x.startswith("termination.terms.com.size: 0.2"))

@@ -78,14 +78,14 @@ class High(Starts):
 
 
 PARTS = {
-    "curriculum": {"my.stairs": Stairs, "my.short": Short},
-    "initial_states": {"my.high": High},
+    "curriculum": {"my/stairs": Stairs, "my/short": Short},
+    "initial_states": {"my/high": High},
 }
 TASK = (
     *LINE_TASK[:5],
-    "+initial_states={name: my.high}",
+    "+initial_states={name: my/high}",
     *LINE_TASK[6:],
-    "+curriculum={name: my.stairs}",
+    "+curriculum={name: my/stairs}",
 )
 
 
@@ -185,7 +185,7 @@ def test_training_updates_marks_and_tells(tmp_path: Path) -> None:
 
 def test_a_curriculum_can_end_the_training(tmp_path: Path) -> None:
     plugins = line_plugins(**PARTS)
-    training = make_training(plugins, [*TASK, "curriculum.name=my.short"], tmp_path / "run")
+    training = make_training(plugins, [*TASK, "curriculum.name=my/short"], tmp_path / "run")
     assert training.train() == "finished"
     assert training.progress.iteration == 3
     training.run.unlock()
@@ -224,7 +224,7 @@ def test_evaluations_stand_at_the_difficulty(difficulty: float) -> None:
     """Whatever the training's curriculum has come to, and for as long as evaluations last."""
     plugins = line_plugins(**PARTS)
     experiment = load_experiment(
-        [*TASK, f"difficulty={difficulty}", "+measure.at={name: line.value}"], plugins
+        [*TASK, f"difficulty={difficulty}", "+measure.at={name: line/value}"], plugins
     )
     evaluator = Evaluator(experiment)
     policy = make_training(plugins, TASK).job.policy

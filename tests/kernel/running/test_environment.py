@@ -101,7 +101,7 @@ def test_outcomes(plugins: Plugins, outcome: str) -> None:
 
 
 def test_reward_combinations(plugins: Plugins) -> None:
-    more = ["+reward.terms.more={name: fake.near_origin, scale: 2.0, weight: 3}"]
+    more = ["+reward.terms.more={name: fake/near_origin, scale: 2.0, weight: 3}"]
     for combine, expected in (("sum", lambda a, b: a + 3 * b), ("product", lambda a, b: a * b**3)):
         env = made(plugins, *more, f"reward.combine={combine}")
         env.reset()

@@ -35,11 +35,11 @@ def beyond(x: Tensor, *, limit: float) -> Tensor:
 
 
 #: Each step moves every world by 1 for 4 s; from 0 it gets to 4, which is not too far.
-TASK = (*LINE_TASK, "+termination.terms.far={name: my.beyond, limit: 5.0}")
+TASK = (*LINE_TASK, "+termination.terms.far={name: my/beyond, limit: 5.0}")
 
 
 def evaluated(*overrides: str, give_up_below: float | None = None) -> Evaluation:
-    plugins = line_plugins(initial_states={"my.at": At}, termination={"my.beyond": beyond})
+    plugins = line_plugins(initial_states={"my/at": At}, termination={"my/beyond": beyond})
     made = Evaluator(load_experiment([*TASK, *overrides], plugins))
     built = made.built
     policy = Steady(Steady.Options(1.0), built.context)
@@ -47,8 +47,8 @@ def evaluated(*overrides: str, give_up_below: float | None = None) -> Evaluation
 
 
 STARTS = (
-    "evaluation.starts.near={name: my.at, place: 0}",
-    "evaluation.starts.farther={name: my.at, place: 2}",
+    "evaluation.starts.near={name: my/at, place: 0}",
+    "evaluation.starts.farther={name: my/at, place: 2}",
 )
 
 
@@ -64,8 +64,8 @@ def test_the_first_decides_and_each_is_reported() -> None:
 
 
 def test_the_task_begins_elsewhere_and_does_not_matter() -> None:
-    assert evaluated(*STARTS, "initial_states={name: my.at, place: 100}").success_rate == 1.0
-    without = evaluated("initial_states={name: my.at, place: 100}")
+    assert evaluated(*STARTS, "initial_states={name: my/at, place: 100}").success_rate == 1.0
+    without = evaluated("initial_states={name: my/at, place: 100}")
     assert without.success_rate == 0.0
     assert not [name for name in without.measures if name.startswith("success_from")]
 
@@ -78,13 +78,13 @@ def test_a_criterion_looks_at_the_first_alone() -> None:
 
 def test_an_unknown_start_is_named_with_its_place() -> None:
     with pytest.raises(ConfigError, match=r"evaluation\.starts\.near"):
-        evaluated("evaluation.starts.near={name: my.art}")
+        evaluated("evaluation.starts.near={name: my/art}")
 
 
 def test_starts_are_kept_with_the_run() -> None:
-    plugins = line_plugins(initial_states={"my.at": At}, termination={"my.beyond": beyond})
+    plugins = line_plugins(initial_states={"my/at": At}, termination={"my/beyond": beyond})
     effective = load_experiment([*TASK, *STARTS], plugins).effective()
     assert effective["evaluation"]["starts"] == {
-        "near": {"name": "my.at", "place": 0.0},
-        "farther": {"name": "my.at", "place": 2.0},
+        "near": {"name": "my/at", "place": 0.0},
+        "farther": {"name": "my/at", "place": 2.0},
     }

@@ -88,8 +88,8 @@ def rewarded(reward: Tensor) -> Tensor:
 
 
 #: All worlds move by one a second for four seconds: world i is at i + 1, i + 2, i + 3, i + 4.
-RUNGS = (*LINE_TASK, "initial_states={name: my.rungs}")
-PARTS = {"initial_states": {"my.rungs": Rungs}, "measure": {"my.rewarded": rewarded}}
+RUNGS = (*LINE_TASK, "initial_states={name: my/rungs}")
+PARTS = {"initial_states": {"my/rungs": Rungs}, "measure": {"my/rewarded": rewarded}}
 
 
 def evaluator(*overrides: str, task: Iterable[str] = RUNGS) -> Evaluator:
@@ -107,13 +107,13 @@ def policy(push: float = 1.0) -> Steady:
 
 
 def far(limit: float, outcome: str = "failure", name: str = "far") -> str:
-    return f"+termination.terms.{name}={{name: line.beyond, limit: {limit}, outcome: {outcome}}}"
+    return f"+termination.terms.{name}={{name: line/beyond, limit: {limit}, outcome: {outcome}}}"
 
 
 def test_survival() -> None:
     """World 3 reaches 7 in its last step, world 2 does not; an episode ends with its failure."""
     found = evaluated(
-        far(6), "+measure.at={name: line.value}", "+measure.low={name: line.value, reduce: min}"
+        far(6), "+measure.at={name: line/value}", "+measure.low={name: line/value, reduce: min}"
     )
     assert (found.episodes, found.success_rate, found.complete) == (4, 0.5, True)
     assert found.success == "survived 4 s without far"
@@ -131,8 +131,8 @@ def test_survival() -> None:
 
 
 def test_rewards_can_be_measured() -> None:
-    found = evaluated(far(6), "+measure.all={name: my.rewarded, reduce: sum}").measures
-    best = evaluated(far(6), "+measure.best={name: my.rewarded, reduce: max}").measures["best"]
+    found = evaluated(far(6), "+measure.all={name: my/rewarded, reduce: sum}").measures
+    best = evaluated(far(6), "+measure.best={name: my/rewarded, reduce: max}").measures["best"]
     assert found["all"] == found["return"]
     assert best.mean == (4 + 5 + 6 + 6) / 4
 
@@ -148,7 +148,7 @@ def test_an_evaluation_is_over_when_all_episodes_are(watched: bool, steps: int) 
 
 
 def test_what_is_written_of_it() -> None:
-    found = evaluated(far(6), "+measure.at={name: line.value}", "evaluation.objective=at").as_json(
+    found = evaluated(far(6), "+measure.at={name: line/value}", "evaluation.objective=at").as_json(
         96
     )
     assert found["success_rate_95"] == list(wilson_interval(0.5, 4))
@@ -168,7 +168,7 @@ def test_failures_that_only_report() -> None:
 
 
 def test_a_success_term_ends_episodes_and_is_the_success() -> None:
-    found = evaluated(far(6, "success", "there"), far(100), "+measure.at={name: line.value}")
+    found = evaluated(far(6, "success", "there"), far(100), "+measure.at={name: line/value}")
     assert found.success == "there within 4 s"
     assert found.success_rate == 0.5
     assert found.mean_episode_seconds == (4 + 4 + 4 + 3) / 4
@@ -203,7 +203,7 @@ def test_a_failure_in_the_same_step_is_no_success_term_of_another() -> None:
 )
 def test_success_by_a_measure(limits: str, rate: float, text: str) -> None:
     found = evaluated(
-        "+measure.at={name: line.value}", f"evaluation.success={{measure: at, {limits}}}"
+        "+measure.at={name: line/value}", f"evaluation.success={{measure: at, {limits}}}"
     )
     assert (found.success_rate, found.success) == (rate, text)
 
@@ -215,14 +215,14 @@ def test_success_by_the_return() -> None:
 
 def test_success_is_of_measures_over_the_whole_episode() -> None:
     found = evaluated(
-        "+measure.at={name: line.value, reduce: max}", far(5, "truncation"),
+        "+measure.at={name: line/value, reduce: max}", far(5, "truncation"),
         "evaluation.success={measure: at, at_least: 5}",
     )  # fmt: skip
     assert found.success_rate == 0.75
 
 
 def test_nothing_is_a_success() -> None:
-    found = evaluated("+measure.at={name: line.value}")
+    found = evaluated("+measure.at={name: line/value}")
     assert (found.success_rate, found.success) == (None, "")
     assert "success_rate" not in found.as_json(0)
     assert "evaluation/success_rate" not in found.row()
@@ -271,7 +271,7 @@ def test_success_that_cannot_be_judged(overrides: tuple[str, ...], message: str)
 
 
 #: Starts are drawn from a million numbers; nothing moves.
-DRAWN = (*LINE_TASK, "+measure.at={name: line.value}", "+initial_states.count=1000000")
+DRAWN = (*LINE_TASK, "+measure.at={name: line/value}", "+initial_states.count=1000000")
 
 
 def taken(made: Evaluator) -> list[Tensor]:
@@ -332,7 +332,7 @@ def test_giving_up_when_success_is_out_of_reach(
 ) -> None:
     """Two of four worlds fail in each batch at once: 4 of 8, 2 more than 0.75 allows, or in the first
     batch already 2 more than 1.0 allows; the second batch could still succeed."""
-    made = evaluator(far(6), "evaluation.seconds=60", "+measure.at={name: line.value}")
+    made = evaluator(far(6), "evaluation.seconds=60", "+measure.at={name: line/value}")
     still = policy(0)
     made.built.environment.parts.initial_states.sample = (  # type: ignore[method-assign]
         lambda streams, **fields: {"x": torch.tensor([[0.0], [6.0], [0.0], [7.0]])}
@@ -358,7 +358,7 @@ def test_a_success_term_that_may_still_come_is_not_out_of_reach() -> None:
 
 def test_only_first_episodes_count() -> None:
     """Worlds 2 and 3 succeed early, and what they begin with next fails at once."""
-    made = evaluator(far(5, "success", "there"), far(50), "+measure.at={name: line.value}")
+    made = evaluator(far(5, "success", "there"), far(50), "+measure.at={name: line/value}")
     initial: Any = made.built.environment.parts.initial_states
     first = initial.sample
 

@@ -63,10 +63,10 @@ class Two(Encoder):
 
 
 PARTS = {
-    "fields": {"my.sum": fields(("x",), "y"), "my.pair": fields(("a", "b"), "c", "d")},
-    "memory": {"my.last": Last},
-    "encoder": {"my.two": Two},
-    "reward": {"my.ratio": lambda: None},
+    "fields": {"my/sum": fields(("x",), "y"), "my/pair": fields(("a", "b"), "c", "d")},
+    "memory": {"my/last": Last},
+    "encoder": {"my/two": Two},
+    "reward": {"my/ratio": lambda: None},
 }
 
 
@@ -77,7 +77,7 @@ def ratio(
     return factor * top / bottom + (0.0 if offset is None else offset)
 
 
-PARTS["reward"] = {"my.ratio": ratio}
+PARTS["reward"] = {"my/ratio": ratio}
 
 
 def built(*overrides: str) -> Any:
@@ -90,13 +90,13 @@ def built(*overrides: str) -> Any:
 def test_renaming_everything() -> None:
     """One kind of part twice, side by side under other names."""
     environment = built(
-        "+fields.first={name: my.sum}",
-        "+fields.second={name: my.sum, reads: {x: y}, provides: {y: z}}",
-        "+fields.pair={name: my.pair, reads: {a: y, b: z}, provides: {d: e}}",
-        "+memory.one={name: my.last, reads: {number: y}, provides: {last: last_y}}",
-        "+memory.two={name: my.last, reads: {number: c}}",
-        "encoder.state={name: my.two, reads: {one: last_y, two: last}}",
-        "+reward.terms.ratio={name: my.ratio, reads: {top: e, bottom: z}, factor: 2}",
+        "+fields.first={name: my/sum}",
+        "+fields.second={name: my/sum, reads: {x: y}, provides: {y: z}}",
+        "+fields.pair={name: my/pair, reads: {a: y, b: z}, provides: {d: e}}",
+        "+memory.one={name: my/last, reads: {number: y}, provides: {last: last_y}}",
+        "+memory.two={name: my/last, reads: {number: c}}",
+        "encoder.state={name: my/two, reads: {one: last_y, two: last}}",
+        "+reward.terms.ratio={name: my/ratio, reads: {top: e, bottom: z}, factor: 2}",
         "reward.terms.at=null",
     )
     step = push(environment, 1, 2, 3, 4)
@@ -109,10 +109,10 @@ def test_renaming_everything() -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("+fields.a={name: my.sum, reads: {w: y}}", r"^fields\.a\.reads: there is no field 'w' to rename\. Known: x\.$"),
-        ("+fields.a={name: my.sum, provides: {x: y}}", r"^fields\.a\.provides: there is no field 'x' to rename\. Known: y\.$"),
-        ("+memory.a={name: my.last, reads: {numbr: x}}", r"^memory\.a\.reads: .*Did you mean 'number'\?$"),
-        ("+memory.a={name: my.last, provides: {number: x}}", r"^memory\.a\.provides: there is no field 'number'"),
+        ("+fields.a={name: my/sum, reads: {w: y}}", r"^fields\.a\.reads: there is no field 'w' to rename\. Known: x\.$"),
+        ("+fields.a={name: my/sum, provides: {x: y}}", r"^fields\.a\.provides: there is no field 'x' to rename\. Known: y\.$"),
+        ("+memory.a={name: my/last, reads: {numbr: x}}", r"^memory\.a\.reads: .*Did you mean 'number'\?$"),
+        ("+memory.a={name: my/last, provides: {number: x}}", r"^memory\.a\.provides: there is no field 'number'"),
         ("+encoder.state.reads={y: x}", r"^encoder\.state\.reads: there is no field 'y'"),
         ("+reward.terms.at.reads={y: x}", r"^reward\.terms\.at\.reads: there is no field 'y'"),
         ("+actuation.reads={y: x}", r"^actuation\.reads: there is no field 'y' to rename\. None is known here\.$"),
@@ -126,14 +126,14 @@ def test_renaming_what_is_not_there(override: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["+reward.terms.at.reads={x: y}"], r"^reward\.terms\.at needs the state field 'y', which nothing in this task provides\. It would come from fields 'my\.sum'\.$"),
+        (["+reward.terms.at.reads={x: y}"], r"^reward\.terms\.at needs the state field 'y', which nothing in this task provides\. It would come from fields 'my/sum'\.$"),
         (["+encoder.state.reads={x: y}"], r"^encoder\.state needs the state field 'y'"),
-        (["+memory.m={name: my.last, reads: {number: y}}"], r"^memory\.m needs the state field 'y'"),
-        (["+fields.f={name: my.sum, reads: {x: w}}"], r"^fields\.f needs the state field 'w', which nothing in this task provides\.$"),
-        (["+measure.m={name: line.value, reads: {x: last}}"], r"^measure\.m needs the state field 'last', .* It would come from memory 'my\.last'\.$"),
-        (["+fields.f={name: my.sum, provides: {y: x}}"], r"^fields\.f provides the field 'x', which the simulator provides already\."),
-        (["+fields.f={name: my.sum}", "+fields.g={name: my.sum}"], r"^fields\.g provides the field 'y', which fields\.f provides already\. .*PART\.NAME\.provides=\{y: other_y\}"),
-        (["+memory.m={name: my.last, reads: {number: x}, provides: {last: failed}}"], r"^memory\.m provides the field 'failed', which the environment provides already"),
+        (["+memory.m={name: my/last, reads: {number: y}}"], r"^memory\.m needs the state field 'y'"),
+        (["+fields.f={name: my/sum, reads: {x: w}}"], r"^fields\.f needs the state field 'w', which nothing in this task provides\.$"),
+        (["+measure.m={name: line/value, reads: {x: last}}"], r"^measure\.m needs the state field 'last', .* It would come from memory 'my/last'\.$"),
+        (["+fields.f={name: my/sum, provides: {y: x}}"], r"^fields\.f provides the field 'x', which the simulator provides already\."),
+        (["+fields.f={name: my/sum}", "+fields.g={name: my/sum}"], r"^fields\.g provides the field 'y', which fields\.f provides already\. .*PART\.NAME\.provides=\{y: other_y\}"),
+        (["+memory.m={name: my/last, reads: {number: x}, provides: {last: failed}}"], r"^memory\.m provides the field 'failed', which the environment provides already"),
     ],
 )  # fmt: skip
 def test_fields_that_are_missing_or_there_twice(overrides: list[str], message: str) -> None:
@@ -143,7 +143,7 @@ def test_fields_that_are_missing_or_there_twice(overrides: list[str], message: s
 
 def test_who_would_provide_a_field() -> None:
     plugins = line_plugins(fields={"broken": "no_such_module:Fields"}, **{k: v for k, v in PARTS.items() if k != "fields"})  # fmt: skip
-    assert list(providers_of("last", plugins.registry)) == ["memory 'my.last'"]
+    assert list(providers_of("last", plugins.registry)) == ["memory 'my/last'"]
     assert list(providers_of("x", plugins.registry)) == ["simulator 'line'"]
     assert list(providers_of("nothing", plugins.registry)) == []
 
@@ -218,12 +218,12 @@ def test_a_field_of_another_shape_than_promised() -> None:
 
 def test_optional_parameters_of_terms() -> None:
     """Filled where the task has the field, left out where it has not."""
-    top = "+reward.terms.ratio={name: my.ratio, reads: {top: %s, bottom: %s}}"
-    plain = built("+fields.f={name: my.sum}", top % ("y", "y"), "reward.terms.at=null")
+    top = "+reward.terms.ratio={name: my/ratio, reads: {top: %s, bottom: %s}}"
+    plain = built("+fields.f={name: my/sum}", top % ("y", "y"), "reward.terms.at=null")
     assert push(plain, 1).rewards.tolist() == [1] * 4
     offset = built(
-        "+fields.f={name: my.sum}",
-        "+fields.g={name: my.sum, provides: {y: offset}}",
+        "+fields.f={name: my/sum}",
+        "+fields.g={name: my/sum, provides: {y: offset}}",
         top % ("y", "y"),
         "reward.terms.at=null",
     )
@@ -233,8 +233,8 @@ def test_optional_parameters_of_terms() -> None:
 def test_an_optional_parameter_that_is_renamed_to_nothing() -> None:
     """Asking for it by name is no asking for it if it can be left out: the same as not having it."""
     environment = built(
-        "+fields.f={name: my.sum}",
-        "+reward.terms.ratio={name: my.ratio, reads: {top: y, bottom: y, offset: nowhere}}",
+        "+fields.f={name: my/sum}",
+        "+reward.terms.ratio={name: my/ratio, reads: {top: y, bottom: y, offset: nowhere}}",
         "reward.terms.at=null",
     )
     assert push(environment, 1).rewards.tolist() == [1] * 4

@@ -133,8 +133,8 @@ def plugins(broken: bool = False) -> Plugins:
         register.kind("data", "samples to learn from")
         register.slot("data", "data", "what is learned from")
         register.slot("filters", "data", "several", many=True)
-        register.component("data", "my.waves", Waves)
-        register.component("job", "my.regression", Regression)
+        register.component("data", "my/waves", Waves)
+        register.component("job", "my/regression", Regression)
         if broken:
             raise RuntimeError("no licence")
 
@@ -142,7 +142,7 @@ def plugins(broken: bool = False) -> Plugins:
     return load(only=["sweeps", "inspect"], extra=[("fake", fake), ("regression", module)])
 
 
-TASK = ("+job={name: my.regression}", "data={name: my.waves}", "budget.samples=640", "evaluation.final_episodes=50")  # fmt: skip
+TASK = ("+job={name: my/regression}", "data={name: my/waves}", "budget.samples=640", "evaluation.final_episodes=50")  # fmt: skip
 
 
 class Stages(RunObserver):
@@ -167,7 +167,7 @@ def test_a_run_from_beginning_to_end(
     assert "The simulator counted 7 × odd samples" in captured.err
     info = json.loads((run / "run.json").read_text())
     assert info["sources"] == {"data": {"licence": "CC0"}}
-    assert info["config"]["data"] == {"name": "my.waves", "pitch": 3.0}
+    assert info["config"]["data"] == {"name": "my/waves", "pitch": 3.0}
     assert {c["kind"] for c in info["components"]} == {"job", "data"}
     rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [row["samples"] for row in rows] == list(range(32, 641, 32))
@@ -244,19 +244,19 @@ def test_without_a_job_a_run_is_reinforcement_learning() -> None:
 
 def test_slots_of_plugins() -> None:
     experiment = load_experiment(
-        [*TASK, "data.pitch=5", "+filters.a={name: my.waves, pitch: 1}", "+filters.b=my.waves"], plugins()
+        [*TASK, "data.pitch=5", "+filters.a={name: my/waves, pitch: 1}", "+filters.b=my/waves"], plugins()
     )  # fmt: skip
     assert experiment.need("data").build().pitch == 5
     assert [(c.name, c.build().pitch) for c in experiment.many("filters")] == [("a", 1), ("b", 3)]
-    assert experiment.effective()["filters"]["b"] == {"name": "my.waves", "pitch": 3.0}
+    assert experiment.effective()["filters"]["b"] == {"name": "my/waves", "pitch": 3.0}
     with pytest.raises(ConfigError, match=r"^data has no option 'pich'\. Did you mean 'pitch'\?"):
         load_experiment([*TASK, "+data.pich=5"], plugins())
-    with pytest.raises(ConfigError, match=r"^There is no data 'my\.wave' \(asked for at data\)"):
-        load_experiment([*TASK, "data.name=my.wave"], plugins())
+    with pytest.raises(ConfigError, match=r"^There is no data 'my/wave' \(asked for at data\)"):
+        load_experiment([*TASK, "data.name=my/wave"], plugins())
     with pytest.raises(
-        ConfigError, match=r"^data is not set\. .* set it \(data=…\)\. Known: my\.waves\."
+        ConfigError, match=r"^data is not set\. .* set it \(data=…\)\. Known: my/waves\."
     ):
-        make_training(plugins(), ["+job={name: my.regression}"])
+        make_training(plugins(), ["+job={name: my/regression}"])
 
 
 def test_a_plugin_that_breaks_leaves_neither_kinds_nor_slots() -> None:
@@ -266,5 +266,5 @@ def test_a_plugin_that_breaks_leaves_neither_kinds_nor_slots() -> None:
     with pytest.raises(
         ConfigError, match=r"no configuration key 'data'.*'regression' did not load"
     ):
-        load_experiment(["data={name: my.waves}"], loaded)
+        load_experiment(["data={name: my/waves}"], loaded)
     load_experiment([*fake.FAKE_TASK], loaded)

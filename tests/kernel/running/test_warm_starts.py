@@ -118,13 +118,13 @@ class Twice(Encoder):
 
 
 PARTS = {
-    "initial_states": {"my.learned": Learned},
-    "curriculum": {"my.steps": Steps},
-    "actuation": {"my.scaled": Scaled, "my.keeping": Keeping},
-    "encoder": {"my.twice": Twice},
+    "initial_states": {"my/learned": Learned},
+    "curriculum": {"my/steps": Steps},
+    "actuation": {"my/scaled": Scaled, "my/keeping": Keeping},
+    "encoder": {"my/twice": Twice},
 }
 TASK = (
-    *LINE_TASK[:5], "+initial_states={name: my.learned}", *LINE_TASK[6:], "+curriculum={name: my.steps}"
+    *LINE_TASK[:5], "+initial_states={name: my/learned}", *LINE_TASK[6:], "+curriculum={name: my/steps}"
 )  # fmt: skip
 
 
@@ -248,8 +248,8 @@ def context(*overrides: str) -> Context:
 
 
 MOVER = (
-    "actuation={name: my.scaled, factor: 100}",
-    "encoder.state={name: my.twice, reads: {place: x}}",
+    "actuation={name: my/scaled, factor: 100}",
+    "encoder.state={name: my/twice, reads: {place: x}}",
 )
 
 
@@ -270,7 +270,7 @@ def test_its_weights_can_be_learned_further(tmp_path: Path) -> None:
 
 
 def test_the_field_it_reads_may_be_renamed_in_its_run(tmp_path: Path) -> None:
-    run = trained(tmp_path / "first", "encoder.state={name: my.twice, reads: {place: x}}")
+    run = trained(tmp_path / "first", "encoder.state={name: my/twice, reads: {place: x}}")
     controller = Controller.load(str(run), context())
     assert controller.reads == ("x",)
     seen = {}
@@ -282,7 +282,7 @@ def test_the_field_it_reads_may_be_renamed_in_its_run(tmp_path: Path) -> None:
 
 
 def test_a_controller_whose_actuation_keeps_something_is_refused(tmp_path: Path) -> None:
-    run = trained(tmp_path / "first", "actuation={name: my.keeping}")
+    run = trained(tmp_path / "first", "actuation={name: my/keeping}")
     with pytest.raises(
         ConfigError, match=r"cannot be a controller .* its actuation keeps a state\."
     ):
@@ -307,13 +307,13 @@ def test_a_controller_of_another_scene(tmp_path: Path) -> None:
         """Needs its own scene."""
 
         def __init__(self, options: None, context: Context) -> None:
-            context.need_scene(FakeScene, "encoder 'my.picky'")
+            context.need_scene(FakeScene, "encoder 'my/picky'")
 
-    loaded = line_plugins(**{**PARTS, "encoder": {"my.picky": Picky}})
+    loaded = line_plugins(**{**PARTS, "encoder": {"my/picky": Picky}})
     run = trained(tmp_path / "first")
     info = json.loads((run / "run.json").read_text())
-    info["config"]["encoder"]["state"] = {"name": "my.picky"}
+    info["config"]["encoder"]["state"] = {"name": "my/picky"}
     (run / "run.json").write_text(json.dumps(info))
     here = build_environment(load_experiment(TASK, loaded)).context
-    with pytest.raises(ConfigError, match=r"^encoder 'my\.picky' needs a scene of type FakeScene"):
+    with pytest.raises(ConfigError, match=r"^encoder 'my/picky' needs a scene of type FakeScene"):
         Controller.load(str(run), here)

@@ -31,11 +31,11 @@ def test_experiment(plugins: Plugins) -> None:
     assert experiment.need("learner").options.rollout_steps == 8
     assert experiment.one("curriculum") is None
     used = {c.name for c in experiment.components()}
-    assert {"fake", "fake.point", "fake.near_origin", "fake.far_away", "ppo", "mlp"} <= used
+    assert {"fake", "fake/point", "fake/near_origin", "fake/far_away", "ppo", "mlp"} <= used
 
 
 def test_null_removes_a_term(plugins: Plugins) -> None:
-    more = ["+reward.terms.more={name: fake.near_origin, scale: 3}", "reward.terms.near=null"]
+    more = ["+reward.terms.more={name: fake/near_origin, scale: 3}", "reward.terms.near=null"]
     experiment = load_experiment([*FAKE_TASK, *more], plugins)
     assert [t.name for t in experiment.many("reward.terms")] == ["more"]
 
@@ -112,7 +112,7 @@ def leaves(value: Any, prefix: str = "") -> dict[str, Any]:
 
 
 TASKS = {
-    "fake": [*FAKE_TASK, *SMALL, "start={run: runs/a}", "+measure.x={name: line.value, reads: {x: qpos}}"],
+    "fake": [*FAKE_TASK, *SMALL, "start={run: runs/a}", "+measure.x={name: line/value, reads: {x: qpos}}"],
     "walk": ["experiment=spacetime/walk", "evaluation.success={measure: within_all_bounds, at_least: 1}"],
     "nothing": [],
     "emptied": [*FAKE_TASK, *SMALL, "termination=null", "policy=null", "reward=null"],
@@ -146,8 +146,8 @@ def test_what_a_run_keeps_is_effective(tmp_path: Path) -> None:
     training = make_training(line_plugins(), LINE_TASK, tmp_path / "run")
     info = json.loads((tmp_path / "run/run.json").read_text())
     assert info["config"] == training.experiment.effective()
-    assert info["config"]["learner"] == {"name": "line.nudge", "rollout_steps": 2, "rate": 1.0}
-    assert info["layout"] == 2
+    assert info["config"]["learner"] == {"name": "line/nudge", "rollout_steps": 2, "rate": 1.0}
+    assert info["layout"] == 3
 
 
 def test_the_command_shows_defaults(
@@ -158,7 +158,7 @@ def test_the_command_shows_defaults(
     lines = capsys.readouterr().out.splitlines()
     shown = {line.partition(": ")[0]: line.partition(": ")[2] for line in lines}
     assert shown["learner.rollout_steps"].split("  # ")[0].strip() == "2"
-    assert shown["learner.rollout_steps"].endswith("# default of learner line.nudge [line]")
+    assert shown["learner.rollout_steps"].endswith("# default of learner line/nudge [line]")
     assert shown["learner.rate"].endswith("# command line: learner.rate=3")
     assert shown["evaluation.gate"].endswith("# default of understudy")
     assert shown["curriculum"].endswith("# default of understudy")
@@ -181,7 +181,7 @@ def test_the_command_shows_defaults(
         ("control.decision=0", r"^control\.decision=0 is not possible"),
         ("start={parts: [actor]}", r"^start\.run is not set"),
         ("start={run: a, parts: [actr]}", r"^start\.parts\[0\]='actr' is not possible\. Did you mean 'actor'\?$"),
-        ("+measure.at={name: line.value, reduce: median}", r"^measure\.at\.reduce='median' is not possible"),
+        ("+measure.at={name: line/value, reduce: median}", r"^measure\.at\.reduce='median' is not possible"),
         ("+reward.terms.near.reads=qpos", r"^reward\.terms\.near\.reads='qpos' is not possible"),
         ("+reward.terms.near.reads={qpos: 3}", r"^reward\.terms\.near\.reads\.qpos=3 is not possible"),
         ("+initial_states.reads={a: b}", r"^initial_states has no option 'reads'"),
@@ -191,7 +191,7 @@ def test_the_command_shows_defaults(
 def test_errors_are_our_own_sentences(override: str, message: str) -> None:
     plugins = load(extra=[("fake", fake), ("line", counted_task)])
     with pytest.raises(ConfigError, match=message):
-        load_experiment([*FAKE_TASK, "+policy={name: line.steady}", override], plugins)
+        load_experiment([*FAKE_TASK, "+policy={name: line/steady}", override], plugins)
 
 
 @pytest.mark.parametrize("slot", ["policy", "learner", "simulator", "initial_states", "actuation"])
@@ -229,7 +229,7 @@ def test_a_choice_that_no_file_offers() -> None:
 
 
 def test_groups_set_to_null_are_empty() -> None:
-    experiment = load_experiment([*LINE_TASK, "+termination.terms.far={name: line.beyond}", "termination=null", "measure=null"], line_plugins())  # fmt: skip
+    experiment = load_experiment([*LINE_TASK, "+termination.terms.far={name: line/beyond}", "termination=null", "measure=null"], line_plugins())  # fmt: skip
     assert experiment.many("termination.terms") == experiment.many("measure") == ()
 
 
@@ -252,8 +252,8 @@ def test_a_word_chooses_a_part_as_its_file_has_it() -> None:
 @pytest.mark.parametrize(
     ("choice", "found"),
     [
-        ("initial_states=spacetime/uniform", "characters.reference_states"),
-        ("initial_states={name: miniature.somewhere}", "miniature.somewhere"),
+        ("initial_states=spacetime/uniform", "characters/reference_states"),
+        ("initial_states={name: miniature/somewhere}", "miniature/somewhere"),
     ],
 )
 def test_what_is_replaced_need_not_be_set(choice: str, found: str) -> None:

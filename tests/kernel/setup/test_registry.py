@@ -88,18 +88,18 @@ def test_make_options() -> None:
 def test_find() -> None:
     registry = Registry()
     register = Registrar(registry, "mine", "mine-dist", "1.0")
-    register.component("learner", "mine.ppo", Part, "text")
-    found = registry.find("learner", "mine.ppo")
+    register.component("learner", "mine/ppo", Part, "text")
+    found = registry.find("learner", "mine/ppo")
     assert (found.plugin, found.distribution, found.version) == ("mine", "mine-dist", "1.0")
     with pytest.raises(
         ConfigError,
-        match=r"There is no learner 'mine.pop' \(asked for at learner\)\. Did you mean 'mine.ppo'",
+        match=r"There is no learner 'mine/pop' \(asked for at learner\)\. Did you mean 'mine/ppo'",
     ):
-        registry.find("learner", "mine.pop", "learner")
-    with pytest.raises(ConfigError, match=r"'mine.ppo' is a learner\."):
-        registry.find("policy", "mine.ppo")
+        registry.find("learner", "mine/pop", "learner")
+    with pytest.raises(ConfigError, match=r"'mine/ppo' is a learner\."):
+        registry.find("policy", "mine/ppo")
     with pytest.raises(PluginError, match="Both plugin 'mine' and plugin 'other'"):
-        Registrar(registry, "other").component("learner", "mine.ppo", Part)
+        Registrar(registry, "other").component("learner", "mine/ppo", Part)
     registry.remove("mine")
     assert registry.names("learner") == []
 

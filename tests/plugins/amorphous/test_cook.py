@@ -73,7 +73,7 @@ def toss() -> Path_:
 
 def holding(tool: str = "scraper", grip: Grip | None = None, *, turning: bool = False) -> Figure:
     return figure(
-        "amorphous.cook",
+        "amorphous/cook",
         "right_grip",
         TOOLS[tool](),
         grip or GRIPS[tool],
@@ -333,7 +333,7 @@ def test_the_clip_is_the_motion(
     clip = read_clip(out, registry)
     assert clip.num_frames == 60
     assert clip.duration == pytest.approx(59 * DT, rel=1e-5)
-    qpos = load_character("amorphous.cook", registry).qpos(clip).numpy()
+    qpos = load_character("amorphous/cook", registry).qpos(clip).numpy()
     assert_within_ranges(held.model, np.clip(qpos, -10, 10).round(9) * (1 - 1e-6))
     places = placed(grip, path[1][:60]).points(path[0])
     data = mujoco.MjData(held.model)
@@ -350,7 +350,7 @@ def test_the_exporters_take_it(
     assert command(capsys, run, "--no-video")[0] == 0
     for name in ("cook.glb", "cook.csv"):
         assert cli.main(["export", str(run / "character.npz"), str(tmp_path / name)]) == 0
-        assert "joints of amorphous.cook" in capsys.readouterr().out
+        assert "joints of amorphous/cook" in capsys.readouterr().out
         assert (tmp_path / name).stat().st_size > 10_000
 
 
@@ -390,7 +390,7 @@ def test_turning_in_the_hand_is_an_option(
     [
         (["--hand", "right_gripp"], "Did you mean 'right_grip'"),
         (["--hand", "root"], "no joint between"),
-        (["--character", "amorphous.cok"], "Did you mean 'amorphous.cook'"),
+        (["--character", "amorphous/cok"], "Did you mean 'amorphous/cook'"),
         (["--relax", "-1"], "relax"),
         (["cook.fbx", "--no-video"], "no format is written to '.fbx'"),
     ],

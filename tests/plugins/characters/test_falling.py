@@ -54,7 +54,7 @@ def test_what_the_reference_brings_to_the_floor_may_touch_it(context: Context) -
 
 
 def test_no_body_of_another_name(context: Context) -> None:
-    with pytest.raises(ConfigError, match=r"characters\.fall: no body 'nek'\. Did you mean 'neck'"):
+    with pytest.raises(ConfigError, match=r"characters/fall: no body 'nek'\. Did you mean 'neck'"):
         Fall(Fall.Options(bodies=("nek",)), context)
 
 

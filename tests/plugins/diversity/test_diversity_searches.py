@@ -313,7 +313,7 @@ def test_novel_policies_begin_from_each_strategy(searched: Path) -> None:
     assert loop.ask(2) is None  # the first strategy's second round waits for its first
     override = first.overrides[-1]
     assert override.startswith(
-        "++reward.terms.novelty={name:diversity.novelty,reads:{feature:pose}"
+        "++reward.terms.novelty={name:diversity/novelty,reads:{feature:pose}"
     )
     assert "found:[[0.5], [2.5], [0.6]]" in override
 

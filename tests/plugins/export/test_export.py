@@ -323,7 +323,7 @@ def test_a_trained_run_is_exported_without_simulating_again(
 ) -> None:
     if "humanoid" not in registry.names("character") or "walk" not in registry.names("clip"):
         pytest.skip("the plugin humanoid is not installed")
-    if "spacetime.walk" not in registry.tasks:
+    if "spacetime/walk" not in registry.tasks:
         pytest.skip("the plugin spacetime is not installed")
     run, out = tmp_path / "run", tmp_path / "walk.glb"
     quick = ["num_worlds=8", "learner.rollout_steps=4", "learner.minibatches=2"]

@@ -10,7 +10,7 @@ pytest.importorskip("understudy_gym.envs")  # registers the tasks
 
 
 def test_a_task_by_its_name() -> None:
-    environments = gymnasium.make_vec("understudy/spacetime.walk", num_envs=5)
+    environments = gymnasium.make_vec("spacetime/walk", num_envs=5)
     observations, _ = environments.reset(seed=3)
     assert environments.observation_space.contains(observations)
     assert environments.single_action_space.shape == (28,)
@@ -28,7 +28,7 @@ def test_a_task_by_its_name() -> None:
 
 
 def test_the_same_seed_repeats() -> None:
-    environments = gymnasium.make_vec("understudy/spacetime.walk", num_envs=3)
+    environments = gymnasium.make_vec("spacetime/walk", num_envs=3)
     first, _ = environments.reset(seed=8)
     first = {k: v.copy() for k, v in first.items()}
     environments.step(first["feedforward"])

@@ -186,7 +186,7 @@ def test_a_training_learns_and_resumes_exactly(plugins: Plugins) -> None:
         "learner.rollout_steps=12", "curriculum.threshold=1e-9", "curriculum.step=0.1",
         # so that something is rewarded at once
         "arena.height=[0.01,2.0]", "policy.noise={start: 0.5, end: 0.5}",
-        "reward.terms.complete={name: jumping.spin}",
+        "reward.terms.complete={name: jumping/spin}",
     ]  # fmt: skip
     whole = make_training(plugins, overrides)
     environment = whole.job.environment  # type: ignore[attr-defined]
@@ -217,7 +217,7 @@ def test_a_jump_begins_where_a_run_up_ended(plugins: Plugins, tmp_path: Path) ->
     env.close()
     states["qpos"][:, :2] += 7.0
     bank.save(tmp_path / "bank", states, {})
-    given = f"initial_states={{name: jumping.harvested, file: {tmp_path / 'bank'}, alpha: 0.3}}"
+    given = f"initial_states={{name: jumping/harvested, file: {tmp_path / 'bank'}, alpha: 0.3}}"
     there = environment(
         plugins, "task=jumping/high", "initial_states=null", f"+{given}", evaluating=False
     )
@@ -236,7 +236,7 @@ def test_a_jump_begins_where_a_run_up_ended(plugins: Plugins, tmp_path: Path) ->
 
 def test_a_bank_of_another_figure_is_refused(plugins: Plugins, tmp_path: Path) -> None:
     bank.save(tmp_path / "bank", {"qpos": torch.zeros(2, 9), "qvel": torch.zeros(2, 8)}, {})
-    given = f"initial_states={{name: jumping.harvested, file: {tmp_path / 'bank'}}}"
+    given = f"initial_states={{name: jumping/harvested, file: {tmp_path / 'bank'}}}"
     with pytest.raises(ConfigError, match="no states of this athlete"):
         environment(plugins, "task=jumping/high", "initial_states=null", f"+{given}")
 

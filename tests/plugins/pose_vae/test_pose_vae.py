@@ -166,8 +166,8 @@ def test_naturalness_is_equation_4_3() -> None:
 def test_naturalness_and_distance_are_terms_of_a_task(run: Path) -> None:
     training = in_task(
         run,
-        "+reward.terms.natural={name: pose_vae.naturalness, limit: 15.0}",
-        f"+measure.unusual={{name: pose_vae.distance, run: '{run}', reduce: mean}}",
+        "+reward.terms.natural={name: pose_vae/naturalness, limit: 15.0}",
+        f"+measure.unusual={{name: pose_vae/distance, run: '{run}', reduce: mean}}",
     )
     training.iterate()
     evaluation = training.job.evaluate("here", 2)
@@ -175,7 +175,7 @@ def test_naturalness_and_distance_are_terms_of_a_task(run: Path) -> None:
 
 
 def test_a_known_pose_is_at_no_distance(run: Path) -> None:
-    job = in_task(run, f"+measure.unusual={{name: pose_vae.distance, run: '{run}'}}").job
+    job = in_task(run, f"+measure.unusual={{name: pose_vae/distance, run: '{run}'}}").job
     assert isinstance(job, Reinforcement)
     measure = next(m for m in job.environment.parts.measures if m.name == "unusual").function
     poses = torch.from_numpy(np.load(run / "poses.npy")[:5].astype(np.float32))

@@ -30,7 +30,7 @@ SMALL = (
     "evaluation.seconds=1.0",
     "actuation=pose_vae/offset",
     "actuation.offset_limit=20.0",
-    "+reward.terms.natural={name: pose_vae.naturalness}",
+    "+reward.terms.natural={name: pose_vae/naturalness}",
 )
 
 
@@ -46,7 +46,7 @@ def poses(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_trains_and_evaluates_recorded(poses: Path) -> None:
     """With the distance to known poses as a measure."""
     chosen = [f"actuation.run={poses}", "simulator=mujoco_warp", "device=cuda"]
-    chosen += [f"+measure.unusual={{name: pose_vae.distance, run: '{poses}', reduce: mean}}"]
+    chosen += [f"+measure.unusual={{name: pose_vae/distance, run: '{poses}', reduce: mean}}"]
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message="Steps cannot be recorded")
         training = Training(load_experiment([*SMALL, *chosen])).prepare()

@@ -176,7 +176,7 @@ def test_says_what_success_means(tmp_path: Path) -> None:
 
 def test_says_what_a_measure_means_that_decides_success(tmp_path: Path) -> None:
     run = make_run(tmp_path)
-    measure = {"name": "spacetime.within_all_bounds", "reduce": "min"}
+    measure = {"name": "spacetime/within_all_bounds", "reduce": "min"}
     run.info["config"]["measure"] = {"within_all_bounds": measure}
     add_evaluation(run)
     evaluation = json.loads((run.path / "evaluation.json").read_text())

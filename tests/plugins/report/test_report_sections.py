@@ -69,7 +69,7 @@ class Unmade(ReportSection):
 class Stranger:
     @hookimpl
     def understudy_register(self, register: Registrar) -> None:
-        register.component("report_section", "density.map", Density)
+        register.component("report_section", "density/map", Density)
         register.component("report_section", "silent", Silent)
         register.component("report_section", "raising", Raising)
         register.component("report_section", "unclosed", Unclosed)

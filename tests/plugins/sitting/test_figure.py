@@ -26,14 +26,14 @@ from understudy_sitting.meshes import convex_parts
 
 
 def test_the_figure_has_21_degrees_of_freedom() -> None:
-    model = load_character("sitting.humanoid", installed().registry).model
+    model = load_character("sitting/humanoid", installed().registry).model
     assert (model.nv, model.nu) == (27, 21)
     assert sum(len(body.hinges) for body in BODIES) == 21
     assert float(model.body_mass.sum()) == pytest.approx(45.0)
 
 
 def test_left_and_right_mirror_each_other() -> None:
-    character = load_character("sitting.humanoid", installed().registry)
+    character = load_character("sitting/humanoid", installed().registry)
     left = character.qpos(generated_turn_left(angle=3.1416, seconds=3.2))
     right = character.qpos(mirrored(generated_turn_right(angle=3.1416, seconds=3.2)))
     torch.testing.assert_close(left, right, atol=1e-4, rtol=0)

@@ -121,5 +121,5 @@ def test_a_robot_without_its_clip_is_told_to_retarget(robot: tuple[str, ...]) ->
 
 def test_a_bad_size_is_refused_before_the_first_step() -> None:
     sizes = "termination.terms.root.size=[[0, 0.4], [0.5]]"
-    with pytest.raises(ConfigError, match=r"spacetime\.root_bound: size="):
+    with pytest.raises(ConfigError, match=r"spacetime/root_bound: size="):
         build_environment(load_experiment([*WALK, sizes]))

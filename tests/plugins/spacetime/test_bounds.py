@@ -122,5 +122,5 @@ def test_one_knot_and_a_step_are_sizes_too() -> None:
 def test_impossible_sizes_are_refused_when_the_task_is_built(
     context: Context, bound: Any, name: str, size: Size
 ) -> None:
-    with pytest.raises(ConfigError, match=rf"spacetime\.{name}: size="):
+    with pytest.raises(ConfigError, match=rf"spacetime/{name}: size="):
         bound(bound.Options(size=size), context)

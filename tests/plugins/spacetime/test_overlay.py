@@ -58,7 +58,7 @@ def verdicts(environment: Environment) -> dict[str, np.ndarray]:
 
 
 def test_is_an_overlay_that_can_be_found(plugins: Plugins) -> None:
-    found = plugins.registry.find("overlay", "spacetime.bounds").factory()
+    found = plugins.registry.find("overlay", "spacetime/bounds").factory()
     assert isinstance(found, Overlay)
 
 
@@ -155,22 +155,22 @@ def marks_of(terms: dict[str, Any], **tracks: np.ndarray) -> list[Gauge | Region
 
 def test_draws_nothing_of_other_runs() -> None:
     qpos = np.zeros((3, 43))
-    terms = {"fall": {"name": "characters.fall"}, "com": None}
+    terms = {"fall": {"name": "characters/fall"}, "com": None}
     assert marks_of(terms, qpos=qpos, reference_qpos=qpos) == []
-    assert marks_of({"com": {"name": "spacetime.com_bound"}}, qpos=qpos) == []
+    assert marks_of({"com": {"name": "spacetime/com_bound"}}, qpos=qpos) == []
 
 
 def test_a_size_that_is_not_given_is_the_default() -> None:
     qpos = np.zeros((3, 43))
     qpos[:, 3] = 1.0
-    found = marks_of({"com": {"name": "spacetime.com_bound"}}, qpos=qpos, reference_qpos=qpos)
+    found = marks_of({"com": {"name": "spacetime/com_bound"}}, qpos=qpos, reference_qpos=qpos)
     assert [mark.limits.tolist() for mark in found if isinstance(mark, Gauge)] == [[0.2] * 3]
 
 
 def test_recordings_and_configurations_that_do_not_fit_are_refused() -> None:
     qpos = np.zeros((3, 43))
     with pytest.raises(FileError, match=r"qpos is \(3, 7\)"):
-        marks_of({"com": {"name": "spacetime.com_bound"}}, qpos=qpos, reference_qpos=qpos[:, :7])
-    joints = {"name": "spacetime.joint_bound", "joints": ["tail"]}
+        marks_of({"com": {"name": "spacetime/com_bound"}}, qpos=qpos, reference_qpos=qpos[:, :7])
+    joints = {"name": "spacetime/joint_bound", "joints": ["tail"]}
     with pytest.raises(ConfigError, match="no joint 'tail'"):
         marks_of({"joints": joints}, qpos=qpos, reference_qpos=qpos)

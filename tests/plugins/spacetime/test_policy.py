@@ -52,7 +52,7 @@ def test_the_reference_pose_is_neither_normalised_nor_learned(context: Context) 
 def test_a_missing_encoder_says_what_to_add(context: Context) -> None:
     context.observation_shapes = {"state": (5,), "feedfoward": (28,)}
     message = (
-        r"policy 'spacetime\.feedforward_feedback' needs the observation 'feedforward', which no "
+        r"policy 'spacetime/feedforward_feedback' needs the observation 'feedforward', which no "
         r"encoder of this task provides\. Add encoder\.feedforward=.*Did you mean 'feedfoward'"
     )
     with pytest.raises(ConfigError, match=message):

@@ -80,14 +80,14 @@ def test_the_baseline_is_deepmimic_in_everything_but_the_skill() -> None:
     outcomes = {k: v["outcome"] for k, v in theirs["termination"]["terms"].items()}
     assert [k for k, v in outcomes.items() if v == "failure"] == ["fall"]
     assert theirs["policy"]["name"] == "mlp"
-    assert theirs["initial_states"]["name"] == "characters.reference_states"
+    assert theirs["initial_states"]["name"] == "characters/reference_states"
 
 
 @pytest.mark.parametrize(
     "more",
     [
         ("+baseline=deepmimic",),
-        ("reward.terms.imitation.name=deepmimic.imitation", "termination=spacetime/reported"),
+        ("reward.terms.imitation.name=deepmimic/imitation", "termination=spacetime/reported"),
         ("policy.feedforward=null",),
     ],
 )

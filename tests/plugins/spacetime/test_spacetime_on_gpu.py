@@ -27,8 +27,8 @@ pytestmark = pytest.mark.gpu
 SMALL = (
     "experiment=spacetime/walk", "simulator=mujoco_warp", "num_worlds=256", "learner.minibatches=4",
     "evaluation.episodes=16", "evaluation.final_episodes=16", "evaluation.seconds=1",
-    "evaluation.starts={clip_start: {name: spacetime.clip_start}, any_phase: "
-    "{name: characters.reference_states}}",
+    "evaluation.starts={clip_start: {name: spacetime/clip_start}, any_phase: "
+    "{name: characters/reference_states}}",
 )  # fmt: skip
 
 
@@ -40,7 +40,7 @@ SMALL = (
         ("initial_states=spacetime/evolution",),
         ("curriculum=spacetime/adaptive_bounds",),
         ("+baseline=deepmimic",),
-        ("reward.terms.imitation.name=deepmimic.imitation", "termination=spacetime/reported"),
+        ("reward.terms.imitation.name=deepmimic/imitation", "termination=spacetime/reported"),
         ("+style=high_energy",),
         ("+style=large_volume",),
         ("policy.feedforward=null",),

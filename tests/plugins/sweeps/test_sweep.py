@@ -30,7 +30,7 @@ from understudy_sweeps.journal import Journal
 BASE = (
     *LINE_TASK,
     "budget.samples=24",
-    "+measure.at={name: line.value}",
+    "+measure.at={name: line/value}",
     "evaluation.objective=at",
     "evaluation.criterion=1",
     "evaluation.every_samples=0",
@@ -95,7 +95,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> type[Scripted]:
 def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     install(
         monkeypatch,
-        line_plugins(outer_loop={"my.script": Scripted}, initial_states={"bank": FromBank}),
+        line_plugins(outer_loop={"my/script": Scripted}, initial_states={"bank": FromBank}),
     )
 
 
@@ -106,7 +106,7 @@ def sweep(folder: Path, *overrides: str) -> None:
 
 def script(folder: Path, *overrides: str) -> None:
     base = [o for o in BASE if not o.startswith("outer_loop")]
-    module.sweep([*base, "+outer_loop={name: my.script}", *overrides, f"run.dir={folder}"])
+    module.sweep([*base, "+outer_loop={name: my/script}", *overrides, f"run.dir={folder}"])
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:

@@ -50,10 +50,10 @@ class Broken(Overlay):
 class Parts:
     @hookimpl
     def understudy_register(self, register: Registrar) -> None:
-        register.component("character", "test.biped", build_spec)
-        register.component("character", "test.unusable", "no_such_module:nothing")
-        register.component("overlay", "test.lean", Lean)
-        register.component("overlay", "test.broken", Broken)
+        register.component("character", "test/biped", build_spec)
+        register.component("character", "test/unusable", "no_such_module:nothing")
+        register.component("overlay", "test/lean", Lean)
+        register.component("overlay", "test/broken", Broken)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ class Posture(Encoder):
     reads = ("joint_rotations", "root_rotation", "qvel")
 
     def __init__(self, options: None, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "encoder 'balance.posture'")
+        scene = context.need_scene(CharacterScene, "encoder 'balance/posture'")
         self.shape = (4 * len(scene.layout.joint_names) + 4 + scene.model.nv,)
 
     def encode(self, joint_rotations: Tensor, root_rotation: Tensor, qvel: Tensor) -> Tensor:

@@ -25,7 +25,7 @@ class SmoothTargets(Actuation):
             check_range(self, "share", above=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = context.need_scene(CharacterScene, "actuation 'balance.smooth_targets'")
+        scene = context.need_scene(CharacterScene, "actuation 'balance/smooth_targets'")
         self.action_space = box(scene.layout.num_actuators)
         self.keeps: Mapping[str, Shape] = {"smooth_targets": (scene.layout.num_actuators,)}
         self._share = options.share

@@ -24,7 +24,7 @@ class Standing(InitialStates):
             check_range(self, "push", least=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        model = context.need_scene(CharacterScene, "initial_states 'balance.standing'").model
+        model = context.need_scene(CharacterScene, "initial_states 'balance/standing'").model
         pose = torch.tensor(model.qpos0, dtype=torch.float32, device=context.device)
         self._qpos = pose.repeat(context.num_worlds, 1)
         self._nv, self._push = model.nv, options.push
