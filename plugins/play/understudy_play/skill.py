@@ -44,7 +44,7 @@ class Skill:
         own = policy.state_dict()
         actor = {id(parameter) for parameter in policy.actor_parameters()}
         needed = {n for n, p in policy.named_parameters() if id(p) in actor}
-        needed |= {name for name, _ in policy.named_buffers()}
+        needed |= own.keys() - dict(policy.named_parameters()).keys()  # its statistics
         for name in sorted(needed | self.policy.keys()):
             given = self.policy.get(name)
             if given is None or name not in own or given.shape != own[name].shape:
