@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import copy
 from pathlib import Path
 
@@ -9,11 +10,11 @@ import pytest
 import torch
 from worlds import SMALL, assert_same_state, make_training, resumed
 
-from understudy.command import workflow
 from understudy.errors import RunError
 from understudy.records import checkpoint
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
+from understudy_inspect import judging
 
 
 @pytest.fixture
@@ -104,16 +105,17 @@ def test_all_damaged(plugins: Plugins, tmp_path: Path) -> None:
 def test_an_untrained_policy_is_not_judged_as_the_trained_one(
     plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workflow, "installed", lambda: plugins)
+    monkeypatch.setattr(judging, "installed", lambda: plugins)
     run = tmp_path / "run"
     training = make_training(plugins, [*FAKE_TASK, *SMALL, "evaluation.final_episodes=4"], run)
     training.save()
     assert training.run is not None
     training.run.unlock()
-    assert workflow.evaluate(str(run), []) == 0  # nothing was trained, and that is what is judged
+    chosen = argparse.Namespace(run=str(run), overrides=[])
+    assert judging.Evaluate().run(chosen) == 0  # nothing was trained, and that is what is judged
     training.run.append_metrics(training.iterate())
     training.save()
     (run / "checkpoints/00000001.json").write_bytes(b"")
-    for command in (workflow.evaluate, workflow.render):
+    for command in (judging.Evaluate(), judging.Render()):
         with pytest.raises(RunError, match="only the checkpoint before training is intact"):
-            command(str(run), [])
+            command.run(chosen)

@@ -86,8 +86,8 @@ def test_older_checkpoint_format(run: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_newer_layout(run: Path) -> None:
     info = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps({**info, "layout": 3}))
-    with pytest.raises(RunError, match=r"newer understudy \(layout 3; this one reads 2\)"):
+    (run / "run.json").write_text(json.dumps({**info, "layout": runs.LAYOUT + 1}))
+    with pytest.raises(RunError, match=r"newer understudy \(layout 4; this one reads 3\)"):
         runs.open_run(run)
 
 
@@ -104,7 +104,7 @@ def test_a_run_of_layout_1_is_refused_in_one_sentence(tmp_path: Path) -> None:
         runs.open_run(tmp_path)
     assert str(caught.value) == (
         f"{tmp_path} was written by an older understudy, whose tasks and states mean other things "
-        "(layout 1; this one reads 2). Use that version for it, or train anew."
+        "(layout 1; this one reads 3). Use that version for it, or train anew."
     )
 
 

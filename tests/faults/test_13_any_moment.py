@@ -193,5 +193,5 @@ class Gone:
 def test_when_nothing_can_be_printed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Neither what a training tells nor why a command ends ends it otherwise."""
     monkeypatch.setattr(sys, "stderr", Gone())
-    workflow._tell("Evaluation at 256 samples.")
+    workflow.tell("Evaluation at 256 samples.")
     assert main(["resume", str(tmp_path / "nowhere")]) == 2

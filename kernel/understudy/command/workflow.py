@@ -55,7 +55,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
     progress = training.progress
-    if training.ended() and not progress.pending and run.evaluated() == progress.samples:
+    if training.ended() and not progress.pending and run.judged() == progress.samples:
         more = {"criterion": "evaluation.criterion=null", "budget": "a larger budget.samples=…"}
         hint = f" With {more[training.outcome]} it goes on." if training.outcome in more else ""
         if leading:
@@ -102,6 +102,8 @@ def _carry_out(training: Training) -> int:
         for name, count in training.job.report().items():
             tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")
         judge(training, run, training.reporter)
+        run.info["judged"] = progress.samples
+        run.write_json("run.json", run.info)
     finally:
         training.close()
         distributed.stop()

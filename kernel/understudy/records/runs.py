@@ -15,7 +15,6 @@ Run observers leave their own files beside these.
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import json
 import os
@@ -105,10 +104,9 @@ class Run:
     def write_json(self, name: str, value: Any) -> None:
         write_atomically(self.path / name, (json.dumps(value, indent=1) + "\n").encode())
 
-    def evaluated(self) -> int | None:
-        """After how many samples the policy of ``evaluation.json`` was; None if there is none."""
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            return json.loads((self.path / "evaluation.json").read_bytes())["samples"]
+    def judged(self) -> int | None:
+        """After how many samples it was judged and its pictures were made; None before that."""
+        return self.info.get("judged")
 
     def metrics(self) -> list[dict[str, Any]]:
         """The rows of the metrics file; a row cut short by a crash is left out."""
