@@ -121,6 +121,7 @@ def test_a_closed_terminal(tmp_path: Path) -> None:
     child = start(
         "train", *SMALL_STOP, "budget.samples=100000000", f"run.dir={run}",
         stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # these tests may run under nohup
     )  # fmt: skip
     os.close(theirs)
     wait_for(run / "metrics.jsonl")

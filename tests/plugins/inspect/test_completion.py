@@ -18,7 +18,7 @@ from understudy_inspect.completion import words
     ("line", "expected"),
     [
         ("understudy tra", ["train"]),
-        ("understudy motion ", ["check", "fetch", "retarget", "view"]),
+        ("understudy motion ", ["check", "export", "fetch", "learned", "retarget", "view"]),
         ("understudy train exp", ["experiment="]),
         ("understudy train experiment=spacetime/w", ["experiment=spacetime/walk"]),
         ("understudy config learner=tr", ["learner=trpo"]),
