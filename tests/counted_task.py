@@ -298,10 +298,11 @@ def bound(part: Any, where: str = "part", **names: Mapping[str, str]) -> Bound[A
 
 
 def term(function: Callable[..., Any], name: str = "", **counts: Any) -> Term:
-    """`function` as a term of the name `name`, else its own."""
+    """`function` as a term of the name `name`, else its own; `counts` may say where it stands."""
     name = name or function.__name__
+    where = counts.pop("where", f"terms.{name}")
     reads, options = counts.pop("reads", {}), counts.pop("options", {})
-    return make_term(f"terms.{name}", name, function, options, reads=reads, **counts)
+    return make_term(where, name, function, options, reads=reads, **counts)
 
 
 def line(

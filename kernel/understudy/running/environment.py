@@ -8,6 +8,7 @@ longer than a step are changed in place, so that a step can be recorded and repl
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -163,11 +164,11 @@ class Environment:
         set_by_curriculum = dict(curriculum.provides) if curriculum else {}
         self._fixed_limit = evaluating
         parameters = parts.simulator.parameters
-        varied = [n for n in (*parts.initial_states.varies, *set_by_curriculum) if n in parameters]
-        unknown = [n for n in parts.initial_states.varies if n not in parameters]
-        if varied or unknown:  # the simulator names what it does not know
-            parts.simulator.vary([*varied, *unknown])
-        self._varied = varied
+        varies = parts.initial_states.varies
+        self._varied = [*varies, *(n for n in set_by_curriculum if n in parameters)]
+        if self._varied:
+            parts.simulator.vary(self._varied)  # which names what it does not know
+        constants = {n: s for n, s in set_by_curriculum.items() if n not in parameters}
 
         def zeros(shape: Shape, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.zeros((num_worlds, *shape), dtype=dtype, device=device)
@@ -178,7 +179,7 @@ class Environment:
             for name, shape in {
                 "difficulty": (),
                 "episode_limit": (),
-                **{n: s for n, s in set_by_curriculum.items() if n not in parameters},
+                **constants,
                 **parts.initial_states.episode_fields,
             }.items()
         }
@@ -189,7 +190,7 @@ class Environment:
         self.action = zeros((parts.actuation.part.action_space.size,))
         own = {**OWN_FIELDS, "action": tuple(self.action.shape[1:])}
         self.table = FieldTable(parts.simulator, parts.fields, own)
-        extra = {n: s for n, s in set_by_curriculum.items() if n not in (*OWN_FIELDS, *parameters)}
+        extra = {n: s for n, s in constants.items() if n not in OWN_FIELDS}
         self.table.add(extra, "the curriculum")
         self.table.add(parts.initial_states.episode_fields, "initial_states")
         for part in (parts.actuation, *parts.memories.values()):
@@ -271,13 +272,8 @@ class Environment:
             *parts.fields, *parts.encoders.values(), parts.actuation, *parts.memories.values()
         ):  # fmt: skip
             yield part.where, tuple(part.reads.values())
-        for where, terms in (
-            ("reward.terms", parts.rewards),
-            ("termination.terms", parts.terminations),
-            ("measure", parts.measures),
-        ):
-            for term in terms:
-                yield f"{where}.{term.name}", tuple(term.reads.values())
+        for term in (*parts.rewards, *parts.terminations, *parts.measures):
+            yield term.where, tuple(term.reads.values())
         yield "initial_states", parts.initial_states.records
         yield "curriculum", parts.curriculum.records if parts.curriculum else ()
 
@@ -323,7 +319,7 @@ class Environment:
         parts, table = self.parts, self.table
         self._remember()
         self.action.copy_(action)
-        table.put("action", self.action)
+        table.put({"action": self.action})
         self._unsound.zero_()
         self._controls.clear()
         before = parts.simulator.snapshot() if self.on_quarantine else None
@@ -344,22 +340,19 @@ class Environment:
                 outcomes[term.outcome] = outcomes[term.outcome] | endings[term.name]
         failed = outcomes["failure"]
         succeeded = outcomes["success"] & ~failed
-        for name, value in (("failed", failed), ("succeeded", succeeded), ("violated", violated)):
-            table.put(name, value)
+        table.put({"failed": failed, "succeeded": succeeded, "violated": violated})
         rewards = self._reward()
         reached = self._encode()
         unsound = self._unsound | parts.simulator.failed() | ~sound(rewards)
         for value in reached.values():
             unsound = unsound | ~sound(value)
-        failed, succeeded = failed | unsound, succeeded & ~unsound
-        for name, value in (
-            ("failed", failed), ("succeeded", succeeded), ("violated", violated | unsound)
-        ):  # fmt: skip
-            table.put(name, value)
+        failed, succeeded, violated = failed | unsound, succeeded & ~unsound, violated | unsound
         terminated = failed | succeeded
         truncated = outcomes["truncation"] & ~terminated
         rewards = torch.where(unsound, 0.0, rewards)
-        table.put("reward", rewards)
+        table.put(
+            {"failed": failed, "succeeded": succeeded, "violated": violated, "reward": rewards}
+        )
         self.statistics.digest(
             rewards, seconds, endings, succeeded=succeeded, truncated=truncated,
             unsound=unsound, ended=terminated | truncated,
@@ -429,7 +422,7 @@ class Environment:
             kept, value = self._kept[field_name], values[name]
             self._check(f"'{name}' of {part.where}", value, tuple(kept.shape[1:]))
             kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
-            self.table.put(field_name, kept)
+            self.table.put({field_name: kept})
 
     def _remember(self, worlds: Tensor | None = None) -> None:
         """Keep the fields that are read as ``previous_``, as they are now: in all worlds or where
@@ -437,7 +430,7 @@ class Environment:
         for name, kept in self._previous.items():
             if kept is None:  # the first time; others of them may be computed from it
                 shape = (self.num_worlds, *self.table.shapes[name])
-                self.table.put(name, torch.zeros(shape, device=self.device))
+                self.table.put({name: torch.zeros(shape, device=self.device)})
         values = {name: self.table[name.removeprefix(_PREVIOUS)] for name in self._previous}
         for name, value in values.items():  # only now, since they may depend on one another
             kept = self._previous[name]
@@ -447,24 +440,16 @@ class Environment:
                 kept.copy_(value)
             else:
                 kept.copy_(torch.where(rows(worlds, kept), value, kept))
-            self.table.put(name, kept)
+            self.table.put({name: kept})
 
     def _evaluate(self, term: Term) -> Tensor:
         return term.function(**self.table.pick(term.reads), **term.options)
 
     def _reward(self) -> Tensor:
-        total: Tensor | None = None
-        for term in self.parts.rewards:
-            value = self._evaluate(term)
-            if self.parts.combine == "sum":
-                value = value * term.weight
-                total = value if total is None else total + value
-            else:
-                value = value if term.weight == 1.0 else value**term.weight
-                total = value if total is None else total * value
-        if total is None:
-            raise ConfigError("reward.terms is empty: a task needs at least one reward term.")
-        return total
+        values = [(self._evaluate(term), term.weight) for term in self.parts.rewards]
+        if self.parts.combine == "sum":
+            return functools.reduce(operator.add, [v * weight for v, weight in values])
+        return functools.reduce(operator.mul, [v if w == 1.0 else v**w for v, w in values])
 
     def _encode(self) -> dict[str, Tensor]:
         return {
@@ -590,19 +575,11 @@ class Environment:
         for encoder in parts.encoders.values():
             value = encoder.part.encode(**table.pick(encoder.reads))
             self._check(encoder.where, value, encoder.part.shape)
-        for kind, terms in (
-            ("reward.terms", parts.rewards),
-            ("termination.terms", parts.terminations),
-            ("measure", parts.measures),
-        ):
-            for term in terms:
-                value = self._evaluate(term)
-                self._check(f"{kind}.{term.name}", value, ())
-                if kind == "termination.terms" and value.dtype != torch.bool:
-                    raise ConfigError(
-                        f"termination.terms.{term.name} returns {value.dtype}; it must return bool."
-                    )
-        self._reward()
+        for term in (*parts.rewards, *parts.terminations, *parts.measures):
+            value = self._evaluate(term)
+            self._check(term.where, value, ())
+            if term in parts.terminations and value.dtype != torch.bool:
+                raise ConfigError(f"{term.where} returns {value.dtype}; it must return bool.")
 
     def state_dict(self) -> State:
         """Everything that decides the future of the worlds, exactly."""

@@ -91,11 +91,12 @@ class FieldTable:
         """Forget all values: the state has changed. `own` are the environment's fields now."""
         self.values = dict(own)
 
-    def put(self, name: str, value: Tensor) -> None:
-        """Set a field of the environment's own, and forget what was computed from it."""
-        self.values[name] = value
-        for dependent in self._above.get(name, ()):
-            self.values.pop(dependent, None)
+    def put(self, fields: Mapping[str, Tensor]) -> None:
+        """Set fields of the environment's own, and forget what was computed from them."""
+        for name, value in fields.items():
+            self.values[name] = value
+            for dependent in self._above.get(name, ()):
+                self.values.pop(dependent, None)
 
     def __getitem__(self, name: str) -> Tensor:
         value = self.values.get(name)

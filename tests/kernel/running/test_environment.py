@@ -170,7 +170,7 @@ def test_missing_field(plugins: Plugins, kind: str) -> None:
 
     def lost(qpos: Any, xpos: Any) -> Any: ...
 
-    parts = dataclasses.replace(env.parts, **{f"{kind}s": [term(lost)]})
+    parts = dataclasses.replace(env.parts, **{f"{kind}s": [term(lost, where=f"{kind}.terms.lost")]})
     with pytest.raises(ConfigError, match=rf"^{kind}\.terms\.lost needs the state field 'xpos', which nothing in this task "
                        r"provides\. It would come from fields 'somebody'\."):  # fmt: skip
         Environment(
@@ -193,7 +193,8 @@ def test_missing_field(plugins: Plugins, kind: str) -> None:
 )
 def test_wrong_shapes(plugins: Plugins, kind: str, result: torch.Tensor, message: str) -> None:
     env = made(plugins)
-    setattr(env.parts, f"{kind}s", [term(lambda: result, "odd")])
+    odd = term(lambda: result, "odd", where=f"{kind}.terms.odd")
+    setattr(env.parts, f"{kind}s", [odd])
     with pytest.raises(ConfigError, match=message):
         env.reset()
 
