@@ -23,6 +23,7 @@ from understudy.running.statistics import EpisodeStatistics
 from understudy.running.table import FieldTable
 from understudy.task import (
     Actuation,
+    Context,
     Curriculum,
     Encoder,
     Fields,
@@ -130,12 +131,10 @@ class Environment:
 
     Args:
         parts: what the task consists of.
-        num_worlds, device, seed: N; where tensors live; the root of its random streams.
-        control_dt, substeps, decision: seconds and physics steps of a control period; control
-            periods of a decision.
+        context: N, device, seed, and rates; its difficulty is the field of that name, unless the
+            curriculum provides it.
         episode_seconds: episodes are truncated at this length, unless the curriculum provides
-            ``episode_limit`` (which it does not when `evaluating`).
-        difficulty: the field ``difficulty``, unless the curriculum provides it.
+            ``episode_limit`` (which it does not in evaluations).
         known_fields: from a field's name to the components that provide it, for errors.
 
     Raises:
@@ -145,24 +144,16 @@ class Environment:
     def __init__(
         self,
         parts: Parts,
+        context: Context,
         *,
-        num_worlds: int,
-        device: torch.device,
-        seed: int,
-        control_dt: float,
         episode_seconds: float,
-        substeps: int = 1,
-        decision: int = 1,
-        difficulty: float = 1.0,
-        evaluating: bool = False,
         known_fields: Callable[[str], Sequence[str]] = lambda name: (),
     ) -> None:
-        self.parts = parts
-        self.num_worlds, self.device, self.control_dt = num_worlds, device, control_dt
-        self._substeps, self._decision = substeps, decision
+        self.parts, self._context = parts, context
+        num_worlds, device, seed = context.num_worlds, context.device, context.seed
+        self.num_worlds, self.device, self.control_dt = num_worlds, device, context.control_dt
         curriculum = parts.curriculum
         set_by_curriculum = dict(curriculum.provides) if curriculum else {}
-        self._fixed_limit = evaluating
         parameters = parts.simulator.parameters
         varies = parts.initial_states.varies
         self._varied = [*varies, *(n for n in set_by_curriculum if n in parameters)]
@@ -183,7 +174,7 @@ class Environment:
                 **parts.initial_states.episode_fields,
             }.items()
         }
-        self._constants["difficulty"].fill_(difficulty)
+        self._constants["difficulty"].fill_(context.difficulty)
         self._constants["episode_limit"].fill_(episode_seconds)
         #: What the environment keeps for actuation and memories, (N, …), by field.
         self._kept: dict[str, Tensor] = {}
@@ -228,7 +219,7 @@ class Environment:
     def decision(self) -> int:
         """Control periods that one action lasts."""
         chosen = self.parts.curriculum.decision() if self.parts.curriculum else None
-        return chosen or self._decision
+        return chosen or self._context.decision
 
     def _resolve_fields(self, givers: Callable[[str], Sequence[str]]) -> None:
         """Check that every field that is read exists, leave out optional ones that do not, and make
@@ -378,7 +369,7 @@ class Environment:
     def _simulate(self) -> None:
         """One decision: control periods, of one or more sub-steps between controls."""
         actuation, simulator = self.parts.actuation.part, self.parts.simulator
-        pieces = self._substeps if actuation.every == "substep" else 1
+        pieces = self._context.substeps if actuation.every == "substep" else 1
         length = 1 if actuation.every == "substep" else None
         control = applied = None
         for _ in range(self.decision):
@@ -502,7 +493,7 @@ class Environment:
     def _hold(self, worlds: Tensor, values: Mapping[str, Tensor]) -> None:
         """Set the constants of beginning episodes."""
         for name, constant in self._constants.items():
-            if name in values and not (self._fixed_limit and name == "episode_limit"):
+            if name in values and not (self._context.evaluating and name == "episode_limit"):
                 constant.copy_(torch.where(rows(worlds, constant), values[name], constant))
 
     def refresh(self) -> None:

@@ -120,15 +120,8 @@ def build_environment(
     )
     environment = Environment(
         parts,
-        num_worlds=context.num_worlds,
-        device=context.device,
-        seed=context.seed,
-        control_dt=context.control_dt,
-        substeps=context.substeps,
-        decision=context.decision,
+        context,
         episode_seconds=root.episode.seconds if episode_seconds is None else episode_seconds,
-        difficulty=root.difficulty,
-        evaluating=evaluating,
         known_fields=lambda name: list(providers_of(name, registry)),
     )
     context.action_space = parts.actuation.part.action_space

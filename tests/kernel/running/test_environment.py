@@ -174,7 +174,7 @@ def test_missing_field(plugins: Plugins, kind: str) -> None:
     with pytest.raises(ConfigError, match=rf"^{kind}\.terms\.lost needs the state field 'xpos', which nothing in this task "
                        r"provides\. It would come from fields 'somebody'\."):  # fmt: skip
         Environment(
-            parts, num_worlds=4, device=env.device, seed=0, control_dt=0.1, episode_seconds=1,
+            parts, env._context, episode_seconds=1,
             known_fields=lambda name: ["fields 'somebody'"] if name == "xpos" else [],
         )  # fmt: skip
 
