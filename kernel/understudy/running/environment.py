@@ -407,11 +407,9 @@ class Environment:
         self, part: Bound[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
     ) -> None:
         """Keep `values`, by the part's own names, in all worlds or where `worlds` (N,) is true."""
+        self._promised(part.where, part.part.keeps, values)
         for name, field_name in part.provides.items():
-            if name not in values:
-                raise ConfigError(f"{part.where} promises '{name}' and does not return it.")
             kept, value = self._kept[field_name], values[name]
-            self._check(f"'{name}' of {part.where}", value, tuple(kept.shape[1:]))
             kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
             self.table.put({field_name: kept})
 
@@ -529,6 +527,14 @@ class Environment:
                 "one row per world."
             )
 
+    def _promised(
+        self, where: str, shapes: Mapping[str, Shape], given: Mapping[str, Tensor], what: str = ""
+    ) -> None:
+        for name, shape in shapes.items():
+            if name not in given:
+                raise ConfigError(f"{where} promises {what}'{name}' and does not return it.")
+            self._check(f"{what}'{name}' of {where}", given[name], shape)
+
     def _check_initial(self, given: Mapping[str, Tensor]) -> None:
         """What initial states and curriculum return: all that was promised, and nothing else."""
         parts, simulator = self.parts, self.parts.simulator
@@ -538,15 +544,12 @@ class Environment:
             **parts.initial_states.episode_fields,
             **(parts.curriculum.provides if parts.curriculum else {}),
         }
-        for name in promised.keys() - given.keys():
-            raise ConfigError(f"initial_states promises '{name}' and does not return it.")
+        self._promised("initial_states", promised, given)
         for name in given.keys() - promised.keys():
             raise ConfigError(
                 f"initial_states returns '{name}', which is no state of this simulator and not "
                 f"among its episode_fields. It takes: {', '.join(sorted(promised))}."
             )
-        for name, shape in promised.items():
-            self._check(f"'{name}' of initial_states", given[name], shape)
 
     def _check_shapes(self) -> None:
         """Every field's and term's shape, once."""
@@ -554,12 +557,7 @@ class Environment:
 
         for provider in parts.fields:
             given = provider.part.compute(**table.pick(provider.reads))
-            for name, shape in provider.part.provides.items():
-                if name not in given:
-                    raise ConfigError(
-                        f"{provider.where} promises the field '{name}' and does not return it."
-                    )
-                self._check(f"the field '{name}' of {provider.where}", given[name], shape)
+            self._promised(provider.where, provider.part.provides, given, "the field ")
         actuation = parts.actuation
         control = actuation.part.control(self.action, **table.pick(actuation.reads))
         self._check("the control of actuation", control, (parts.simulator.control_size,))

@@ -84,16 +84,11 @@ class Training:
         self.job.prepare()
         return self
 
-    def attach(self, run: Run) -> Training:
-        """Keep metrics, checkpoints and fault dumps in the folder of `run`."""
+    def attach(self, run: Run | None) -> Training:
+        """Keep metrics, checkpoints and fault dumps in the folder of `run`; with None, which is for
+        the processes beside process 0, write nothing."""
         self.run = run
-        self.job.watch(self._dump)
-        return self
-
-    def detach(self) -> Training:
-        """Write nothing: for the processes beside process 0."""
-        self.run = None
-        self.job.watch(None)
+        self.job.watch(self._dump if run is not None else None)
         return self
 
     def state_dict(self) -> State:
