@@ -117,15 +117,12 @@ class Training:
             ) from error
 
     def save(self) -> Path:
-        assert self.run is not None
-        path = self.run.checkpoints / f"{self.progress.iteration:08d}"
-        meta = {
-            "config": self.run.config,
-            "versions": versions(),
-            "sources": self.run.info["sources"],
-        }
+        run = self.run
+        assert run is not None
+        path = run.checkpoints / f"{self.progress.iteration:08d}"
+        meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
         checkpoint.save(path, self.state_dict(), meta)
-        checkpoint.prune(self.run.checkpoints, self.experiment.root.checkpoint.keep)
+        checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep)
         return path
 
     def resume(self) -> None:
@@ -205,16 +202,7 @@ class Training:
                             self.save()
                             saved_at = progress.seconds
                     if stopping:
-                        self.outcome = "preempted"
-                        where = f" Continue with `understudy resume {run.path}`." if run else ""
-                        name = (
-                            signal.Signals(stop.received).name
-                            if stop.received
-                            else "another process"
-                        )
-                        raise PreemptedError(
-                            f"Stopped by {name} after {progress.samples} samples; everything is saved.{where}"
-                        )
+                        raise self._preempted(stop.received)
                     try:
                         yield row
                     except GeneratorExit:
@@ -228,6 +216,15 @@ class Training:
             finally:
                 if run is not None:
                     self.reporter.notify("finished", run, self.outcome)
+
+    def _preempted(self, received: int | None) -> PreemptedError:
+        self.outcome = "preempted"
+        name = signal.Signals(received).name if received else "another process"
+        where = f" Continue with `understudy resume {self.run.path}`." if self.run else ""
+        count = self.progress.samples
+        return PreemptedError(
+            f"Stopped by {name} after {count} samples; everything is saved.{where}"
+        )
 
     def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""

@@ -107,8 +107,6 @@ class Section:
     plugin: str
 
     def _resolve(self, target: Any) -> Any:
-        if not isinstance(target, str):
-            return target
         return Component("section", self.name, target, self.plugin).factory
 
     def schema(self) -> type:
