@@ -159,21 +159,15 @@ class Environment:
         self._varied = [*varies, *(n for n in set_by_curriculum if n in parameters)]
         if self._varied:
             parts.simulator.vary(self._varied)  # which names what it does not know
-        constants = {n: s for n, s in set_by_curriculum.items() if n not in parameters}
+        constants: dict[str, Shape] = {"difficulty": (), "episode_limit": ()}
+        constants |= {n: s for n, s in set_by_curriculum.items() if n not in parameters}
 
         def zeros(shape: Shape, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.zeros((num_worlds, *shape), dtype=dtype, device=device)
 
+        shapes = {**constants, **parts.initial_states.episode_fields}
         #: Constants of the running episodes, (N, …).
-        self._constants = {
-            name: zeros(shape)
-            for name, shape in {
-                "difficulty": (),
-                "episode_limit": (),
-                **constants,
-                **parts.initial_states.episode_fields,
-            }.items()
-        }
+        self._constants = {name: zeros(shape) for name, shape in shapes.items()}
         self._constants["difficulty"].fill_(context.difficulty)
         self._constants["episode_limit"].fill_(episode_seconds)
         #: What the environment keeps for actuation and memories, (N, …), by field.
@@ -554,7 +548,6 @@ class Environment:
     def _check_shapes(self) -> None:
         """Every field's and term's shape, once."""
         parts, table = self.parts, self.table
-
         for provider in parts.fields:
             given = provider.part.compute(**table.pick(provider.reads))
             self._promised(provider.where, provider.part.provides, given, "the field ")

@@ -14,7 +14,7 @@ from understudy.random import private_rng
 from understudy.running.environment import Environment, Parts
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
-from understudy.task import Context, Policy, Scene, Simulator
+from understudy.task import Context, Policy, Scene
 from understudy.task.terms import Bound, Term, make_term, renamed
 
 
@@ -79,8 +79,7 @@ def build_environment(
         inputs=experiment.inputs,
     )
     context.scene = scene or experiment.need("scene").build(context)
-    simulator: Simulator = experiment.need("simulator").build(context)
-    context.simulator = simulator
+    simulator = context.simulator = experiment.need("simulator").build(context)
 
     def bound(chosen: Chosen) -> Bound[Any]:
         part = chosen.build(context)
