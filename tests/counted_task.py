@@ -298,10 +298,11 @@ def bound(part: Any, where: str = "part", **names: Mapping[str, str]) -> Bound[A
 
 
 def term(function: Callable[..., Any], name: str = "", **counts: Any) -> Term:
-    """`function` as a term of the name `name`, else its own."""
+    """`function` as a term of the name `name`, else its own; `counts` may say where it stands."""
     name = name or function.__name__
+    where = counts.pop("where", f"terms.{name}")
     reads, options = counts.pop("reads", {}), counts.pop("options", {})
-    return make_term(f"terms.{name}", name, function, options, reads=reads, **counts)
+    return make_term(where, name, function, options, reads=reads, **counts)
 
 
 def line(
@@ -316,8 +317,8 @@ def line(
     rewards: Sequence[Term] | None = None,
     **more: Any,
 ) -> Environment:
-    """An environment of these parts, else of the line's; `more` are further parts, or arguments of
-    the environment."""
+    """An environment of these parts, else of the line's; `more` are further parts, or of its
+    context."""
     made = simulator or Line(None, SimpleNamespace(num_worlds=worlds, substeps=substeps))
     kinds = ("terminations", "measures", "fields", "memories", "curriculum", "combine")
     parts = Parts(
@@ -328,10 +329,9 @@ def line(
         [term(value)] if rewards is None else rewards,
         **{kind: more.pop(kind) for kind in kinds if kind in more},
     )
-    arguments = {"device": torch.device("cpu"), "seed": 0, "control_dt": 1.0, **more}
-    return Environment(
-        parts, num_worlds=worlds, episode_seconds=seconds, substeps=substeps, **arguments
-    )
+    rates = {"control_dt": 1.0, "substeps": substeps, **more}
+    context = Context(0, torch.device("cpu"), worlds, **rates)
+    return Environment(parts, context, episode_seconds=seconds)
 
 
 def push(environment: Environment, *forces: float) -> Step:

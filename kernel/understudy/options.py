@@ -157,7 +157,8 @@ def _below(where: str) -> str:
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """`values` coerced to the types of `options`; unknown and missing ones are errors."""
+    """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are
+    errors."""
     for key in values:
         if key not in options:
             owner = where or "The configuration"
@@ -168,4 +169,6 @@ def checked_options(
             result[name] = coerce(values[name], option.annotation, f"{_below(where)}{name}")
         elif option.default is REQUIRED:
             raise ConfigError(f"{_below(where)}{name} is not set. Give it a value.")
+        else:
+            result[name] = option.default
     return result

@@ -18,9 +18,8 @@ from torch import Tensor
 
 from understudy import distributed
 
-_GAMMA = (
-    -0x61C8864680B583EB
-)  # 0x9E3779B97F4A7C15 as int64: 2^64 / golden ratio (Steele et al. 2014)
+#: 0x9E3779B97F4A7C15 as int64: 2^64 / golden ratio (Steele et al. 2014).
+_GAMMA = -0x61C8864680B583EB
 _MIX_1 = -0x40A7B892E31B1A47  # 0xBF58476D1CE4E5B9
 _MIX_2 = -0x6B2FB644ECCEEE15  # 0x94D049BB133111EB
 

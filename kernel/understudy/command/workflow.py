@@ -66,7 +66,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         run.unlock()
         return 0
     if not leading:
-        training.detach()
+        training.attach(None)
     elif overrides:  # what trains the weights from here on is what the folder says
         run.info["inputs"] = experiment.inputs.copy(run.path / "inputs")
         run.write_json("run.json", run.info)

@@ -74,9 +74,10 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     Raises:
         RunError: if it is missing, damaged, or of another format.
     """
-    document = read_sealed(path.with_suffix(".json"))
+    file, tensor_file = path.with_suffix(".json"), path.with_suffix(".safetensors")
+    document = read_sealed(file)
     if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():
-        raise RunError(f"{path.with_suffix('.json')} is damaged: it is no checkpoint.")
+        raise RunError(f"{file} is damaged: it is no checkpoint.")
     version = document.get("format")
     if version != FORMAT:
         raise RunError(
@@ -84,23 +85,19 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             "version of understudy that wrote it, or train anew."
         )
     try:
-        data = path.with_suffix(".safetensors").read_bytes()
+        data = tensor_file.read_bytes()
     except OSError as error:
-        raise RunError(
-            f"{path.with_suffix('.safetensors')} cannot be read: {error.strerror}."
-        ) from error
+        raise RunError(f"{tensor_file} cannot be read: {error.strerror}.") from error
     if hashlib.sha256(data).hexdigest() != document.get("sha256"):
-        raise RunError(f"{path.with_suffix('.safetensors')} is damaged: its digest does not match.")
+        raise RunError(f"{tensor_file} is damaged: its digest does not match.")
     try:
         tensors = load_tensors(data)
     except SafetensorError as error:
-        raise RunError(f"{path.with_suffix('.safetensors')} is damaged: {error}.") from error
+        raise RunError(f"{tensor_file} is damaged: {error}.") from error
     try:
         state, meta = _put_tensors(document["state"], tensors), dict(document["meta"])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise RunError(
-            f"{path.with_suffix('.json')} is damaged: its state is not readable."
-        ) from error
+        raise RunError(f"{file} is damaged: its state is not readable.") from error
     return state, meta
 
 

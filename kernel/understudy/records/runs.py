@@ -110,18 +110,13 @@ class Run:
 
     def metrics(self) -> list[dict[str, Any]]:
         """The rows of the metrics file; a row cut short by a crash is left out."""
+        if not self.metrics_file.exists():
+            return []
         rows = []
-        if self.metrics_file.exists():
-            for line in self.metrics_file.read_text(
-                encoding="utf-8", errors="replace"
-            ).splitlines():
-                try:
-                    row = json.loads(line)
-                except ValueError:
-                    continue
-                if isinstance(row, dict):
-                    rows.append(row)
-        return rows
+        for line in self.metrics_file.read_text(encoding="utf-8", errors="replace").splitlines():
+            with contextlib.suppress(ValueError):
+                rows.append(json.loads(line))
+        return [row for row in rows if isinstance(row, dict)]
 
     def keep_metrics_until(self, iteration: int) -> None:
         """Drop rows after `iteration`: the resumed training writes them again."""
@@ -154,9 +149,8 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
             "run.dir another folder."
         )
-    components = sorted(
-        {(c.kind, c.name, c.plugin, c.distribution, c.version) for c in experiment.components()}
-    )
+    used = {(c.kind, c.name): c for c in experiment.components()}
+    facts = ("kind", "name", "plugin", "distribution", "version")
     info = {
         "layout": LAYOUT,
         "config": experiment.effective(),
@@ -165,15 +159,12 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "versions": versions(),
         "machine": {"system": platform.platform(), "cores": cores()},
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
-        "components": [
-            dict(zip(("kind", "name", "plugin", "distribution", "version"), c, strict=True))
-            for c in components
-        ],
+        "components": [{f: getattr(c, f) for f in facts} for _, c in sorted(used.items())],
         "sources": dict(sources),
         "citations": [
             text
             for (plugin, _), text in experiment.registry.citations.items()
-            if any(c.plugin == plugin for c in experiment.components())
+            if any(c.plugin == plugin for c in used.values())
         ],
     }
     try:
@@ -220,6 +211,8 @@ def open_run(path: str | Path) -> Run:
         layout = info["layout"]
         config = info["config"]
         refuse_code(config)
+        if not isinstance(config, dict):
+            raise ValueError("its config is no mapping")
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
         for names in info.get("inputs", {}).values():
@@ -235,8 +228,6 @@ def open_run(path: str | Path) -> Run:
         raise RunError(
             f"{path} was written by {who} (layout {layout}; this one reads {LAYOUT}). {what}"
         )
-    if not isinstance(config, dict):
-        raise RunError(f"{file} is damaged: its config is no mapping.")
     return Run(path, info)
 
 

@@ -8,6 +8,7 @@ longer than a step are changed in place, so that a step can be recorded and repl
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -22,6 +23,7 @@ from understudy.running.statistics import EpisodeStatistics
 from understudy.running.table import FieldTable
 from understudy.task import (
     Actuation,
+    Context,
     Curriculum,
     Encoder,
     Fields,
@@ -129,12 +131,10 @@ class Environment:
 
     Args:
         parts: what the task consists of.
-        num_worlds, device, seed: N; where tensors live; the root of its random streams.
-        control_dt, substeps, decision: seconds and physics steps of a control period; control
-            periods of a decision.
+        context: N, device, seed, and rates; its difficulty is the field of that name, unless the
+            curriculum provides it.
         episode_seconds: episodes are truncated at this length, unless the curriculum provides
-            ``episode_limit`` (which it does not when `evaluating`).
-        difficulty: the field ``difficulty``, unless the curriculum provides it.
+            ``episode_limit`` (which it does not in evaluations).
         known_fields: from a field's name to the components that provide it, for errors.
 
     Raises:
@@ -144,52 +144,38 @@ class Environment:
     def __init__(
         self,
         parts: Parts,
+        context: Context,
         *,
-        num_worlds: int,
-        device: torch.device,
-        seed: int,
-        control_dt: float,
         episode_seconds: float,
-        substeps: int = 1,
-        decision: int = 1,
-        difficulty: float = 1.0,
-        evaluating: bool = False,
         known_fields: Callable[[str], Sequence[str]] = lambda name: (),
     ) -> None:
-        self.parts = parts
-        self.num_worlds, self.device, self.control_dt = num_worlds, device, control_dt
-        self._substeps, self._decision = substeps, decision
+        self.parts, self._context = parts, context
+        num_worlds, device, seed = context.num_worlds, context.device, context.seed
+        self.num_worlds, self.device, self.control_dt = num_worlds, device, context.control_dt
         curriculum = parts.curriculum
         set_by_curriculum = dict(curriculum.provides) if curriculum else {}
-        self._fixed_limit = evaluating
         parameters = parts.simulator.parameters
-        varied = [n for n in (*parts.initial_states.varies, *set_by_curriculum) if n in parameters]
-        unknown = [n for n in parts.initial_states.varies if n not in parameters]
-        if varied or unknown:  # the simulator names what it does not know
-            parts.simulator.vary([*varied, *unknown])
-        self._varied = varied
+        varies = parts.initial_states.varies
+        self._varied = [*varies, *(n for n in set_by_curriculum if n in parameters)]
+        if self._varied:
+            parts.simulator.vary(self._varied)  # which names what it does not know
+        constants: dict[str, Shape] = {"difficulty": (), "episode_limit": ()}
+        constants |= {n: s for n, s in set_by_curriculum.items() if n not in parameters}
 
         def zeros(shape: Shape, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.zeros((num_worlds, *shape), dtype=dtype, device=device)
 
+        shapes = {**constants, **parts.initial_states.episode_fields}
         #: Constants of the running episodes, (N, …).
-        self._constants = {
-            name: zeros(shape)
-            for name, shape in {
-                "difficulty": (),
-                "episode_limit": (),
-                **{n: s for n, s in set_by_curriculum.items() if n not in parameters},
-                **parts.initial_states.episode_fields,
-            }.items()
-        }
-        self._constants["difficulty"].fill_(difficulty)
+        self._constants = {name: zeros(shape) for name, shape in shapes.items()}
+        self._constants["difficulty"].fill_(context.difficulty)
         self._constants["episode_limit"].fill_(episode_seconds)
         #: What the environment keeps for actuation and memories, (N, …), by field.
         self._kept: dict[str, Tensor] = {}
         self.action = zeros((parts.actuation.part.action_space.size,))
         own = {**OWN_FIELDS, "action": tuple(self.action.shape[1:])}
         self.table = FieldTable(parts.simulator, parts.fields, own)
-        extra = {n: s for n, s in set_by_curriculum.items() if n not in (*OWN_FIELDS, *parameters)}
+        extra = {n: s for n, s in constants.items() if n not in OWN_FIELDS}
         self.table.add(extra, "the curriculum")
         self.table.add(parts.initial_states.episode_fields, "initial_states")
         for part in (parts.actuation, *parts.memories.values()):
@@ -227,7 +213,7 @@ class Environment:
     def decision(self) -> int:
         """Control periods that one action lasts."""
         chosen = self.parts.curriculum.decision() if self.parts.curriculum else None
-        return chosen or self._decision
+        return chosen or self._context.decision
 
     def _resolve_fields(self, givers: Callable[[str], Sequence[str]]) -> None:
         """Check that every field that is read exists, leave out optional ones that do not, and make
@@ -271,13 +257,8 @@ class Environment:
             *parts.fields, *parts.encoders.values(), parts.actuation, *parts.memories.values()
         ):  # fmt: skip
             yield part.where, tuple(part.reads.values())
-        for where, terms in (
-            ("reward.terms", parts.rewards),
-            ("termination.terms", parts.terminations),
-            ("measure", parts.measures),
-        ):
-            for term in terms:
-                yield f"{where}.{term.name}", tuple(term.reads.values())
+        for term in (*parts.rewards, *parts.terminations, *parts.measures):
+            yield term.where, tuple(term.reads.values())
         yield "initial_states", parts.initial_states.records
         yield "curriculum", parts.curriculum.records if parts.curriculum else ()
 
@@ -323,7 +304,7 @@ class Environment:
         parts, table = self.parts, self.table
         self._remember()
         self.action.copy_(action)
-        table.put("action", self.action)
+        table.put({"action": self.action})
         self._unsound.zero_()
         self._controls.clear()
         before = parts.simulator.snapshot() if self.on_quarantine else None
@@ -344,22 +325,19 @@ class Environment:
                 outcomes[term.outcome] = outcomes[term.outcome] | endings[term.name]
         failed = outcomes["failure"]
         succeeded = outcomes["success"] & ~failed
-        for name, value in (("failed", failed), ("succeeded", succeeded), ("violated", violated)):
-            table.put(name, value)
+        table.put({"failed": failed, "succeeded": succeeded, "violated": violated})
         rewards = self._reward()
         reached = self._encode()
         unsound = self._unsound | parts.simulator.failed() | ~sound(rewards)
         for value in reached.values():
             unsound = unsound | ~sound(value)
-        failed, succeeded = failed | unsound, succeeded & ~unsound
-        for name, value in (
-            ("failed", failed), ("succeeded", succeeded), ("violated", violated | unsound)
-        ):  # fmt: skip
-            table.put(name, value)
+        failed, succeeded, violated = failed | unsound, succeeded & ~unsound, violated | unsound
         terminated = failed | succeeded
         truncated = outcomes["truncation"] & ~terminated
         rewards = torch.where(unsound, 0.0, rewards)
-        table.put("reward", rewards)
+        table.put(
+            {"failed": failed, "succeeded": succeeded, "violated": violated, "reward": rewards}
+        )
         self.statistics.digest(
             rewards, seconds, endings, succeeded=succeeded, truncated=truncated,
             unsound=unsound, ended=terminated | truncated,
@@ -385,7 +363,7 @@ class Environment:
     def _simulate(self) -> None:
         """One decision: control periods, of one or more sub-steps between controls."""
         actuation, simulator = self.parts.actuation.part, self.parts.simulator
-        pieces = self._substeps if actuation.every == "substep" else 1
+        pieces = self._context.substeps if actuation.every == "substep" else 1
         length = 1 if actuation.every == "substep" else None
         control = applied = None
         for _ in range(self.decision):
@@ -423,13 +401,11 @@ class Environment:
         self, part: Bound[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
     ) -> None:
         """Keep `values`, by the part's own names, in all worlds or where `worlds` (N,) is true."""
+        self._promised(part.where, part.part.keeps, values)
         for name, field_name in part.provides.items():
-            if name not in values:
-                raise ConfigError(f"{part.where} promises '{name}' and does not return it.")
             kept, value = self._kept[field_name], values[name]
-            self._check(f"'{name}' of {part.where}", value, tuple(kept.shape[1:]))
             kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
-            self.table.put(field_name, kept)
+            self.table.put({field_name: kept})
 
     def _remember(self, worlds: Tensor | None = None) -> None:
         """Keep the fields that are read as ``previous_``, as they are now: in all worlds or where
@@ -437,7 +413,7 @@ class Environment:
         for name, kept in self._previous.items():
             if kept is None:  # the first time; others of them may be computed from it
                 shape = (self.num_worlds, *self.table.shapes[name])
-                self.table.put(name, torch.zeros(shape, device=self.device))
+                self.table.put({name: torch.zeros(shape, device=self.device)})
         values = {name: self.table[name.removeprefix(_PREVIOUS)] for name in self._previous}
         for name, value in values.items():  # only now, since they may depend on one another
             kept = self._previous[name]
@@ -447,24 +423,16 @@ class Environment:
                 kept.copy_(value)
             else:
                 kept.copy_(torch.where(rows(worlds, kept), value, kept))
-            self.table.put(name, kept)
+            self.table.put({name: kept})
 
     def _evaluate(self, term: Term) -> Tensor:
         return term.function(**self.table.pick(term.reads), **term.options)
 
     def _reward(self) -> Tensor:
-        total: Tensor | None = None
-        for term in self.parts.rewards:
-            value = self._evaluate(term)
-            if self.parts.combine == "sum":
-                value = value * term.weight
-                total = value if total is None else total + value
-            else:
-                value = value if term.weight == 1.0 else value**term.weight
-                total = value if total is None else total * value
-        if total is None:
-            raise ConfigError("reward.terms is empty: a task needs at least one reward term.")
-        return total
+        values = [(self._evaluate(term), term.weight) for term in self.parts.rewards]
+        if self.parts.combine == "sum":
+            return functools.reduce(operator.add, [v * weight for v, weight in values])
+        return functools.reduce(operator.mul, [v if w == 1.0 else v**w for v, w in values])
 
     def _encode(self) -> dict[str, Tensor]:
         return {
@@ -517,7 +485,7 @@ class Environment:
     def _hold(self, worlds: Tensor, values: Mapping[str, Tensor]) -> None:
         """Set the constants of beginning episodes."""
         for name, constant in self._constants.items():
-            if name in values and not (self._fixed_limit and name == "episode_limit"):
+            if name in values and not (self._context.evaluating and name == "episode_limit"):
                 constant.copy_(torch.where(rows(worlds, constant), values[name], constant))
 
     def refresh(self) -> None:
@@ -553,6 +521,14 @@ class Environment:
                 "one row per world."
             )
 
+    def _promised(
+        self, where: str, shapes: Mapping[str, Shape], given: Mapping[str, Tensor], what: str = ""
+    ) -> None:
+        for name, shape in shapes.items():
+            if name not in given:
+                raise ConfigError(f"{where} promises {what}'{name}' and does not return it.")
+            self._check(f"{what}'{name}' of {where}", given[name], shape)
+
     def _check_initial(self, given: Mapping[str, Tensor]) -> None:
         """What initial states and curriculum return: all that was promised, and nothing else."""
         parts, simulator = self.parts, self.parts.simulator
@@ -562,47 +538,30 @@ class Environment:
             **parts.initial_states.episode_fields,
             **(parts.curriculum.provides if parts.curriculum else {}),
         }
-        for name in promised.keys() - given.keys():
-            raise ConfigError(f"initial_states promises '{name}' and does not return it.")
+        self._promised("initial_states", promised, given)
         for name in given.keys() - promised.keys():
             raise ConfigError(
                 f"initial_states returns '{name}', which is no state of this simulator and not "
                 f"among its episode_fields. It takes: {', '.join(sorted(promised))}."
             )
-        for name, shape in promised.items():
-            self._check(f"'{name}' of initial_states", given[name], shape)
 
     def _check_shapes(self) -> None:
         """Every field's and term's shape, once."""
         parts, table = self.parts, self.table
-
         for provider in parts.fields:
             given = provider.part.compute(**table.pick(provider.reads))
-            for name, shape in provider.part.provides.items():
-                if name not in given:
-                    raise ConfigError(
-                        f"{provider.where} promises the field '{name}' and does not return it."
-                    )
-                self._check(f"the field '{name}' of {provider.where}", given[name], shape)
+            self._promised(provider.where, provider.part.provides, given, "the field ")
         actuation = parts.actuation
         control = actuation.part.control(self.action, **table.pick(actuation.reads))
         self._check("the control of actuation", control, (parts.simulator.control_size,))
         for encoder in parts.encoders.values():
             value = encoder.part.encode(**table.pick(encoder.reads))
             self._check(encoder.where, value, encoder.part.shape)
-        for kind, terms in (
-            ("reward.terms", parts.rewards),
-            ("termination.terms", parts.terminations),
-            ("measure", parts.measures),
-        ):
-            for term in terms:
-                value = self._evaluate(term)
-                self._check(f"{kind}.{term.name}", value, ())
-                if kind == "termination.terms" and value.dtype != torch.bool:
-                    raise ConfigError(
-                        f"termination.terms.{term.name} returns {value.dtype}; it must return bool."
-                    )
-        self._reward()
+        for term in (*parts.rewards, *parts.terminations, *parts.measures):
+            value = self._evaluate(term)
+            self._check(term.where, value, ())
+            if term in parts.terminations and value.dtype != torch.bool:
+                raise ConfigError(f"{term.where} returns {value.dtype}; it must return bool.")
 
     def state_dict(self) -> State:
         """Everything that decides the future of the worlds, exactly."""

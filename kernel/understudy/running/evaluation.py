@@ -232,10 +232,9 @@ class Evaluator:
         self._running, self._failed = flags(), flags()
         self._fired = {t.name: flags() for t in environment.parts.terminations}
         self._seconds = torch.zeros(n, device=device)
-        self._returns = Reducer("sum", n, device)
-        self._reducers = {
-            term.name: Reducer(term.reduce, n, device) for term in environment.parts.measures
-        }
+        self._reducers = {"return": Reducer("sum", n, device)}
+        for term in environment.parts.measures:
+            self._reducers[term.name] = Reducer(term.reduce, n, device)
         self._step = Recorded(self._judge, environment)
         own = self.built.context
         self._starts = {c.name: c.build(own) for c in experiment.many("evaluation.starts")}
@@ -248,9 +247,8 @@ class Evaluator:
         for name, fired in step.endings.items():
             self._fired[name] |= fired & running
         counted = running & ~step.unsound  # its measures may be no numbers
-        for name, value in environment.measure().items():
+        for name, value in {"return": step.rewards, **environment.measure()}.items():
             self._reducers[name].digest(value, counted)
-        self._returns.digest(step.rewards, running)
         self._failed |= step.failed & running
         ended = step.ended
         self._running &= ~ended
@@ -279,7 +277,7 @@ class Evaluator:
         for name, part in reversed(self._starts.items()):  # the first stays, and decides
             self.built.environment.parts.initial_states = part
             if give_up_below is None and self.success:
-                rows = self._batch(policy, f"{draw}/{name}", self.built.environment.num_worlds)
+                rows, _ = self._batch(policy, f"{draw}/{name}", self.built.environment.num_worlds)
                 begun[f"success_from_{name}"] = Measured.of("last", rows["success"].float())
         found: list[dict[str, Tensor]] = []
         lost = done = 0
@@ -287,14 +285,14 @@ class Evaluator:
         while done < episodes and complete:
             count = min(self.built.environment.num_worlds, episodes - done)
             allowed = math.inf if give_up_below is None else episodes * (1 - give_up_below) - lost
-            batch = self._batch(policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_step)
-            complete = bool(batch.pop("complete"))
+            batch, complete = self._batch(
+                policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_step
+            )
             lost += count - int(batch["success"].sum()) if self.success else 0
             done = done + count if complete else episodes  # those that are left could all succeed
             found.append(batch)
             on_step = None
         joined = {name: torch.cat([batch[name] for batch in found]) for name in found[0]}
-        reductions = {"return": "sum", **{k: r.reduce for k, r in self._reducers.items()}}
         rate = None if self.success is None else (done - lost) / done
         return Evaluation(
             episodes=done,
@@ -307,8 +305,8 @@ class Evaluator:
                 if term.outcome in ("failure", "report")
             },
             measures={
-                name: Measured.of(reduce, joined[f"measure/{name}"])
-                for name, reduce in reductions.items()
+                name: Measured.of(reducer.reduce, joined[f"measure/{name}"])
+                for name, reducer in self._reducers.items()
             }
             | begun,
             objective=self.options.objective,
@@ -323,8 +321,9 @@ class Evaluator:
         count: int,
         allowed: float = math.inf,
         on_step: Callable[[Tensor], None] | None = None,
-    ) -> dict[str, Tensor]:
-        """What was found of each of `count` episodes; given up when more than `allowed` are lost."""
+    ) -> tuple[dict[str, Tensor], bool]:
+        """What was found of each of `count` episodes, and whether all of them were run: it is given up
+        when more than `allowed` are lost."""
         environment = self.built.environment
         observations = environment.reset(self._seed, draw)
         self._running.fill_(True)
@@ -333,7 +332,7 @@ class Evaluator:
         self._failed.zero_()
         for fired in self._fired.values():
             fired.zero_()
-        for reducer in (self._returns, *self._reducers.values()):
+        for reducer in self._reducers.values():
             reducer.start()
         decision_seconds = environment.decision * environment.control_dt
         steps = max(1, math.ceil(self.options.seconds / decision_seconds - 1e-6))
@@ -348,10 +347,7 @@ class Evaluator:
             if step % 30 == 29 and allowed < count and not self._within(allowed, count):
                 complete = False
                 break
-        measures = {
-            "return": self._returns.result(),
-            **{name: r.result() for name, r in self._reducers.items()},
-        }
+        measures = {name: r.result() for name, r in self._reducers.items()}
         success = (
             self.success.of(self._failed, self._fired, measures)
             if self.success
@@ -364,16 +360,14 @@ class Evaluator:
             **{f"measure/{name}": value for name, value in measures.items()},
             **{f"fired/{name}": fired for name, fired in self._fired.items()},
         }
-        rows = {name: value[:count].clone() for name, value in found.items()}
-        return {**rows, "complete": torch.tensor(complete)}
+        return {name: value[:count].clone() for name, value in found.items()}, complete
 
     def _within(self, allowed: float, count: int) -> bool:
         """Whether the success rate can still be reached; a measure is only known in the end."""
         if self.success is None or self.success.measure is not None:
             return True
-        over = ~self._running
-        won = self._fired[self.success.term] if self.success.term else ~self._failed
-        return int((over & ~won)[:count].sum()) <= allowed
+        won = self.success.of(self._failed, self._fired, {})
+        return int((~self._running & ~won)[:count].sum()) <= allowed
 
     def close(self) -> None:
         self.built.environment.close()

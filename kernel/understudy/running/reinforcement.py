@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -37,7 +38,6 @@ class Reinforcement(Job):
         self.experiment = experiment
         self.device = device_of(experiment.root.device)
         self.built: Built | None = None
-        self._evaluator: Evaluator | None = None
         #: Share of the last rollout's steps in which an episode failed.
         self._failing = 1.0
         self._started: Mapping[str, Any] = {}
@@ -125,12 +125,9 @@ class Reinforcement(Job):
         lasting = environment.decision * environment.control_dt / max(self._failing, 1e-9)
         return lasting >= options.gate * options.seconds
 
-    @property
+    @functools.cached_property
     def evaluator(self) -> Evaluator:
-        if self._evaluator is None:
-            context = self.built.context if self.built else None
-            self._evaluator = Evaluator(self.experiment, context)
-        return self._evaluator
+        return Evaluator(self.experiment, self.built.context if self.built else None)
 
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
@@ -201,5 +198,5 @@ class Reinforcement(Job):
     def close(self) -> None:
         if self.built is not None:
             self.built.environment.close()
-        if self._evaluator is not None:
-            self._evaluator.close()
+        if "evaluator" in vars(self):  # it was needed
+            self.evaluator.close()

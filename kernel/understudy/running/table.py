@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 
 from torch import Tensor
 
@@ -51,29 +52,21 @@ class FieldTable:
 
     def _dependents(self) -> dict[str, set[str]]:
         """By field: the provided fields that are computed from it, directly or not."""
+        reads = {name: [*p.reads.values()] for name, p in self._provider.items()}
+        try:
+            order = list(TopologicalSorter(reads).static_order())  # what is read comes first
+        except CycleError as error:
+            circle = " → ".join(reversed(error.args[1]))
+            raise ConfigError(
+                f"The fields {circle} need one another in a circle. Remove one of their "
+                "providers (~fields.NAME), or rename what one reads (fields.NAME.reads=…)."
+            ) from error
+        below: dict[str, set[str]] = {}
         above: dict[str, set[str]] = {}
-        known: dict[str, set[str]] = {}
-
-        def sources(name: str, path: tuple[str, ...]) -> set[str]:
-            if name in path:
-                circle = " → ".join((*path[path.index(name) :], name))
-                raise ConfigError(
-                    f"The fields {circle} need one another in a circle. Remove one of their "
-                    "providers (~fields.NAME), or rename what one reads (fields.NAME.reads=…)."
-                )
-            provider = self._provider.get(name)
-            if provider is None:
-                return {name}
-            if name not in known:
-                found = {name}
-                for item in provider.reads.values():
-                    found |= sources(item, (*path, name))
-                known[name] = found
-            return known[name]
-
-        for name in self._provider:
-            for source in sources(name, ()) - {name}:
-                above.setdefault(source, set()).add(name)
+        for name in order:
+            below[name] = {name}.union(*(below[field] for field in reads.get(name, ())))
+            for field in below[name] - {name}:
+                above.setdefault(field, set()).add(name)
         return above
 
     def need(self, who: str, names: Iterable[str], givers: Callable[[str], Sequence[str]]) -> None:
@@ -91,11 +84,12 @@ class FieldTable:
         """Forget all values: the state has changed. `own` are the environment's fields now."""
         self.values = dict(own)
 
-    def put(self, name: str, value: Tensor) -> None:
-        """Set a field of the environment's own, and forget what was computed from it."""
-        self.values[name] = value
-        for dependent in self._above.get(name, ()):
-            self.values.pop(dependent, None)
+    def put(self, fields: Mapping[str, Tensor]) -> None:
+        """Set fields of the environment's own, and forget what was computed from them."""
+        for name, value in fields.items():
+            self.values[name] = value
+            for dependent in self._above.get(name, ()):
+                self.values.pop(dependent, None)
 
     def __getitem__(self, name: str) -> Tensor:
         value = self.values.get(name)

@@ -84,16 +84,11 @@ class Training:
         self.job.prepare()
         return self
 
-    def attach(self, run: Run) -> Training:
-        """Keep metrics, checkpoints and fault dumps in the folder of `run`."""
+    def attach(self, run: Run | None) -> Training:
+        """Keep metrics, checkpoints and fault dumps in the folder of `run`; with None, which is for
+        the processes beside process 0, write nothing."""
         self.run = run
-        self.job.watch(self._dump)
-        return self
-
-    def detach(self) -> Training:
-        """Write nothing: for the processes beside process 0."""
-        self.run = None
-        self.job.watch(None)
+        self.job.watch(self._dump if run is not None else None)
         return self
 
     def state_dict(self) -> State:
@@ -122,15 +117,12 @@ class Training:
             ) from error
 
     def save(self) -> Path:
-        assert self.run is not None
-        path = self.run.checkpoints / f"{self.progress.iteration:08d}"
-        meta = {
-            "config": self.run.config,
-            "versions": versions(),
-            "sources": self.run.info["sources"],
-        }
+        run = self.run
+        assert run is not None
+        path = run.checkpoints / f"{self.progress.iteration:08d}"
+        meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
         checkpoint.save(path, self.state_dict(), meta)
-        checkpoint.prune(self.run.checkpoints, self.experiment.root.checkpoint.keep)
+        checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep)
         return path
 
     def resume(self) -> None:
@@ -210,16 +202,7 @@ class Training:
                             self.save()
                             saved_at = progress.seconds
                     if stopping:
-                        self.outcome = "preempted"
-                        where = f" Continue with `understudy resume {run.path}`." if run else ""
-                        name = (
-                            signal.Signals(stop.received).name
-                            if stop.received
-                            else "another process"
-                        )
-                        raise PreemptedError(
-                            f"Stopped by {name} after {progress.samples} samples; everything is saved.{where}"
-                        )
+                        raise self._preempted(stop.received)
                     try:
                         yield row
                     except GeneratorExit:
@@ -233,6 +216,15 @@ class Training:
             finally:
                 if run is not None:
                     self.reporter.notify("finished", run, self.outcome)
+
+    def _preempted(self, received: int | None) -> PreemptedError:
+        self.outcome = "preempted"
+        name = signal.Signals(received).name if received else "another process"
+        where = f" Continue with `understudy resume {self.run.path}`." if self.run else ""
+        count = self.progress.samples
+        return PreemptedError(
+            f"Stopped by {name} after {count} samples; everything is saved.{where}"
+        )
 
     def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""

@@ -63,29 +63,21 @@ def take_over(
             own[name] = given[name]
     policy.load_state_dict(own)
     environment = state.get("environment", {})
-    if "initial_states" in start.parts:
-        _load(start, "initial_states", initial_states, environment)
-    if "curriculum" in start.parts:
-        if curriculum is None:
+    for name, part in (("initial_states", initial_states), ("curriculum", curriculum)):
+        if name not in start.parts:
+            continue
+        if part is None:
+            raise RunError(f"start.parts names the {name}, and this task has none ({name}=…).")
+        try:
+            for misfit in misshapen(part.state_dict(), environment[name], name):
+                raise ValueError(misfit)
+            part.load_state_dict(environment[name])
+        except (KeyError, ValueError, TypeError, RuntimeError) as error:
             raise RunError(
-                "start.parts names the curriculum, and this task has none (curriculum=…)."
-            )
-        _load(start, "curriculum", curriculum, environment)
+                f"start.parts: the {name} of {start.run} do not fit those of this task: {error}."
+            ) from error
     samples = state["progress"]["samples"]
     return {"run": start.run, "parts": list(start.parts), "samples": samples}
-
-
-def _load(
-    start: StartOptions, name: str, part: InitialStates | Curriculum, environment: State
-) -> None:
-    try:
-        for misfit in misshapen(part.state_dict(), environment[name], name):
-            raise ValueError(misfit)
-        part.load_state_dict(environment[name])
-    except (KeyError, ValueError, TypeError, RuntimeError) as error:
-        raise RunError(
-            f"start.parts: the {name} of {start.run} do not fit those of this task: {error}."
-        ) from error
 
 
 def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:

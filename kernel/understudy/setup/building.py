@@ -14,7 +14,7 @@ from understudy.random import private_rng
 from understudy.running.environment import Environment, Parts
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
-from understudy.task import Context, Policy, Scene, Simulator
+from understudy.task import Context, Policy, Scene
 from understudy.task.terms import Bound, Term, make_term, renamed
 
 
@@ -79,8 +79,7 @@ def build_environment(
         inputs=experiment.inputs,
     )
     context.scene = scene or experiment.need("scene").build(context)
-    simulator: Simulator = experiment.need("simulator").build(context)
-    context.simulator = simulator
+    simulator = context.simulator = experiment.need("simulator").build(context)
 
     def bound(chosen: Chosen) -> Bound[Any]:
         part = chosen.build(context)
@@ -120,15 +119,8 @@ def build_environment(
     )
     environment = Environment(
         parts,
-        num_worlds=context.num_worlds,
-        device=context.device,
-        seed=context.seed,
-        control_dt=context.control_dt,
-        substeps=context.substeps,
-        decision=context.decision,
+        context,
         episode_seconds=root.episode.seconds if episode_seconds is None else episode_seconds,
-        difficulty=root.difficulty,
-        evaluating=evaluating,
         known_fields=lambda name: list(providers_of(name, registry)),
     )
     context.action_space = parts.actuation.part.action_space

@@ -376,15 +376,13 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     extra = EXTRAS.get(slot.kind, {})
     given = {k: v for k, v in options.items() if k in extra}
     extras = checked_options(extra, given, where)
-    extras = {k: extras.get(k, option.default) for k, option in extra.items()}
     own = {k: v for k, v in options.items() if k not in extra}
     schema = getattr(component.factory, "Options", None)
     checked: Any
     if schema is not None:
         checked = make_options(schema, own, where)
     else:  # a function's options are its keyword-only parameters; a class without Options has none
-        checked = {name: option.default for name, option in component.options.items()}
-        checked = {**checked, **checked_options(component.options, own, where)} or None
+        checked = checked_options(component.options, own, where) or None
     return Chosen(name, component, checked, where, extras)
 
 

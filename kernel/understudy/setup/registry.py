@@ -107,8 +107,6 @@ class Section:
     plugin: str
 
     def _resolve(self, target: Any) -> Any:
-        if not isinstance(target, str):
-            return target
         return Component("section", self.name, target, self.plugin).factory
 
     def schema(self) -> type:
@@ -125,8 +123,6 @@ class TaskEntry:
     name: str
     summary: str
     plugin: str
-    distribution: str = ""
-    version: str = ""
 
 
 def _refuse_twice(other: Component | TaskEntry | Section | None, plugin: str, what: str) -> None:
@@ -227,8 +223,7 @@ class Registrar:
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""
         _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
-        entry = TaskEntry(name, summary, self.plugin, self.distribution, self.version)
-        self.registry.tasks[name] = entry
+        self.registry.tasks[name] = TaskEntry(name, summary, self.plugin)
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""

@@ -60,6 +60,7 @@ def parameters_of(function: Callable[..., Any]) -> dict[str, bool]:
 class Term:
     """A term with its options bound. ``function`` is called with the fields of ``reads``."""
 
+    where: str  #: its key path in the configuration, for errors
     name: str
     function: Callable[..., Tensor]
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -82,6 +83,7 @@ def make_term(
     """The term `name` of `function`, whose parameters `reads` may rename."""
     parameters = parameters_of(function)
     return Term(
+        where,
         name,
         function,
         options,

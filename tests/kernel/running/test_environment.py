@@ -170,11 +170,11 @@ def test_missing_field(plugins: Plugins, kind: str) -> None:
 
     def lost(qpos: Any, xpos: Any) -> Any: ...
 
-    parts = dataclasses.replace(env.parts, **{f"{kind}s": [term(lost)]})
+    parts = dataclasses.replace(env.parts, **{f"{kind}s": [term(lost, where=f"{kind}.terms.lost")]})
     with pytest.raises(ConfigError, match=rf"^{kind}\.terms\.lost needs the state field 'xpos', which nothing in this task "
                        r"provides\. It would come from fields 'somebody'\."):  # fmt: skip
         Environment(
-            parts, num_worlds=4, device=env.device, seed=0, control_dt=0.1, episode_seconds=1,
+            parts, env._context, episode_seconds=1,
             known_fields=lambda name: ["fields 'somebody'"] if name == "xpos" else [],
         )  # fmt: skip
 
@@ -193,7 +193,8 @@ def test_missing_field(plugins: Plugins, kind: str) -> None:
 )
 def test_wrong_shapes(plugins: Plugins, kind: str, result: torch.Tensor, message: str) -> None:
     env = made(plugins)
-    setattr(env.parts, f"{kind}s", [term(lambda: result, "odd")])
+    odd = term(lambda: result, "odd", where=f"{kind}.terms.odd")
+    setattr(env.parts, f"{kind}s", [odd])
     with pytest.raises(ConfigError, match=message):
         env.reset()
 
