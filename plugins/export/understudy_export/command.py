@@ -17,7 +17,6 @@ from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import recorded_clips, run_character
-from understudy_characters.scene import REFERENCE_COLOUR
 from understudy_characters.shapes import bones, shapes
 from understudy_export.figure import figure
 from understudy_motion.arguments import add_reading, open_clip, positive
@@ -25,6 +24,7 @@ from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.kinematics import need_skeleton
 from understudy_motion.reading import MAX_ROTATIONS, METRES
 from understudy_motion.writing import Shape, Shown, write_figures
+from understudy_mujoco.studio import REFERENCE
 
 BONES = "none"
 BESIDE = 0.74
@@ -99,8 +99,8 @@ def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:
     clip = timed(clip, rate=options.rate, seconds=options.seconds, cycles=options.cycles)
     body = figure(clip, surface)
     tall = max(float(s.positions[:, 2].max()) for s in body.surfaces)
-    green = (*(c**GAMMA for c in REFERENCE_COLOUR[:3]), 1.0)
-    shown = [replace(shape, colour=green) for shape in surface or bones(body.skeleton)]
+    orange = (*(c**GAMMA for c in REFERENCE[:3]), 1.0)
+    shown = [replace(shape, colour=orange) for shape in surface or bones(body.skeleton)]
     return Shown(clip, shown, BESIDE * tall)
 
 

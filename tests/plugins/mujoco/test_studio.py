@@ -128,7 +128,9 @@ def test_painted_floor_and_drawn_figure_are_seen_alike_through_what_is_transluce
     np.testing.assert_array_equal(screened[:, 90:], empty[:, 90:])
     for seen in ((slice(66, 70), slice(30, 50)), (slice(40, 48), slice(72, 76))):  # floor, ball
         through, behind = screened[seen].astype(float), empty[seen].astype(float)
-        left = through[..., 2] / behind[..., 2]  # no blue in the screen, both of whose sides are seen
+        left = (
+            through[..., 2] / behind[..., 2]
+        )  # no blue in the screen, both of whose sides are seen
         np.testing.assert_allclose(left, 0.4**2, atol=0.03)
         added = through[..., 0] - left * behind[..., 0]
         assert ((added > 100) & (added < 0.84 * 255)).all()
