@@ -278,6 +278,7 @@ class _Painter:
             self._view.height,
         )
         self._data = mujoco.MjData(model)
+        self._standing = self._data.mocap_pos.copy()  # where nobody moves them
         self._scene = mujoco.MjvScene(model, 2 * model.ngeom + 100)
         for flag in ("SHADOW", "REFLECTION", "SKYBOX", "HAZE", "FOG"):
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = False
@@ -318,6 +319,7 @@ class _Painter:
             data.qpos[:] = figure.track[frame]
             data.qpos[:2] += figure.shift
             if figure.place is not None:
+                data.mocap_pos[:] = self._standing
                 figure.place(self._model, data, frame)
             else:
                 data.mocap_pos[:, 2] = _AWAY

@@ -134,3 +134,15 @@ def test_painted_floor_and_drawn_figure_are_seen_alike_through_what_is_transluce
         np.testing.assert_allclose(left, 0.4**2, atol=0.03)
         added = through[..., 0] - left * behind[..., 0]
         assert ((added > 100) & (added < 0.84 * 255)).all()
+
+
+def test_what_stands_around_a_figure_stays_when_others_have_nothing_around_them() -> None:
+    """What nobody moves stands where the model has it, in the second frame as in the first."""
+    model = mujoco.MjModel.from_xml_string(BALL.replace(
+        "</worldbody>",
+        '<body mocap="true" pos="-1 0 0.3"><geom type="box" size=".3 .3 .3" rgba="1 0 0 1"/></body></worldbody>',
+    ))  # fmt: skip
+    stays = Figure(track(0.6, 2), LEARNED, place=lambda model, data, frame: None)
+    drawn = frames(model, stays, Figure(track(0.6, 2), REFERENCE, shift=(0.8, 0.0)))
+    first, second = (int(coloured(frame, (1, 0, 0, 1)).sum()) for frame in drawn)
+    assert first == second > 100
