@@ -23,7 +23,7 @@ MISTAKES = {
     f"train {WALK} seed=1,2,3": "several values and a run takes one. A list is written [1,2,3];",
     f"train {WALK},deepmimic/walk": "compared by `understudy sweep`",
     f"train {WALK} seed=three": "seed='three' is not possible: it takes int.",
-    "train experiment=walk": "'deepmimic/walk' or 'morphology/walk' or 'spacetime/walk'?",
+    "train experiment=walk": "'deepmimic/walk' or 'morphology/walk' or 'sitting/walk' or 'spacetime/walk'?",
     "train experiment=Spacetime/Walk": "Did you mean 'spacetime/walk'?",
     "train experiment=": "spacetime/{backflip, cartwheel,",
     "train experimnt=spacetime/walk": "Did you mean 'experiment'?",
