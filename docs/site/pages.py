@@ -80,7 +80,7 @@ def on_config(config: Any) -> Any:
         {"Papers": [p for p in sorted(_places("papers"))]},
         {"Plugins": [p for p in SOURCES if p.startswith("plugins/")]},
         {"API": [p for p in SOURCES if p.startswith("api/")]},
-        {"Measured": ["benchmarks/README.md"]},
+        {"Measured": ["benchmarks/README.md", "reliability.md"]},
         {"Decisions": [p for p in sorted(_places("decisions"))]},
     ]  # fmt: skip
     return config

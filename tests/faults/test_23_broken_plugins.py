@@ -242,7 +242,7 @@ def test_disabled(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_name_that_is_no_plugin_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERSTUDY_PLUGINS", "ppo,nope")
     with pytest.raises(
-        PluginError, match="UNDERSTUDY_PLUGINS names 'nope', which is no plugin here"
+        PluginError, match="UNDERSTUDY_PLUGINS names 'nope', which is no installed plugin"
     ):
         load()
     monkeypatch.setenv("UNDERSTUDY_PLUGINS", "moton")

@@ -22,11 +22,11 @@ EXPECTED: dict[str, tuple[dict[str, int], dict[str, int]]] = {
     "01_01": ({"spike": 1}, {}),
     "01_08": (
         {"spike": 30},
-        {"ground_offset": 1, "penetration": 15, "spike": 2, "foot_skate": 3, "float": 2},
+        {"ground_offset": 1, "penetration": 15, "spike": 2, "foot_skate": 4, "float": 4},
     ),
     "01_14": (
         {"spike": 14},
-        {"float": 3, "joint_range": 1, "spike": 2, "foot_skate": 1, "torque": 1},
+        {"float": 11, "joint_range": 1, "spike": 2, "torque": 1},
     ),
     "02_01": ({}, {}),
     "02_03": ({"spike": 1}, {"torque": 2}),
@@ -36,7 +36,7 @@ EXPECTED: dict[str, tuple[dict[str, int], dict[str, int]]] = {
     "02_07": ({"spike": 3}, {}),
     "02_10": ({}, {}),
     "03_01": ({"spike": 1}, {"float": 1, "ground_offset": 1, "foot_skate": 1, "penetration": 3}),
-    "03_03": ({"spike": 18}, {"float": 12, "ground_offset": 1, "penetration": 30, "foot_skate": 5}),
+    "03_03": ({"spike": 18}, {"float": 13, "ground_offset": 1, "penetration": 30, "foot_skate": 5}),
 }
 
 

@@ -22,7 +22,7 @@ FLOORS = (
     {"running", "setup", "records"},
     {"outer"},
     {"command"},
-    {"testing"},
+    {"testing", "__main__"},
 )
 
 

@@ -15,6 +15,7 @@ Run observers leave their own files beside these.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os

@@ -162,7 +162,8 @@ class Reinforcement(Job):
             for name, section in (self.built.context.sections if self.built else {}).items()
             if hasattr(section, "provenance")
         }
-        scene = {"scene": self.built.scene.describe()} if self.built else {}
+        facts = self.built.scene.describe() if self.built else {}
+        scene = {"scene": facts} if facts else {}
         return found | scene | ({"start": self._started} if self._started else {})
 
     def report(self) -> Mapping[str, int]:

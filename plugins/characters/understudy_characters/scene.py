@@ -114,7 +114,7 @@ class CharacterScene(MujocoScene):
         camera = Camera(
             aims=np.array([0.0, 0.5 * beside])
             + gaussian_filter1d(track[:, at : at + 2], _SMOOTHING, axis=0, mode="nearest"),
-            height=0.48 * top,
+            height=0.45 * top,
             distance=_DISTANCE * top,
         )
         if self.azimuth is not None:

@@ -99,8 +99,8 @@ def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:
     clip = timed(clip, rate=options.rate, seconds=options.seconds, cycles=options.cycles)
     body = figure(clip, surface)
     tall = max(float(s.positions[:, 2].max()) for s in body.surfaces)
-    colour = (*(c**GAMMA for c in REFERENCE[:3]), 1.0)
-    shown = [replace(shape, colour=colour) for shape in surface or bones(body.skeleton)]
+    orange = (*(c**GAMMA for c in REFERENCE[:3]), 1.0)
+    shown = [replace(shape, colour=orange) for shape in surface or bones(body.skeleton)]
     return Shown(clip, shown, BESIDE * tall)
 
 

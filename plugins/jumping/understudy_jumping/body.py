@@ -64,7 +64,7 @@ class Body:
 def body_of(context: Context, who: str) -> Body:
     """The body of the task's character, built once."""
     scene = context.need_scene(CharacterScene, who)
-    return context.once("jumping.body", lambda: _body(scene, context.device))
+    return context.once("jumping/body", lambda: _body(scene, context.device))
 
 
 def _body(scene: CharacterScene, device: torch.device) -> Body:

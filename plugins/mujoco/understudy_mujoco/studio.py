@@ -278,6 +278,7 @@ class _Painter:
             self._view.height,
         )
         self._data = mujoco.MjData(model)
+        self._standing = self._data.mocap_pos.copy()  # where nobody moves them
         self._scene = mujoco.MjvScene(model, 2 * model.ngeom + 100)
         for flag in ("SHADOW", "REFLECTION", "SKYBOX", "HAZE", "FOG"):
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = False
@@ -318,6 +319,7 @@ class _Painter:
             data.qpos[:] = figure.track[frame]
             data.qpos[:2] += figure.shift
             if figure.place is not None:
+                data.mocap_pos[:] = self._standing
                 figure.place(self._model, data, frame)
             else:
                 data.mocap_pos[:, 2] = _AWAY
@@ -335,7 +337,6 @@ class _Painter:
             _colour(scene, before, figure.colour, set(self._geoms.tolist()))
             corners.append(self._box(data, aim))
             self._cast(picture, data, aim)
-        mujoco.mjr_render(self._view, scene, self._context)
         self._compose(picture, np.array(corners))
         colours, cover = self._legend
         corner = picture[: len(cover), : cover.shape[1]]
@@ -420,13 +421,23 @@ class _Painter:
             _FINER * (columns.stop - columns.start),
             _FINER * (rows.stop - rows.start),
         )
+        colours, depth = self._rendered(box)
+        covered = (depth < 1.0).astype(np.uint16)  # behind is nothing, and black
+        scale = np.float32(1.0)
+        if _show_opacity(self._scene):  # what one sees through has no depth
+            opacity, _ = self._rendered(box)
+            covered, scale = np.maximum(255 * covered, opacity[..., 0]), np.float32(255.0)
+        part = picture[rows, columns]
+        part *= 1.0 - _coarser(covered[::-1])[..., None] / (scale * _FINER**2)
+        part += _coarser(colours[::-1].astype(np.uint16)) / np.float32(_FINER**2)
+
+    def _rendered(self, box: mujoco.MjrRect) -> tuple[np.ndarray, np.ndarray]:
+        """The scene's colours (H, W, 3) uint8 and depth (H, W) in `box`, the lowest row first."""
         colours = np.empty((box.height, box.width, 3), np.uint8)
         depth = np.empty((box.height, box.width), np.float32)
+        mujoco.mjr_render(self._view, self._scene, self._context)
         mujoco.mjr_readPixels(colours, depth, box, self._context)
-        covered = _coarser((depth < 1.0).astype(np.uint16)[::-1])  # behind is nothing, and black
-        part = picture[rows, columns]
-        part *= 1.0 - covered[..., None] / np.float32(_FINER**2)
-        part += _coarser(colours[::-1].astype(np.uint16)) / np.float32(_FINER**2)
+        return colours, depth
 
 
 def _without_floor(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -445,6 +456,18 @@ def _colour(scene: mujoco.MjvScene, first: int, colour: RGBA | None, figure: set
     for geom in scene.geoms[first : scene.ngeom]:
         if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in figure:
             geom.matid, geom.rgba[:] = -1, colour
+
+
+def _show_opacity(scene: mujoco.MjvScene) -> bool:
+    """Make all geoms black but those that one sees through: white, so that what is drawn is how much of
+    the background they hide. False, and nothing is done, if there are none."""
+    geoms = scene.geoms[: scene.ngeom]
+    if not any(geom.rgba[3] < 1.0 for geom in geoms):
+        return False
+    for geom in geoms:
+        glow = float(geom.rgba[3] < 1.0)
+        geom.matid, geom.rgba[:3], geom.emission, geom.specular = -1, glow, glow, 0.0
+    return True
 
 
 def _span(first: float, last: float, size: int) -> slice:

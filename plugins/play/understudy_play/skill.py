@@ -78,8 +78,7 @@ def open_skill(source: str, overrides: Sequence[str] = ()) -> Skill:
     if path.is_dir():
         return _of_run(path, overrides)
     raise ConfigError(
-        f"There is no skill '{source}'.{suggestion(source, names())} Give the folder of a run, or one "
-        f"of {', '.join(names())}."
+        f"There is no skill '{source}'.{suggestion(source, names())} The folder of a run will do, too."
     )
 
 

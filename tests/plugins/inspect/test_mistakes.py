@@ -94,7 +94,8 @@ def test_train_alone_lists_experiments(capsys: pytest.CaptureFixture[str]) -> No
     assert "spacetime" in lines
     walk = next(line for line in lines if line.startswith("  spacetime/walk "))
     assert walk.endswith("survival reward (thesis, section 3.5.1; at most 4.08 M samples)")
-    assert all(line.partition("  ")[2].strip() for line in lines if line.startswith("  "))
+    named = [line.split(maxsplit=1) for line in lines if line.startswith("  ")]
+    assert [words for words in named if len(words) < 2] == [], "each says what it is"
     assert lines[-1] == "Train one: understudy train experiment=NAME"
 
 

@@ -111,3 +111,38 @@ def test_a_caller_that_stops_early_leaves_no_thread(model: mujoco.MjModel) -> No
         pytest.skip(str(error))
     drawn.close()
     assert threading.active_count() == before
+
+
+#: The ball without a gleam, and a screen between the camera, at y = -3, and it.
+DULL = BALL.replace("<mujoco>", '<mujoco><visual><headlight specular="0 0 0"/></visual>')
+SCREENED = DULL.replace(
+    '<body pos="0 0 1">',
+    '<geom type="box" size="1 0.01 0.8" pos="-1 -0.6 0.8" rgba="1 0 0 0.6" contype="0"/><body pos="0 0 1">',
+)
+
+
+def test_painted_floor_and_drawn_figure_are_seen_alike_through_what_is_translucent() -> None:
+    ball = Figure(track(0.6), LEARNED)
+    (screened,) = frames(mujoco.MjModel.from_xml_string(SCREENED), ball)
+    (empty,) = frames(mujoco.MjModel.from_xml_string(DULL), ball)
+    np.testing.assert_array_equal(screened[:, 90:], empty[:, 90:])
+    for seen in ((slice(66, 70), slice(30, 50)), (slice(40, 48), slice(72, 76))):  # floor, ball
+        through, behind = screened[seen].astype(float), empty[seen].astype(float)
+        left = (
+            through[..., 2] / behind[..., 2]
+        )  # no blue in the screen, both of whose sides are seen
+        np.testing.assert_allclose(left, 0.4**2, atol=0.03)
+        added = through[..., 0] - left * behind[..., 0]
+        assert ((added > 100) & (added < 0.84 * 255)).all()
+
+
+def test_what_stands_around_a_figure_stays_when_others_have_nothing_around_them() -> None:
+    """What nobody moves stands where the model has it, in the second frame as in the first."""
+    model = mujoco.MjModel.from_xml_string(BALL.replace(
+        "</worldbody>",
+        '<body mocap="true" pos="-1 0 0.3"><geom type="box" size=".3 .3 .3" rgba="1 0 0 1"/></body></worldbody>',
+    ))  # fmt: skip
+    stays = Figure(track(0.6, 2), LEARNED, place=lambda model, data, frame: None)
+    drawn = frames(model, stays, Figure(track(0.6, 2), REFERENCE, shift=(0.8, 0.0)))
+    first, second = (int(coloured(frame, (1, 0, 0, 1)).sum()) for frame in drawn)
+    assert first == second > 100

@@ -104,9 +104,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_served(
 
 @pytest.mark.parametrize("arguments", [["--port", "65536"], ["--port", "x"], ["--up", "x"], []])
 def test_impossible_options_are_refused(arguments: list[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        cli.main(["motion", "view", *(["walk", *arguments] if arguments else [])])
-    assert stopped.value.code == 2
+    assert cli.main(["motion", "view", *(["walk", *arguments] if arguments else [])]) == 2
 
 
 def test_without_viser_it_says_what_to_install(
