@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
+from understudy.inputs import Inputs
 from understudy.setup.plugins import Plugins
 from understudy.task import Context, Rollout, box
 from understudy_characters.scene import CharacterScene
@@ -19,7 +20,7 @@ MakeContext = Callable[[], Context]
 def make_context(plugins: Plugins) -> MakeContext:
     """Makes the context of a walking task of 28 actions, 16 worlds; scene and clip are shared."""
     scene = CharacterScene(CharacterScene.Options("humanoid"))
-    motion = Motion(MotionOptions(), plugins.registry)
+    motion = Motion(MotionOptions(), plugins.registry, Inputs())
 
     def make() -> Context:
         return Context(

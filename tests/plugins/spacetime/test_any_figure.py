@@ -75,7 +75,11 @@ def test_a_clip_that_does_not_loop_ends_the_episode(robot: tuple[str, ...]) -> N
     overrides = [*WALK, *robot, "motion.loop=false", "num_worlds=16"]
     overrides += [f"~termination.terms.{name}" for name in ("com", "root", "joints", "fall")]
     overrides += ["~termination.terms.end_effectors", "evaluation.failures=[]"]
-    overrides += ["evaluation.episodes=8", "initial_states=spacetime/uniform"]
+    overrides += [
+        "evaluation.episodes=8",
+        "evaluation.success=null",
+        "initial_states=spacetime/uniform",
+    ]
     experiment = load_experiment(overrides)
     built = build_environment(experiment)
     environment, duration = built.environment, built.context.sections["motion"].clip.duration

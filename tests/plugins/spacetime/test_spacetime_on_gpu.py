@@ -14,6 +14,7 @@ pytest.importorskip(
     "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
+from understudy.inputs import Inputs
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
@@ -70,7 +71,7 @@ def test_evolution_waits_for_nothing(
 
     context = Context(
         0, torch.device("cuda"), 64, control_dt=1 / 30, substeps=20,
-        sections={"motion": Motion(MotionOptions(), installed().registry)},
+        sections={"motion": Motion(MotionOptions(), installed().registry, Inputs())},
         scene=CharacterScene(CharacterScene.Options("humanoid")),
     )  # fmt: skip
     states = Evolution(Evolution.Options(by="starts"), context)

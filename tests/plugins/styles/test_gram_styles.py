@@ -9,6 +9,7 @@ import torch
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
+from understudy.inputs import Inputs
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
@@ -40,7 +41,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def context() -> Context:
     return Context(
         0, torch.device("cpu"), 4, control_dt=DT, substeps=20, registry=installed().registry,
-        sections={"motion": Motion(MotionOptions(name="run"), installed().registry)},
+        sections={"motion": Motion(MotionOptions(name="run"), installed().registry, Inputs())},
         scene=CharacterScene(CharacterScene.Options("humanoid")),
     )  # fmt: skip
 
