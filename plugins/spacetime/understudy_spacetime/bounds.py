@@ -114,7 +114,9 @@ class JointBound:
         names = context.need_scene(CharacterScene, who).layout.joint_names
         for name in options.joints:
             if name not in names:
-                raise ConfigError(f"{who}: no joint '{name}'.{suggestion(name, names)}")
+                raise ConfigError(
+                    f"{who} needs '{name}': no joint '{name}'.{suggestion(name, names)}"
+                )
         self._size = BoundSize(options.size, who, context.device)
         chosen = [names.index(name) for name in options.joints or names]
         self._chosen = (
