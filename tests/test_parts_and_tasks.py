@@ -35,6 +35,10 @@ def assert_clear(refusal: str) -> None:
     assert refusal.endswith((".", "?"))
 
 
+#: It begins where other runs of its own figure ended, and the table has none of these.
+NEEDS_A_BANK = ("initial_states=sitting/where_others_ended",)
+
+
 def test_the_page_has_every_part_and_every_task() -> None:
     found = parts_and_tasks.read(PAGE.read_text(encoding="utf-8"))
     assert list(found) == [(part, task) for part in PARTS for task in TASKS], (
@@ -42,7 +46,7 @@ def test_the_page_has_every_part_and_every_task() -> None:
     )
     for part in PARTS:
         refusals = [found[part, task] for task in TASKS]
-        assert not all(refusals), f"{part} goes with no task at all"
+        assert not all(refusals) or part in NEEDS_A_BANK, f"{part} goes with no task at all"
         for refusal in filter(None, refusals):
             assert_clear(refusal)
 
