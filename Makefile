@@ -33,7 +33,7 @@ docs: install
 	$(BIN)/python -m mkdocs build --strict
 
 test: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest
 
 test-slow: install
 	$(BIN)/python -m pytest -m slow --timeout=3600

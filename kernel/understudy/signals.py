@@ -33,8 +33,9 @@ class StopRequest:
             self.received = self._nested[-1].received if self._nested else None
             self._nested.append(self)
             ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-            for number in () if self._previous else self.SIGNALS[: 3 if ignored else 4]:
-                self._previous[number] = signal.signal(number, _note)
+            for number in self.SIGNALS[: 3 if ignored else 4]:
+                if signal.getsignal(number) is not _note:  # anew where a library took it since
+                    self._previous[number] = signal.signal(number, _note)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -22,6 +22,7 @@ from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.running.training import Training
 from understudy.setup.plugins import Plugins
+from understudy.signals import StopRequest
 from understudy.testing.fake import FAKE_TASK
 
 LONG = (*FAKE_TASK, *SMALL, "budget.samples=100000000", "checkpoint.minutes=1000")
@@ -177,3 +178,11 @@ def test_an_evaluation_is_neither_lost_nor_doubled(
     )
     assert one == other
     assert sum("evaluation/return" in row for row in other) == 5
+
+
+def test_a_signal_that_a_library_took_is_taken_back() -> None:
+    with StopRequest():
+        signal.signal(signal.SIGUSR1, signal.SIG_DFL)
+        with StopRequest() as stop:
+            signal.raise_signal(signal.SIGUSR1)
+            assert stop.received == signal.SIGUSR1
