@@ -215,6 +215,14 @@ class Environment:
         chosen = self.parts.curriculum.decision() if self.parts.curriculum else None
         return chosen or self._context.decision
 
+    @property
+    def reads(self) -> set[str]:
+        """Every field that some part reads."""
+        found = {name for _, names in self._readers() for name in names}
+        return {
+            name.removeprefix(_PREVIOUS) for name in found.union(self.parts.initial_states.reads)
+        }
+
     def _resolve_fields(self, givers: Callable[[str], Sequence[str]]) -> None:
         """Check that every field that is read exists, leave out optional ones that do not, and make
         the ``previous_`` ones that are."""

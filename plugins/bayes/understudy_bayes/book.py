@@ -215,7 +215,7 @@ class Book:
         return max(found, key=lambda key: found[key], default=None)
 
     def summary(self) -> list[dict[str, Any]]:
-        """A row for each trial. ``best`` is the highest y of a whole trial up to it; ``found`` marks
+        """A row for each trial. ``z`` is its fidelity of whatever kind, 1 for whole ones; ``best`` is the highest y of a whole trial up to it; ``found`` marks
         the search's answer, and the highest y of all where that is another one (algorithm 4 as
         printed, which compares values of different fidelities); the latter says when there is no
         answer."""
@@ -232,6 +232,7 @@ class Book:
                     "trial": key,
                     **trial.point,
                     "fidelity": trial.fidelity,
+                    "z": self.z(trial),
                     "start": (trial.start or {}).get("trial"),
                     "status": "running" if report is None else report.status.partition(":")[0],
                     "objective": None if report is None else report.objective,

@@ -25,6 +25,9 @@ class Lessons(Curriculum):
     With full help at difficulty 0, the help of difficulty z is the share 1 - z, and the training leads
     to that of the task's own difficulty. Episodes are judged together, `episodes` of them or one of
     each world, whichever is more: short ones end first, and few would be no fair sample.
+
+    The training ends when the mean return of a lesson has not increased for ``patience`` iterations:
+    the last one's, or that of one which is not learned.
     """
 
     records = ("episode_time", "forward_velocity", "target_velocity")
@@ -37,12 +40,13 @@ class Lessons(Curriculum):
         lasting: float = 6.0  #: s
         speed: float = 0.5  #: share of the target velocity
         episodes: int = 32
+        patience: int | None = None  #: iterations; null goes on to the budget
 
         def __post_init__(self) -> None:
             check_range(self, "ratio", above=0, most=0.99)
             check_range(self, "share", "least", "speed", least=0, most=1)
             check_range(self, "lasting", least=0)
-            check_range(self, "episodes", least=1)
+            check_range(self, "episodes", "patience", least=1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._target = options, context.difficulty
@@ -57,6 +61,9 @@ class Lessons(Curriculum):
 
     def _move(self, difficulty: float) -> None:
         self._at = difficulty
+        #: The lesson's best mean return, and how many iterations ago that was.
+        self._best: float | None = None
+        self._since = 0
         self._difficulty.fill_(difficulty)
 
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
@@ -79,6 +86,7 @@ class Lessons(Curriculum):
         ]
         totals = distributed.total(torch.stack([value.double().sum() for value in sums]))
         self._sums += totals.cpu()
+        self._since += 1
         found = {"difficulty": self._at}
         count, returns, lasted, gone, to_go = self._sums.tolist()
         if count < self._judged:
@@ -86,6 +94,8 @@ class Lessons(Curriculum):
         self._sums.zero_()
         mean = found["return"] = returns / count
         found["seconds"] = lasted / count
+        if self._best is None or mean > self._best:
+            self._best, self._since = mean, 0
         learned = lasted / count >= options.lasting and gone >= options.speed * to_go
         if learned and self._standard is None:
             self._standard = mean
@@ -99,13 +109,23 @@ class Lessons(Curriculum):
             found |= {"difficulty": self._at, f"mark/{self.stage()}": 1.0}
         return found
 
+    def finished(self) -> bool:
+        return self._options.patience is not None and self._since >= self._options.patience
+
     def stage(self) -> str:
         return f"help {1.0 - self._at:.0%}"
 
     def state_dict(self) -> State:
-        return {"difficulty": self._at, "standard": self._standard, "sums": self._sums.clone()}
+        return {
+            "difficulty": self._at,
+            "standard": self._standard,
+            "best": self._best,
+            "since": self._since,
+            "sums": self._sums.clone(),
+        }
 
     def load_state_dict(self, state: State) -> None:
         self._standard = state["standard"]
         self._sums.copy_(state["sums"])
         self._move(state["difficulty"])
+        self._best, self._since = state["best"], state["since"]

@@ -10,6 +10,7 @@ from understudy.errors import UnderstudyError
 from understudy.setup.composition import replaced
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
+from understudy_reproduce.comparison import Comparison
 from understudy_reproduce.tables import PaperTable, load_table, table_files
 from understudy_sweeps.sweep import sweep
 from understudy_sweeps.trial import written
@@ -48,6 +49,14 @@ class Reproduce(Command):
         for override in options.overrides:
             if override.startswith("run.dir="):
                 folder = Path(override.partition("=")[2])
+        if table.searches:
+            comparison = Comparison(options.table, table, folder, options.overrides)
+            if not options.card:
+                comparison.run()
+            path = comparison.write()
+            print(comparison.text())
+            print(f"card: {path}")
+            return 0
         if not options.card:
             sweep([*experiment_of(whole), *overrides_of(table, folder, options.overrides)])
         card = Card(options.table, table, folder)

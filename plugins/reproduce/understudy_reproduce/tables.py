@@ -30,7 +30,9 @@ class PaperTable:
     """What is trained and compared: every row with every column with every seed.
 
     A row and a column are overrides; a trial is ``overrides``, then its row's, then its column's. The
-    first figure is the one that the paper prints.
+    first figure is the one that the paper prints. With ``searches`` those are overrides of whole
+    searches, which are compared by the best value found against the samples spent; there are no figures
+    then, and no numbers of the paper's.
     """
 
     title: str
@@ -45,6 +47,7 @@ class PaperTable:
     #: Row and column, ``ROW/COLUMN``, that are left out.
     without: tuple[str, ...] = ()
     deviations: tuple[str, ...] = ()  #: known ones, in a sentence each
+    searches: bool = False  #: whether each cell is a search with an outer loop of its own
 
     def __post_init__(self) -> None:
         if not self.rows or not self.columns or not self.figures or not self.seeds:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 
 import numpy as np
 
@@ -90,3 +91,13 @@ def style_of(index: int) -> str:
     seventh on."""
     dashes = ("none", "7 3", "2 3", "9 3 2 3")[min(index // 6, 3)]
     return f"--series: var(--variant-{index % 6}); --dashes: {dashes}"
+
+
+def legend(names: Sequence[str]) -> str:
+    """Which curves are whose, as HTML: `names` in the order of :func:`style_of`."""
+    found = "".join(
+        f'<span style="{style_of(i)}"><svg viewBox="0 0 28 8"><path class="series" d="M0 4H28"/></svg>'
+        f"{escape(name)}</span>"
+        for i, name in enumerate(names)
+    )
+    return f'<p class="variants">{found}</p>'

@@ -24,13 +24,14 @@ from understudy_report.markup import check_markup
 from understudy_report.page import html_page
 from understudy_report.values import mapping
 from understudy_sweeps import search, tables
-from understudy_sweeps.curves import learning_curves, style_of
+from understudy_sweeps.curves import learning_curves, legend, style_of
 from understudy_sweeps.film import Tile, columns_of, make_film
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result, Results, Variant, best_of, objective_of, variants_of
 from understudy_sweeps.tables import Table
 
-_STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
+#: CSS of all that a sweep draws, beside the report's.
+STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 _INTERVALS = (
     "Mean over seeds [95 % interval of the mean, Student's t]; one seed alone has none, and no width "
     "means that the seeds agreed, not that the value is certain."
@@ -111,6 +112,9 @@ class Page:
     def _draw(self, results: Sequence[Result]) -> None:
         tiles = _tiles(results)
         reason = ""
+        if self._drawn():
+            self._film = tiles, reason
+            return
         print("Drawing the video …", file=sys.stderr)
         try:
             make_film(self.folder / "film.mp4", tiles)
@@ -119,6 +123,16 @@ class Page:
         except Exception as error:  # a scene may come from any plugin
             reason = f"{type(error).__name__}: {error}"
         self._film = tiles, reason.rstrip(".")
+
+    def _drawn(self) -> bool:
+        """Whether the video is of all that the journal tells."""
+        try:
+            film, journal = (
+                (self.folder / n).stat().st_mtime for n in ("film.mp4", "journal.jsonl")
+            )
+        except OSError:
+            return False
+        return film > journal
 
     def _video(self) -> str:
         if self._film is None:
@@ -157,7 +171,7 @@ class Page:
         title = tables.in_markdown(self._title)
         markdown = [f"# {title}", tables.in_markdown(headline), *(s.markdown() for s in sections)]
         files = {
-            "page.html": html_page(self._title, over, created, content, _STYLE),
+            "page.html": html_page(self._title, over, created, content, STYLE),
             "page.md": "\n\n".join(filter(None, markdown)).encode(errors="replace") + b"\n",
             "trials.csv": tables.trials_csv(results).encode(errors="replace"),
         }
@@ -184,7 +198,9 @@ class Page:
             for heading, charts in learning_curves(variants).items()
         )
         if curves:
-            sections.append(_Section("Learning", _key(variants) + curves, notes=[_CURVES]))
+            sections.append(
+                _Section("Learning", legend([v.name for v in variants]) + curves, notes=[_CURVES])
+            )
         measures = tables.all_measures(variants)
         if len(measures.rows) > 1:
             sections.append(_Section("All measures", table=measures))
@@ -260,16 +276,6 @@ def _published(paper: Mapping[str, Any] | None, variants: Sequence[Variant]) -> 
     names = {v.name for v in variants}
     others = [f"{k} {v:g}" for k, v in mapping(paper.get("values")).items() if k not in names]
     return notes + ([f"It also has: {', '.join(others)}."] if others else [])
-
-
-def _key(variants: Sequence[Variant]) -> str:
-    """Which colour is whose."""
-    names = "".join(
-        f'<span style="{style_of(i)}"><svg viewBox="0 0 28 8"><path class="series" d="M0 4H28"/></svg>'
-        f"{escape(v.name)}</span>"
-        for i, v in enumerate(variants)
-    )
-    return f'<p class="variants">{names}</p>'
 
 
 def _paragraphs(texts: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from understudy.errors import PreemptedError
+from understudy.errors import ConfigError, PreemptedError
 from understudy.options import check_range
 from understudy.records.runs import cores
 from understudy.running.trials import Executor, Trial, Work
@@ -31,6 +31,8 @@ from understudy_sweeps.trial import folder_of, run_trial
 
 #: In a trial's folder: what it wrote on standard output and error.
 OUTPUT = "output.txt"
+#: What CUDA takes for the GPUs that there are.
+_VISIBLE = "CUDA_VISIBLE_DEVICES"
 #: Seconds in which a trial whose sweep is gone saves and ends.
 _ORPHANED = 30.0
 #: What the server imports: all that takes long, torch's compiler (which its optimisers touch) included.
@@ -42,9 +44,13 @@ class Processes:
 
     @dataclass(frozen=True)
     class Options:
-        #: Trials at once; null is one for each core on a CPU, and one on a GPU, which one training
-        #: fills.
+        #: Trials at once; null is one for each of `gpus`, else one for each core on a CPU, and one on
+        #: a GPU, which one training fills.
         workers: int | None = None
+        #: GPUs of this host, each worker with one of its own: how many, or their numbers among those
+        #: that the sweep may use (those of ``CUDA_VISIBLE_DEVICES``, where it is set). Null: all
+        #: workers use what `device` says.
+        gpus: int | tuple[int, ...] | None = None
         threads: int | None = None  #: of torch, in each trial; null shares the cores among workers
         retries: int = 2  #: times that a trial goes on from its checkpoint after its process died
         seconds: float | None = None  #: one try takes at most
@@ -54,18 +60,74 @@ class Processes:
             check_range(self, "workers", "threads", least=1)
             check_range(self, "retries", "grace", least=0)
             check_range(self, "seconds", above=0)
+            _check_gpus(self.gpus, self.workers)
 
     def __new__(cls, options: Options, work: Work) -> Executor:
+        gpus = None if options.gpus is None else _Gpus(options.gpus, work.device)
         server = _server()
-        alone = work.device.startswith("cuda")
-        workers = options.workers or (1 if alone else max(1, cores() // (options.threads or 1)))
+        if gpus is not None:
+            default = len(gpus.free)
+        elif work.device.startswith("cuda"):
+            default = 1
+        else:
+            default = max(1, cores() // (options.threads or 1))
+        workers = options.workers or default
         threads = options.threads or max(1, cores() // workers)
 
         def start(trial: Trial) -> Host:
-            return _Child(server, trial, work, threads)
+            return _Child(server, trial, work, threads, gpus)
 
         limits = Limits(options.retries, options.seconds, options.grace)
         return Pool(start, _await, workers, limits)
+
+
+def _check_gpus(gpus: int | tuple[int, ...] | None, workers: int | None) -> None:
+    """A ValueError that begins with an option's name, if the two cannot be had together."""
+    if gpus is None:
+        return
+    numbers = tuple(range(gpus)) if isinstance(gpus, int) else gpus
+    given = f"gpus={gpus if isinstance(gpus, int) else list(gpus)} is not possible: "
+    if not numbers:
+        raise ValueError(f"{given}give how many to use, or the numbers of one or more.")
+    if min(numbers) < 0 or len(set(numbers)) < len(numbers):
+        raise ValueError(f"{given}give numbers from 0 on, each once.")
+    if workers is not None and workers > len(numbers):
+        raise ValueError(
+            f"workers={workers} is not possible: each worker has a GPU of its own, and "
+            f"executor.gpus names {len(numbers)}. Give as many workers at most, or leave them out."
+        )
+
+
+class _Gpus:
+    """Those that no trial uses now, as values of ``CUDA_VISIBLE_DEVICES``."""
+
+    def __init__(self, wanted: int | tuple[int, ...], device: str) -> None:
+        numbers = tuple(range(wanted)) if isinstance(wanted, int) else wanted
+        visible = os.environ.get(_VISIBLE)
+        names = None if visible is None else [v.strip() for v in visible.split(",") if v.strip()]
+        there = None if names is None else len(names)
+        if device.startswith("cuda"):
+            if device != "cuda":
+                raise ConfigError(
+                    f"device={device}, but executor.gpus gives each trial its GPU. Use device=cuda."
+                )
+            import torch
+
+            there = torch.cuda.device_count()  # asks the driver's library: no context is made here
+        if there is not None and max(numbers) >= there:
+            raise ConfigError(
+                f"executor.gpus asks for the GPU of number {max(numbers)}, but there are {there} "
+                f"here{'' if visible is None else f' ({_VISIBLE}={visible})'}. Give {there} at most, "
+                "or numbers below that."
+            )
+        self._all = [str(n) if names is None else names[n] for n in numbers]
+        self.free = list(self._all)
+
+    def take(self) -> str:
+        return self.free.pop(0)
+
+    def give(self, gpu: str) -> None:
+        self.free = [name for name in self._all if name in self.free or name == gpu]
 
 
 def _server() -> Any:
@@ -83,10 +145,13 @@ def _server() -> Any:
 class _Child(Host):
     """A child process, and this end of the pipe to it."""
 
-    def __init__(self, server: Any, trial: Trial, work: Work, threads: int) -> None:
+    def __init__(
+        self, server: Any, trial: Trial, work: Work, threads: int, gpus: _Gpus | None
+    ) -> None:
         self.pipe, theirs = server.Pipe()
+        self._gpus, self._gpu = gpus, gpus and gpus.take()
         output = folder_of(trial.key, work.folder) / OUTPUT
-        arguments = (theirs, job(trial, work, threads), str(output.absolute()))
+        arguments = (theirs, job(trial, work, threads), str(output.absolute()), self._gpu)
         self._process = server.Process(target=_carry_out, args=arguments, daemon=True)
         self._process.start()
         self.process = self._process.pid
@@ -116,6 +181,8 @@ class _Child(Host):
         self._process.kill()
         self._process.join()
         self.pipe.close()
+        if self._gpus is not None and self._gpu is not None:  # its memory is free by now
+            self._gpus.give(self._gpu)
 
 
 def _await(hosts: Sequence[Host], seconds: float) -> Sequence[Host]:
@@ -126,12 +193,16 @@ def _await(hosts: Sequence[Host], seconds: float) -> Sequence[Host]:
 # ---------------------------------------------------------------------- in the child
 
 
-def _carry_out(pipe: Connection, text: str, output: str) -> None:
+def _carry_out(pipe: Connection, text: str, output: str, gpu: str | None) -> None:
     os.setsid()  # Ctrl-C is the sweep's, which then lets this save
+    if gpu is not None:  # before anything asks for a GPU, which is when CUDA reads it
+        os.environ[_VISIBLE] = gpu
     Path(output).parent.mkdir(parents=True, exist_ok=True)
     file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for stream in (1, 2):
         os.dup2(file, stream)
+    if gpu is not None:
+        print(f"{_VISIBLE}={os.environ[_VISIBLE]}", flush=True)
     answers: SimpleQueue[bool | None] = SimpleQueue()
     threading.Thread(target=_hear, args=(pipe, answers), daemon=True).start()
     pipe.send_bytes(b'{"began": true}')

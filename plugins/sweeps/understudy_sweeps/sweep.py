@@ -26,7 +26,7 @@ from understudy.signals import StopRequest
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
-from understudy_sweeps.trial import folder_of, note_stop, overrides_of
+from understudy_sweeps.trial import REFUSED, folder_of, note_stop, overrides_of
 
 #: Overrides that are the sweep's own, not its trials'.
 _OWN = re.compile(r"[+~]*(run\.dir|outer_loop|executor)\b")
@@ -139,6 +139,8 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
             if running == 0:
                 return
             report = _next(executor, stop, page.folder)
+            if report.status.startswith(REFUSED):  # the journal has no result of it
+                raise ConfigError(report.status.removeprefix(REFUSED))
             if talk.digest(report):
                 executor.stop(report.key)
             if report.final:

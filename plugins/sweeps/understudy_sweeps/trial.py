@@ -19,6 +19,7 @@ from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation
+from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Reporter, Training
 from understudy.running.trials import Report, Trial, Work
 from understudy.setup import plugins
@@ -26,6 +27,8 @@ from understudy.setup.composition import load_experiment, replaced
 
 #: In a trial's folder: after how many samples the outer loop ended it early.
 _STOPPED = "stopped.json"
+#: How the status begins of a trial which shows that the search makes no sense: the sweep ends.
+REFUSED = "refused: "
 #: Seconds to wait for whoever still holds the folder: a process whose sweep was killed saves first.
 PATIENCE = 60.0
 
@@ -55,7 +58,10 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
     print(f"{trial.key}: {path}", file=sys.stderr)
     _await(path)
     try:
-        training = _open(path, overrides_of(trial, work))
+        training = _open(path, trial, work)
+    except _Refused as error:
+        yield Report(trial.key, f"{REFUSED}{error}", run=str(path))
+        return
     except (ConfigError, FileError, RunError) as error:
         yield Report(trial.key, f"failed: {error}", run=str(path))
         return
@@ -142,7 +148,11 @@ def written(value: Any) -> str:
     return json.dumps(value)
 
 
-def _open(path: Path, overrides: list[str]) -> Training:
+class _Refused(Exception):
+    """No trial of this search can mean what it is asked for; says why."""
+
+
+def _open(path: Path, trial: Trial, work: Work) -> Training:
     reporter = Reporter(message=lambda text: print(text, file=sys.stderr))
     if (path / "run.json").exists():
         run = runs.open_run(path)
@@ -151,9 +161,34 @@ def _open(path: Path, overrides: list[str]) -> Training:
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
         return training
+    overrides = overrides_of(trial, work)
     experiment = load_experiment(overrides)
     training = Training(experiment, reporter).prepare()
+    if trial.fidelity is not None:
+        _check_difficulty(training)
     return training.attach(runs.create(experiment, overrides, training.job.sources()))
+
+
+def _check_difficulty(training: Training) -> None:
+    """Refuse a trial that is asked for at some difficulty of a task that has none.
+
+    It has one if a part reads the field ``difficulty``, or the curriculum itself makes more of it: a
+    time limit, a parameter of the simulator, how long decisions last.
+    """
+    if not isinstance(training.job, Reinforcement):
+        return
+    environment = training.job.environment
+    curriculum = environment.parts.curriculum
+    more = curriculum is not None and (
+        curriculum.decision() is not None or bool(set(curriculum.provides) - {"difficulty"})
+    )
+    if not more and "difficulty" not in environment.reads:
+        raise _Refused(
+            "Nothing in this task reads `difficulty`, so trials at a low one would be neither easier "
+            "nor cheaper, and tell nothing. Choose an experiment whose parts read it, a search of whole "
+            "trials (outer_loop.name=gp_ucb), or one by another fidelity (outer_loop.name=boca "
+            "'outer_loop.fidelity={option: budget.samples, low: …, high: …, integer: true}')."
+        )
 
 
 def _await(path: Path) -> None:

@@ -106,3 +106,34 @@ def test_a_range_that_is_none_is_one_sentence(
     assert main(["sweep", *QUICK, bad, f"run.dir={tmp_path / 's'}"]) == 2
     assert "outer_loop.parameters.learner.clip.low=0 is not possible" in capsys.readouterr().err
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize("executor", ["in_process", "processes"])
+def test_a_task_without_difficulty_is_refused(
+    executor: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the first trial, in a sentence, and with nothing told: its trials would all be the same."""
+    command = [
+        "sweep", "experiment=spacetime/walk", "outer_loop=cmfbo", "outer_loop.trials=4",
+        "outer_loop.parameters={learner.epochs: {low: 1, high: 8, integer: true}}",
+        "num_worlds=8", "budget.samples=256", f"executor={executor}", f"run.dir={tmp_path}",
+    ]  # fmt: skip
+    assert main(command) == 2
+    (said,) = [t for t in capsys.readouterr().err.splitlines() if t.startswith("understudy: ")]
+    assert said.startswith("understudy: Nothing in this task reads `difficulty`")
+    assert "outer_loop.name=gp_ucb" in said
+    assert {row["event"] for row in rows(tmp_path)} == {"asked"}
+    assert not (tmp_path / "trial0" / "run.json").exists()
+
+
+def test_a_difficulty_that_only_the_curriculum_uses(tmp_path: Path) -> None:
+    """Its time limit follows from it, although no part reads it."""
+    command = [
+        "sweep", "experiment=miniature/go", "outer_loop=boca", "outer_loop.trials=1",
+        "outer_loop.parameters={learner.epochs: {low: 1, high: 8, integer: true}}",
+        "curriculum={name: linear, samples: 128, knots: {episode_limit: [[0.0, 0.5], [1.0, 1.0]]}}",
+        "num_worlds=8", "budget.samples=256", "evaluation.episodes=4", "evaluation.seconds=0.5",
+        "executor=in_process", "run.video_seconds=0", f"run.dir={tmp_path}",
+    ]  # fmt: skip
+    assert main(command) == 0
+    assert rows(tmp_path)[-1]["report"]["status"] == "ok"

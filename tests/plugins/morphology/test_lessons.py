@@ -112,8 +112,24 @@ def test_one_episode_of_each_world_is_judged_at_least() -> None:
     assert difficulty(curriculum) == pytest.approx(0.25)
 
 
+def test_the_training_ends_when_a_lesson_brings_nothing_more() -> None:
+    """Counted anew in each lesson, whose returns are lower than those of the one before."""
+    curriculum = lessons(target=0.25, patience=3)
+    curriculum.update(rollout(1000.0))
+    assert difficulty(curriculum) == 0.25
+    for reward in (700.0, 600.0, 690.0, 710.0, 710.0, 705.0):
+        curriculum.update(rollout(reward))
+        assert not curriculum.finished()
+    curriculum.update(rollout(700.0))
+    assert curriculum.finished()
+    endless = lessons(target=0.25)
+    for _ in range(20):
+        endless.update(rollout(500.0))
+    assert not endless.finished()
+
+
 def test_it_goes_on_where_it_was_saved() -> None:
-    first, second = lessons(), lessons()
+    first, second = lessons(patience=2), lessons(patience=2)
     for _ in range(3):
         first.update(rollout(1000.0))
     first.update(rollout(900.0, ends=2))
@@ -121,4 +137,12 @@ def test_it_goes_on_where_it_was_saved() -> None:
     for curriculum in (first, second):
         curriculum.update(rollout(900.0, ends=2))
     assert difficulty(first) == difficulty(second) == pytest.approx(1 - 0.75**4)
+    assert not second.finished()
+    second.load_state_dict(first.state_dict())
+    for curriculum in (first, second):
+        curriculum.update(rollout(100.0))
+        curriculum.update(rollout(100.0, ends=2))
+        assert not curriculum.finished()
+        curriculum.update(rollout(100.0, ends=2))
+        assert curriculum.finished()
     assert first.state_dict()["standard"] == second.state_dict()["standard"] == 1000.0

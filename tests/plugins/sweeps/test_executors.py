@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import executors
 import pytest
@@ -18,8 +19,8 @@ from executors import ENDLESS, SMALL_STOP, iterations, make, work
 from worlds import child_environment
 
 from understudy.errors import ConfigError
-from understudy.records.runs import Run
-from understudy.running.trials import Executor, Trial, Work
+from understudy.records.runs import Run, open_run
+from understudy.running.trials import Executor, Report, Trial, Work
 from understudy.setup.composition import load_experiment
 from understudy_sweeps.processes import OUTPUT
 from understudy_sweeps.trial import folder_of
@@ -97,6 +98,82 @@ def test_workers_by_default(device: str, workers: int, tmp_path: Path) -> None:
     assert make("processes", Work((), str(tmp_path), device)).free() == workers
 
 
+#: The trial's seed is the GPU that its own process sees.
+SEEN = "seed='${oc.decode:${oc.env:CUDA_VISIBLE_DEVICES}}'"
+
+
+def gpus_of(executor: Any) -> set[str]:
+    """Those in use, by one trial each."""
+    hosts = [running.host for running in executor._running.values()]
+    found = {host._gpu for host in hosts}
+    assert len(found) == len(hosts)
+    return found
+
+
+def test_each_worker_has_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those numbered 0 and 2 of the four that are left to the sweep; a third trial waits for one."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,5,6,7")
+    given = work(tmp_path, "budget.samples=1024")
+    executor = built("processes", gpus="[0,2]")(given)
+    assert executor.free() == 2
+    together: list[set[str]] = []
+
+    def note(executor: Any, report: Report | None) -> None:
+        together.append(gpus_of(executor))
+
+    trials = [Trial(key, (SEEN,)) for key in "abc"]
+    last = [r for r in executors.carry_out(executor, trials, meanwhile=note) if r.final]
+    assert [r.status for r in last] == ["ok"] * 3
+    assert {"4", "6"} in together
+    seeds = [open_run(folder_of(k, tmp_path)).config["seed"] for k in "abc"]
+    assert {seeds[0], seeds[1]} == {4, 6} == set(seeds)
+
+
+def test_a_killed_worker_leaves_its_gpu_to_the_next_try(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With as many workers as GPUs there is no other for it."""
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    killed: list[int] = []
+
+    def kill_once(executor: Any, report: Report | None) -> None:
+        assert gpus_of(executor) <= {"0", "1"}
+        if report is not None and not killed:
+            killed.append(executor._running[report.key].host.process)
+            os.kill(killed[0], signal.SIGKILL)
+
+    executor = built("processes", gpus=2)(work(tmp_path, "budget.samples=4096"))
+    trials = [Trial(key, (SEEN,)) for key in "ab"]
+    last = [r for r in executors.carry_out(executor, trials, meanwhile=kill_once) if r.final]
+    assert [r.status for r in last] == ["ok"] * 2
+    text = "".join((folder_of(k, tmp_path) / OUTPUT).read_text() for k in "ab")
+    assert killed
+    assert text.count("CUDA_VISIBLE_DEVICES=") == 3, "one was tried again"
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["gpus=0"], "executor.gpus=0 is not possible: give how many"),
+        (["gpus=[]"], r"executor.gpus=\[\] is not possible: give how many"),
+        (["gpus=[1,1]"], "give numbers from 0 on, each once"),
+        (["gpus=[-1]"], "give numbers from 0 on, each once"),
+        (["gpus=2", "workers=3"], "executor.workers=3 is not possible: each worker has a GPU"),
+    ],
+)
+def test_gpus_that_make_no_sense(options: list[str], error: str) -> None:
+    with pytest.raises(ConfigError, match=error):
+        load_experiment(["executor=processes", *(f"executor.{o}" for o in options)])
+
+
+def test_gpus_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,5")
+    with pytest.raises(ConfigError, match="of number 2, but there are 2 here"):
+        built("processes", gpus=3)(work(tmp_path))
+    with pytest.raises(ConfigError, match=r"device=cuda:1, but executor.gpus gives each trial"):
+        built("processes", gpus=1)(Work(SMALL_STOP, str(tmp_path), "cuda:1"))
+
+
 @pytest.mark.parametrize(
     "option", ["workers=0", "seconds=0", "retries=-1", "grace=-1", "threads=0"]
 )
@@ -106,10 +183,15 @@ def test_options_out_of_range(option: str) -> None:
 
 
 @pytest.mark.gpu
-def test_on_a_gpu(tmp_path: Path) -> None:
-    """In processes of their own; the sweep's own process never touches the device."""
+@pytest.mark.parametrize("gpus", ["null", "all"])
+def test_on_a_gpu(gpus: str, tmp_path: Path) -> None:
+    """In processes of their own; the sweep's own process never touches the device. With several
+    GPUs, trials are on different ones at once."""
     given = Work((*SMALL_STOP, "device=cuda"), str(tmp_path), "cuda")
-    reports = executors.carry_out(make("processes", given), executors.TRIALS)
+    wanted = torch.cuda.device_count() if gpus == "all" else gpus
+    executor = make("processes", given, gpus=wanted)
+    assert executor.free() == (wanted if gpus == "all" else 1)
+    reports = executors.carry_out(executor, executors.TRIALS)
     last = {r.key: r.status for r in reports if r.final}
     assert last == {"a": "ok", "b": "ok", "c": "ok"}
     assert not torch.cuda.is_initialized()

@@ -1,0 +1,290 @@
+"""Searches beside each other: the best value that each has found against the samples it has spent."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from understudy import __version__
+from understudy.errors import ConfigError
+from understudy.records.checkpoint import write_atomically
+from understudy.running.trials import OuterLoop, Report
+from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.config import validate
+from understudy.setup.plugins import installed
+from understudy_report import words
+from understudy_report.charts import Chart, Series, draw_series
+from understudy_report.markup import check_markup
+from understudy_report.page import html_page
+from understudy_reproduce.tables import PaperTable, variant_name
+from understudy_sweeps.curves import legend, mean_curve, style_of
+from understudy_sweeps.intervals import mean_of, paired_difference
+from understudy_sweeps.journal import Journal
+from understudy_sweeps.page import STYLE
+from understudy_sweeps.sweep import sweep
+from understudy_sweeps.tables import Table, in_markdown, shown_mean
+from understudy_sweeps.trial import written
+
+_NOTHING = "–"
+_NOTES = (
+    "A search's best value is the highest y (the objective, scaled by eq. 6.5 where the search says so) "
+    "among its trials at full fidelity; before the first of those it has none.",
+    "Means over seeds [95 % interval of the mean, Student's t] (seeds with a value); one seed has no "
+    "interval. Differences are taken seed by seed: an interval without 0 in it is one that these seeds show.",
+    "Bold: the mean over seeds, where all of them have a value; band: its 95 % interval, or least to "
+    "greatest of two seeds; thin: each seed.",
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one search has found by now."""
+
+    seed: int
+    #: (n, 2): the samples spent when each trial was finished, and the best value by then; NaN before
+    #: there is one.
+    curve: np.ndarray
+    whole: int = 0  #: trials at full fidelity
+    finished: bool = False
+
+    @property
+    def spent(self) -> float:
+        return float(self.curve[-1, 0]) if len(self.curve) else 0.0
+
+    def best(self, samples: float) -> float | None:
+        """By the time `samples` were spent."""
+        known = self.curve[(self.curve[:, 0] <= samples) & np.isfinite(self.curve[:, 1])]
+        return float(known[-1, 1]) if len(known) else None
+
+    def steps(self) -> np.ndarray:
+        """(m, 2): the curve as it is, constant until it jumps, from its first value on."""
+        known = self.curve[np.isfinite(self.curve[:, 1])]
+        before = np.column_stack([known[1:, 0], known[:-1, 1]])
+        corners = np.empty((max(2 * len(known) - 1, 0), 2))
+        corners[0::2], corners[1::2] = known, before
+        return corners
+
+
+class Comparison:
+    """The searches of `table`, each in a folder of its own, ``ROW/COLUMN/seedN`` in `folder`.
+
+    `given` are the command line's overrides, of all of them. A search that is there goes on where it
+    stopped; one that is finished stays as it is.
+    """
+
+    def __init__(self, name: str, table: PaperTable, folder: Path, given: Sequence[str]) -> None:
+        self.name, self.table, self.folder = name, table, folder
+        self._given = list(given)
+        self.found: Mapping[tuple[str, str], Sequence[Found]] = {}
+
+    def run(self) -> None:
+        """All searches of the first seed, then those of the next."""
+        for seed in self.table.seeds:
+            for row, column in self._cells():
+                sweep(self._overrides(row, column, seed))
+
+    def read(self) -> None:
+        """What the journals tell by now."""
+        self.found = {(row, column): list(self._read(row, column)) for row, column in self._cells()}
+
+    def _cells(self) -> list[tuple[str, str]]:
+        named = self.table.variants()
+        pairs = ((row, column) for row in self.table.rows for column in self.table.columns)
+        return [pair for pair in pairs if variant_name(*pair) in named]
+
+    def _overrides(self, row: str, column: str, seed: int) -> list[str]:
+        own: list[str] = []
+        for more in (self.table.overrides, self.table.rows[row], self.table.columns[column]):
+            own = replaced(own, list(more))
+        place = self._place(row, column, seed)
+        return replaced(
+            replaced(own, self._given), [f"seed={seed}", f"run.dir={written(str(place))}"]
+        )
+
+    def _place(self, row: str, column: str, seed: int) -> Path:
+        return self.folder / row / column / f"seed{seed}"
+
+    def _read(self, row: str, column: str) -> Iterator[Found]:
+        chosen = None
+        for seed in self.table.seeds:
+            journal = Journal.read(self._place(row, column, seed) / "journal.jsonl")
+            if not journal.finished:
+                continue
+            if chosen is None:  # seeds change nothing of it
+                raw = compose_raw(self._overrides(row, column, seed))
+                chosen = validate(raw, installed().registry).need("outer_loop")
+            yield found_by(chosen.build(seed), journal, seed)
+
+    # ------------------------------------------------------------------ what it says
+
+    def headline(self) -> str:
+        searches = [one for found in self.found.values() for one in found]
+        asked = len(self._cells()) * len(self.table.seeds)
+        done = sum(one.finished for one in searches)
+        spent = sum(one.spent for one in searches)
+        return (
+            f"{done} of {asked} searches are finished, {len(searches)} begun; they have spent "
+            f"{words.short(spent)} samples together."
+        )
+
+    def tables(self) -> Iterator[tuple[str, Table]]:
+        """One for each row of the paper's."""
+        for row in self.table.rows:
+            cells = {c: found for (r, c), found in self.found.items() if r == row and found}
+            if cells:
+                yield row, _compared(cells)
+
+    def _charts(self, row: str) -> str:
+        """The curves of a row's searches in one picture; colours go by the table's columns."""
+        series, end = [], 0.0
+        for index, column in enumerate(self.table.columns):
+            found = self.found.get((row, column), ())
+            curves = [steps for one in found if len(steps := one.steps())]
+            end = max([end, *(one.spent for one in found)])
+            line, band = mean_curve(curves)
+            series.append(Series(line, style_of(index), band, curves))
+        return draw_series(Chart(f"{row}: best value at full fidelity", ""), series, end)
+
+    def text(self) -> str:
+        """The tables, for a terminal."""
+        parts = [f"{title}\n{table.text()}" for title, table in self.tables()]
+        return "\n\n".join([*parts, self.headline()])
+
+    # ------------------------------------------------------------------ files
+
+    def write(self) -> Path:
+        """``card.md``, ``card.html``, ``card.csv`` and ``curves.csv``; returns the first."""
+        self.read()
+        table = self.table
+        markdown = [
+            f"# {in_markdown(table.title)}",
+            in_markdown(f"{table.source}. {self.headline()}"),
+            *(f"## {in_markdown(title)}\n\n{t.markdown()}" for title, t in self.tables()),
+            *map(in_markdown, _NOTES),
+            *(["## Known deviations", "\n".join(f"- {in_markdown(d)}" for d in table.deviations)]
+              if table.deviations else []),
+            f"`understudy reproduce {self.name}`, understudy {__version__}.",
+        ]  # fmt: skip
+        sections = [f'<p class="headline">{escape(table.source)}. {escape(self.headline())}</p>']
+        for title, shown in self.tables():
+            pictures = f'<div class="pair">{self._charts(title)}</div>'
+            sections.append(
+                f"<section><h2>{escape(title)}</h2>{legend(list(table.columns))}{pictures}"
+                f"{shown.html()}</section>"
+            )
+        sections += [f"<p>{escape(note)}</p>" for note in _NOTES]
+        if table.deviations:
+            items = "".join(f"<li>{escape(d)}</li>" for d in table.deviations)
+            sections.append(f"<section><h2>Known deviations</h2><ul>{items}</ul></section>")
+        content = "".join(sections)
+        check_markup(content)
+        created = time.strftime("%Y-%m-%d %H:%M")
+        over = f"understudy reproduce {self.name} · {__version__}"
+        files = {
+            "card.html": html_page(table.title, over, created, content, STYLE),
+            "card.csv": _csv(self._summary()).encode(errors="replace"),
+            "curves.csv": _csv(self._points()).encode(errors="replace"),
+            "card.md": "\n\n".join(markdown).encode(errors="replace") + b"\n",
+        }
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for name, data in files.items():
+            write_atomically(self.folder / name, data)
+        return self.folder / "card.md"
+
+    def _summary(self) -> Iterator[list[Any]]:
+        yield ["row", "column", "seed", "best", "samples", "trials", "whole_trials", "finished"]
+        for (row, column), found in self.found.items():
+            for one in found:
+                best = one.best(np.inf)
+                yield [row, column, one.seed, "" if best is None else best, one.spent,
+                       len(one.curve), one.whole, one.finished]  # fmt: skip
+
+    def _points(self) -> Iterator[list[Any]]:
+        yield ["row", "column", "seed", "samples", "best"]
+        for (row, column), found in self.found.items():
+            for one in found:
+                for samples, best in one.curve.tolist():
+                    yield [row, column, one.seed, samples, best if np.isfinite(best) else ""]
+
+
+def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
+    """What the search `loop` has found, by its `journal`.
+
+    Raises:
+        ConfigError: its summary does not say which trials are whole and what they gave.
+    """
+    for event in journal.events:
+        if isinstance(event, Report):
+            loop.tell(event)
+        else:
+            loop.recall(event)
+    rows = {row.get("trial"): row for row in loop.summary()}
+    if not all({"y", "z"} <= row.keys() for row in rows.values()):
+        raise ConfigError(
+            f"{type(loop).__name__} does not say what its trials are worth, so it cannot be compared "
+            "with other searches. Choose one of `bayes` or `cmfbo`."
+        )
+    spent, best, whole, points = 0.0, np.nan, 0, []
+    for key, report in journal.finished.items():  # in the order in which they ended
+        row = rows[key]
+        spent += report.cost
+        if row["z"] >= 1 - 1e-9:
+            whole += 1
+            if row["y"] is not None:
+                best = np.fmax(best, row["y"])
+        points.append((spent, best))
+    finished = loop.share is not None and loop.share >= 1
+    return Found(seed, np.array(points).reshape(-1, 2), whole, finished)
+
+
+def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
+    """A line for each search: its best value when all have spent as much, and in the end."""
+    equal = min(one.spent for found in cells.values() for one in found)
+    name, at_equal = next(iter(cells)), {}
+    for column, found in cells.items():
+        values = {one.seed: one.best(equal) for one in found}
+        at_equal[column] = {seed: v for seed, v in values.items() if v is not None}
+    heads = [
+        "search",
+        f"best value after {words.short(equal)} samples",
+        f"against {name}",
+        "in the end",
+        "samples",
+        "trials (at full fidelity)",
+    ]
+    rows = []
+    for column, found in cells.items():
+        ends = [v for one in found if (v := one.best(np.inf)) is not None]
+        first = column == name
+        difference = None if first else paired_difference(at_equal[name], at_equal[column])
+        rows.append(
+            [
+                column,
+                _counted(list(at_equal[column].values()), len(found)),
+                _NOTHING if difference is None else shown_mean(difference, sign=True),
+                _counted(ends, len(found)),
+                shown_mean(mean_of([one.spent for one in found]), "samples"),
+                ", ".join(f"{len(one.curve)} ({one.whole})" for one in found),
+            ]
+        )
+    return Table(heads, rows)
+
+
+def _counted(values: Sequence[float], seeds: int) -> str:
+    missing = seeds - len(values)
+    parts = [f"{shown_mean(mean_of(values))} ({len(values)})"] if values else []
+    return "; ".join([*parts, *([f"{missing} without one"] if missing else [])])
+
+
+def _csv(rows: Iterator[list[Any]]) -> str:
+    file = io.StringIO()
+    csv.writer(file, lineterminator="\n").writerows(rows)
+    return file.getvalue()
