@@ -200,22 +200,22 @@ def test_runs_without_maps_have_no_such_section(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("ablation", "variants"),
     [
-        ("gathering", 5), ("spreading", 5), ("flipping", 3), ("frames_gather", 2), ("frames_spread", 2)
+        ("gathering", 5), ("spreading", 5), ("flipping", 3), ("frames_gather", 2), ("frames_spread", 2),
+        ("resolutions_gather", 3), ("resolutions_spread", 3), ("materials_gather", 3),
     ],
 )  # fmt: skip
 def test_every_variant_of_the_ablations_composes(ablation: str, variants: int) -> None:
     raw = compose_raw([f"ablation=amorphous/{ablation}"])
     chosen: dict[str, list[str]] = raw["outer_loop"]["variants"]
     assert len(chosen) == variants
-    full = load_experiment([f"experiment={_base(ablation)}"]).effective()
+    base = f"experiment={raw['task']}"
+    full = load_experiment([base]).effective()
     for name, overrides in chosen.items():
-        changed = load_experiment([f"experiment={_base(ablation)}", *overrides]).effective()
+        changed = load_experiment([base, *overrides]).effective()
         assert (changed == full) == (overrides == []), name
-
-
-def _base(ablation: str) -> str:
-    tasks = {"gathering": "gather", "spreading": "spread", "flipping": "flip"}
-    return "amorphous/" + tasks.get(ablation, ablation.removeprefix("frames_"))
+    paper = raw["outer_loop"].get("paper")
+    assert paper is None or list(paper["values"]) == list(chosen)
+    assert raw["evaluation"].get("objective", "success_rate") in (*raw["measure"], "success_rate")
 
 
 def test_the_papers_learner_has_its_figures() -> None:
