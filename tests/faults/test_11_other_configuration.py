@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from worlds import SMALL, make_training, resumed
+from worlds import SMALL, assert_same_state, make_training, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
@@ -71,17 +71,27 @@ def test_newer_checkpoint_format(
     plugins: Plugins, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state, meta = checkpoint.load(run / "checkpoints/00000001")
-    monkeypatch.setattr(checkpoint, "FORMAT", 3)
+    monkeypatch.setattr(checkpoint, "FORMAT", 4)
     checkpoint.save(run / "checkpoints/00000002", state, meta)
-    monkeypatch.setattr(checkpoint, "FORMAT", 2)
-    with pytest.raises(RunError, match=r"checkpoint format 3, and this understudy reads 2"):
+    monkeypatch.setattr(checkpoint, "FORMAT", 3)
+    with pytest.raises(RunError, match=r"checkpoint format 4, and this understudy reads 3"):
         resumed(plugins, run)
 
 
 def test_older_checkpoint_format(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint, "FORMAT", 3)
-    with pytest.raises(RunError, match=r"format 2, and this understudy reads 3.*train anew"):
+    monkeypatch.setattr(checkpoint, "FORMAT", 4)
+    with pytest.raises(RunError, match=r"format 3, and this understudy reads 4.*train anew"):
         checkpoint.load(run / "checkpoints/00000001")
+
+
+def test_a_checkpoint_of_format_2_is_read(run: Path) -> None:
+    path = run / "checkpoints/00000001"
+    state, meta = checkpoint.load(path)
+    content = checkpoint.read_sealed(path.with_suffix(".json"))
+    path.with_suffix(".json").write_bytes(checkpoint._sealed({**content, "format": 2}))
+    found, found_meta = checkpoint.load(path)
+    assert_same_state(found, state)
+    assert found_meta == meta
 
 
 def test_newer_layout(run: Path) -> None:
@@ -114,6 +124,6 @@ def test_a_checkpoint_of_format_1_is_refused_in_one_sentence(run: Path) -> None:
     path.with_suffix(".json").write_bytes(checkpoint._sealed({**content, "format": 1}))
     with pytest.raises(
         RunError,
-        match=r"checkpoint format 1, and this understudy reads 2\. Use .*, or train anew\.$",
+        match=r"checkpoint format 1, and this understudy reads 3\. Use .*, or train anew\.$",
     ):
         checkpoint.load(path)

@@ -74,6 +74,11 @@ def test_pickle_in_a_checkpoint(path: Path, kind: str, ending: str, sealed: bool
         {"format": NOW, "state": [], "meta": {}},
         {"format": NOW, "state": {"tensor": "nowhere"}, "meta": {}},
         {"format": NOW, "state": {"tensor": ["w"]}, "meta": {}},
+        {"format": NOW, "state": {"deflated": "w"}, "meta": {}},
+        {"format": NOW, "state": {"deflated": ["w", "torch.float32", [0]]}, "meta": {}},
+        {"format": NOW, "state": {"deflated": ["w", "torch.float32", [2**18]]}, "meta": {}},
+        {"format": NOW, "state": {"deflated": ["w", "torch.float32", [2**40]]}, "meta": {}},
+        {"format": NOW, "state": {"deflated": ["w", "os.system", [2**18]]}, "meta": {}},
         {"format": NOW, "state": {"map": 3}, "meta": {}},
         {"format": NOW, "state": {"map": {"a": None}}, "meta": {}},
         {"format": NOW, "state": {"map": {"a": {}}}, "meta": {}},
@@ -94,6 +99,17 @@ def test_odd_content_with_a_right_seal(path: Path, document: Any) -> None:
         document = {"sha256": digest, **document}
     path.with_suffix(".json").write_bytes(checkpoint._sealed(document))
     with pytest.raises(UnderstudyError):
+        checkpoint.load(path)
+
+
+@pytest.mark.parametrize("shape", [[2**18 + 1], [-1, -(2**18)], [-(2**18)], ["a"], [0.5, 2**20], 5])
+def test_deflated_tensors_of_another_size(path: Path, shape: Any) -> None:
+    checkpoint.save(path, {"w": torch.zeros(2**18)}, {})
+    document = checkpoint.read_sealed(path.with_suffix(".json"))
+    assert document["state"]["map"]["w"] == {"deflated": ["w", "torch.float32", [2**18]]}
+    document["state"]["map"]["w"]["deflated"][2] = shape
+    path.with_suffix(".json").write_bytes(checkpoint._sealed(document))
+    with pytest.raises(UnderstudyError, match="damaged"):
         checkpoint.load(path)
 
 

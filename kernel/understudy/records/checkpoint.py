@@ -2,7 +2,8 @@
 
 A checkpoint ``NAME`` is two files: ``NAME.safetensors`` and ``NAME.json``. The JSON is written last
 and holds the digest of the tensors and of itself, so a checkpoint exists completely or not at all,
-and a changed byte is noticed. Loading executes nothing: both formats are plain data.
+and a changed byte is noticed. Loading executes nothing: both formats are plain data. Tensors of a
+mebibyte or more that become much smaller by it (worlds' lists with unused places) are deflated.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ import hashlib
 import json
 import math
 import os
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
@@ -22,8 +25,10 @@ from torch import Tensor
 
 from understudy.errors import RunError
 
-#: Version of the layout written here. Others are refused.
-FORMAT = 2
+#: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
+FORMAT = 3
+_LEAST, _MOST = 2**20, 2**32  #: bytes of a tensor that is deflated
+_TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.int64)}
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -56,8 +61,7 @@ def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
     """Write `state` (nested mappings of tensors, numbers, strings, lists) as the checkpoint `path`."""
     tensors: dict[str, Tensor] = {}
     tree = _take_tensors(state, "", tensors)
-    owned = {k: v.detach().to("cpu", copy=True).contiguous() for k, v in tensors.items()}
-    data = save_tensors(owned)  # copies, since tensors that share memory are refused
+    data = save_tensors(tensors)
     content = {
         "format": FORMAT,
         "meta": dict(meta),
@@ -79,7 +83,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():
         raise RunError(f"{file} is damaged: it is no checkpoint.")
     version = document.get("format")
-    if version != FORMAT:
+    if version not in (2, FORMAT):
         raise RunError(
             f"{path} has checkpoint format {version}, and this understudy reads {FORMAT}. Use the "
             "version of understudy that wrote it, or train anew."
@@ -96,7 +100,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise RunError(f"{tensor_file} is damaged: {error}.") from error
     try:
         state, meta = _put_tensors(document["state"], tensors), dict(document["meta"])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, RuntimeError, zlib.error) as error:
         raise RunError(f"{file} is damaged: its state is not readable.") from error
     return state, meta
 
@@ -124,8 +128,15 @@ def read_sealed(path: Path) -> dict[str, Any]:
 
 def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor]) -> Any:
     if isinstance(value, Tensor):
-        tensors[where] = value
-        return {"tensor": where}
+        # copies, since tensors that share memory are refused
+        own = tensors[where] = value.detach().to("cpu", copy=True).contiguous()
+        if not _LEAST <= own.nbytes <= _MOST or str(own.dtype) not in _TYPES:
+            return {"tensor": where}
+        packed = bytearray(zlib.compress(own.numpy().data, 1))
+        if len(packed) > 0.75 * own.nbytes:
+            return {"tensor": where}
+        tensors[where] = torch.frombuffer(packed, dtype=torch.uint8)
+        return {"deflated": [where, str(own.dtype), list(own.shape)]}
     if isinstance(value, Mapping):
         return {
             "map": {
@@ -146,6 +157,13 @@ def _put_tensors(value: Any, tensors: Mapping[str, Tensor]) -> Any:
     (kind, content), *_ = value.items()
     if kind == "tensor":
         return tensors[content]
+    if kind == "deflated":
+        name, dtype, shape = content
+        size = math.prod(shape) * _TYPES[dtype].itemsize
+        if not _LEAST <= size <= _MOST:
+            raise ValueError
+        raw = zlib.decompressobj().decompress(tensors[name].numpy().data, size)
+        return torch.frombuffer(bytearray(raw), dtype=_TYPES[dtype]).view(shape)
     if kind == "map":
         return {k: _put_tensors(v, tensors) for k, v in content.items()}
     if kind == "list":

@@ -22,6 +22,10 @@ _PARTS = {
     ("tool", "actuation"): {"tool": ("ToolTarget", "a target in the tool's own frame")},
     ("gathering", "fields"): {"farthest": ("Farthest", "the particle farthest from the goal")},
     ("gathering", "reward"): {"gathering": ("gathering", "eq. 6: to the goal, or to the material")},
+    ("gathering", "measure"): {
+        "gathered_share": ("gathered_share", "the share of the material that is near the goal"),
+        "share_distance": ("share_distance", "how far from the goal most of the material is"),
+    },
     ("spreading", "reward"): {
         "occupied": ("newly_occupied", "eq. 7: more cells have material"),
         "lowered": ("lowered", "eq. 8: the material is lower"),

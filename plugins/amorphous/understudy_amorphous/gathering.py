@@ -8,6 +8,11 @@ from torch import Tensor
 from understudy.task import Context, Fields
 
 
+def distance_to(goal: Tensor, particle_position: Tensor) -> Tensor:
+    """How far particles (N, P, 3) are from the goal (N, 2), seen from above: (N, P) m."""
+    return (particle_position[..., :2] - goal.unsqueeze(1)).norm(dim=2)
+
+
 class Farthest(Fields):
     """The particle that is farthest from the goal, seen from above.
 
@@ -29,7 +34,7 @@ class Farthest(Fields):
         goal: Tensor,
     ) -> dict[str, Tensor]:
         flat = particle_position[..., :2]
-        distance = (flat - goal.unsqueeze(1)).norm(dim=2)
+        distance = distance_to(goal, particle_position)
         far, which = torch.where(active_particles > 0, distance, -1.0).max(dim=1)
         position = flat.gather(1, which.view(-1, 1, 1).expand(-1, 1, 2)).squeeze(1)
         return {
@@ -37,6 +42,27 @@ class Farthest(Fields):
             "farthest_position": position,
             "tool_distance": (position - tool_position[:, :2]).norm(dim=1),
         }
+
+
+def gathered_share(
+    particle_position: Tensor, active_particles: Tensor, goal: Tensor, *, within: float = 1.5
+) -> Tensor:
+    """The share (N,) of the material that is at most `within` (m) from the goal."""
+    near = (distance_to(goal, particle_position) <= within).float() * active_particles
+    return near.sum(dim=1) / active_particles.sum(dim=1).clamp(min=1.0)
+
+
+def share_distance(
+    particle_position: Tensor, active_particles: Tensor, goal: Tensor, *, share: float = 0.95
+) -> Tensor:
+    """How far from the goal `share` of the material reaches, (N,) m: the distance of the particle than
+    which that share of all particles is no farther. One that was left behind does not count."""
+    distance = distance_to(goal, particle_position)
+    ordered = torch.where(active_particles > 0, distance, torch.inf).sort(dim=1).values
+    count = active_particles.sum(dim=1)
+    last = ((share * count - 1e-3).ceil() - 1).clamp(min=0).long()  # 0.95 · 200 are 190, not 191
+    found = ordered.gather(1, last.unsqueeze(1)).squeeze(1)
+    return torch.where(count > 0, found, 0.0)
 
 
 def path_length(

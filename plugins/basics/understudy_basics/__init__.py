@@ -29,6 +29,7 @@ def understudy_register(register: Registrar) -> None:
     add("curriculum", "adaptive", "understudy_basics.curricula:Adaptive", "difficulty by success")
     add("initial_states", "bank", "understudy_basics.banks:Bank", "where other episodes ended")
     add("job", "harvest", "understudy_basics.harvest:Harvest", "keeps states of ended episodes")
+    add("job", "judge", "understudy_basics.judge:Judge", "judges what another run learned")
     add(
         "actuation", "controllers", "understudy_basics.controllers:Controllers",
         "switches between other runs' controllers and gives them a goal",

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load_file
 from worlds import assert_same_state
 
 from understudy.errors import RunError
@@ -35,6 +36,33 @@ def test_same_state_same_bytes(tmp_path: Path) -> None:
         assert (tmp_path / "a").with_suffix(ending).read_bytes() == (tmp_path / "b").with_suffix(
             ending
         ).read_bytes()
+
+
+def test_large_tensors_that_are_mostly_alike_become_small(tmp_path: Path) -> None:
+    """The springs of many worlds: lists of 32 places, of which a third is used. The same bits again."""
+    used = torch.arange(32) < 11
+    generator = torch.Generator().manual_seed(0)
+    lengths = 0.2 + 0.1 * torch.rand(50, 200, 32, generator=generator)
+    state = {
+        "partners": torch.where(used, torch.arange(32, dtype=torch.int32), -1).expand(60, 200, 32),
+        "lengths": torch.where(used, lengths, 0.0).transpose(0, 1),
+        "double": torch.full((2**17,), -torch.nan, dtype=torch.float64),
+        "flags": torch.zeros(2**20, dtype=torch.bool),
+        "noise": torch.randn(2**18, generator=generator),
+        "few": torch.zeros(2**18 - 1),
+    }  # fmt: skip
+    checkpoint.save(tmp_path / "x", state, {})
+    loaded, _ = checkpoint.load(tmp_path / "x")
+    for name, value in state.items():
+        assert loaded[name].dtype == value.dtype
+        assert loaded[name].shape == value.shape
+        assert torch.equal(loaded[name].view(torch.uint8), value.contiguous().view(torch.uint8))
+    loaded["partners"][0, 0, 0] = 7  # its own memory, to be written
+    sizes = {k: v.nbytes for k, v in load_file(tmp_path / "x.safetensors").items()}
+    assert sizes["partners"] < 0.03 * state["partners"].nbytes
+    assert sizes["lengths"] < 0.4 * state["lengths"].nbytes
+    for name in ("flags", "noise", "few"):
+        assert sizes[name] == state[name].nbytes, "not worth it"
 
 
 def test_newest_and_prune(tmp_path: Path) -> None:

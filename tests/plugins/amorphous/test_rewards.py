@@ -67,6 +67,27 @@ def test_what_is_not_on_the_table_counts_for_nothing() -> None:
     torch.testing.assert_close(length, one(math.sqrt(3)))
 
 
+def test_one_grain_that_was_left_behind_does_not_hide_what_was_gathered() -> None:
+    x = torch.arange(1.0, 201.0) / 100  # 1 cm to 2 m
+    x[[0, 199]] = torch.tensor([9.0, 9.0])  # one far away, and one that is not there
+    positions = torch.stack([x, torch.zeros(200), torch.full((200,), 5.0)], dim=1)
+    goal = torch.tensor([[0.0, 0.0], [1.0, 0.0]])
+    positions = torch.stack([positions, positions + torch.tensor([1.0, 0.0, 0.0])])
+    active = torch.ones(2, 200)
+    active[:, 199] = 0.0
+    share = gathering.gathered_share(positions, active, goal)
+    torch.testing.assert_close(share, torch.full((2,), 149 / 199))
+    for part, expected in ((0.95, 1.91), (0.5, 1.01), (1.0, 9.0), (1e-6, 0.02)):
+        found = gathering.share_distance(positions, active, goal, share=part)
+        torch.testing.assert_close(found, torch.full((2,), expected), msg=str(part))
+    x = torch.arange(1.0, 201.0).view(1, -1, 1).expand(1, 200, 3) / 100
+    found = gathering.share_distance(x, torch.ones(1, 200), torch.zeros(1, 2))
+    torch.testing.assert_close(found, one(1.9 * math.sqrt(2)), msg="190 of 200")
+    nothing = torch.zeros(1, 200)
+    assert gathering.gathered_share(x, nothing, torch.zeros(1, 2)).tolist() == [0.0]
+    assert gathering.share_distance(x, nothing, torch.zeros(1, 2)).tolist() == [0.0]
+
+
 def test_spreading_rewards_by_hand() -> None:
     after = STILL + torch.tensor([[0.0, 0.1, 0.0], [0.0, 0.0, -0.05]])
     assert float(spreading.newly_occupied(one(103.0), one(100.0))) == 3.0

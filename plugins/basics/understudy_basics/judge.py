@@ -1,0 +1,66 @@
+"""A job that learns nothing: what another run learned, judged as this run's configuration says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from understudy.errors import RunError
+from understudy.records import runs
+from understudy.running.reinforcement import Reinforcement
+from understudy.running.warm_start import newest_state
+from understudy.setup.config import Experiment
+from understudy.task import State
+
+
+class Judge(Reinforcement):
+    """Takes the policy of a finished run and ends; its evaluation is what the run is for.
+
+    Task, policy and evaluation are this run's own: variants of a sweep judge one policy under
+    different conditions, of which training knew one.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        run: str  #: folder of the run whose policy is judged
+
+    def __init__(self, options: Options, experiment: Experiment) -> None:  # type: ignore[override]
+        super().__init__(None, experiment)
+        self.options = options
+
+    def prepare(self) -> None:
+        source = runs.open_run(self.options.run)
+        state = newest_state(self.options.run)
+        try:
+            self.load_learned(state, state["progress"]["samples"])
+        except (LookupError, TypeError, ValueError, RuntimeError) as error:
+            raise RunError(
+                f"job.run: the policy of {self.options.run} does not fit: {error}. Give the "
+                "experiment that it was trained with."
+            ) from error
+        self._started = {**source.info["sources"], "policy": {"run": self.options.run}}
+
+    def watch(self, on_fault: Callable[[str, State], None] | None) -> None:
+        pass
+
+    def iterate(self, samples: int) -> dict[str, Any]:
+        raise AssertionError("it is finished before it begins")
+
+    def finished(self) -> bool:
+        return True
+
+    def sources(self) -> Mapping[str, Any]:
+        return self._started
+
+    def report(self) -> Mapping[str, int]:
+        return self.evaluator.built.environment.parts.simulator.report()
+
+    def state_dict(self) -> State:
+        return {"policy": dict(self.policy.state_dict())}
+
+    def load_state_dict(self, state: State) -> None:
+        self.policy.load_state_dict(state["policy"])
+
+    def forget_worlds(self) -> None:
+        pass
