@@ -6,7 +6,9 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "mujoco", "motion", "characters", "humanoid", "ppo", "deepmimic", "report")
+REQUIRES = (
+    "basics", "mujoco", "motion", "characters", "humanoid", "ppo", "deepmimic", "pose_vae", "report",
+)  # fmt: skip
 
 _HERE = "understudy_jumping"
 

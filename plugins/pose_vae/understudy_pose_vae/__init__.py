@@ -23,6 +23,7 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.terms:PoseDistance",
         "degrees to the nearest pose of a run's clips",
     )
+    add("memory", "pose_vae/jerk", f"{_HERE}.terms:Jerk", "mean jerk of a character's links")
     add("report_section", "pose_vae", f"{_HERE}.report:PosesSection", "poses that it makes")
     register.citation(
         "pose_vae",

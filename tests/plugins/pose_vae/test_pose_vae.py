@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,41 @@ def test_naturalness_and_distance_are_terms_of_a_task(run: Path) -> None:
     training.iterate()
     evaluation = training.job.evaluate("here", 2)
     assert 0 < evaluation.measures["unusual"].mean < 60
+
+
+def test_jerk_is_the_third_derivative(run: Path) -> None:
+    """Of positions that are cubic in time, from the third control period on; uniform motion has none."""
+    chosen = ("measure=pose_vae/natural", f"measure.pose_distance.run={run}")
+    job = in_task(run, *chosen).job
+    assert isinstance(job, Reinforcement)
+    memory, dt = job.environment.parts.memories["jerk"].part, job.environment.control_dt
+    bodies = job.environment.table["xpos"].shape[1]
+    rate = torch.tensor([0.0, 50.0, -300.0, 20.0], dtype=torch.float64).view(4, 1, 1)
+
+    def at(step: int) -> dict[str, torch.Tensor]:
+        time = step * dt
+        place = torch.tensor([1.0, 0.0, 0.0]) * (1.0 + 2.0 * time + rate * time**3 / 6)
+        return {"xpos": place.expand(4, bodies, 3), "episode_step": torch.full((4,), step)}
+
+    kept = memory.begin(**at(0))
+    for step in range(1, 9):
+        kept = memory.advance(kept, **at(step))
+        expected = rate.flatten().abs() * (step >= 3)
+        torch.testing.assert_close(kept["jerk"], expected, atol=1e-6, rtol=1e-6)
+
+
+def test_a_run_keeps_the_auto_encoder_it_acts_by(run: Path, tmp_path: Path) -> None:
+    """It is evaluated after that one's folder has gone, and how natural it is can be asked later."""
+    poses, own = tmp_path / "poses", tmp_path / "own"
+    shutil.copytree(run, poses)
+    quick = ("budget.samples=256", "run.video_seconds=0", f"run.dir={own}")
+    assert main(["train", *TASK, f"actuation.run={poses}", *quick]) == 0
+    shutil.rmtree(poses)
+    chosen = ("measure=pose_vae/natural", f"measure.pose_distance.run={run}")
+    assert main(["evaluate", str(own), *chosen]) == 0
+    found = json.loads((own / "evaluation.json").read_text())["measures"]
+    assert 0 < found["pose_distance"]["mean"] < 90
+    assert found["jerk"]["mean"] > 0
 
 
 def test_a_known_pose_is_at_no_distance(run: Path) -> None:
