@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
 from understudy import random
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes import draws
-from understudy_diversity.strategies import DiversityOptions, Strategies
+from understudy_diversity.strategies import DiversityOptions, StrategySearch
 
 try:
     from ribs.archives import GridArchive
@@ -21,14 +20,12 @@ except ImportError as error:
     raise ImportError("MAP-Elites needs pyribs: pip install 'understudy[ribs]'") from error
 
 
-class MapElites(OuterLoop):
+class MapElites(StrategySearch):
     """After ``initial`` random trials, a Gaussian step from an elite drawn at random.
 
     An elite is the trial of the highest objective in its cell of a grid over the features' ranges. The
     archive is made anew from what was told whenever a trial is asked for.
     """
-
-    extendable = ("trials", "gallery")
 
     @dataclass(frozen=True)
     class Options(DiversityOptions):
@@ -41,17 +38,14 @@ class MapElites(OuterLoop):
             check_range(self, "step", above=0)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
+        super().__init__(options)
         self._options, self._seed = options, seed
-        self.strategies = Strategies(options)
 
-    def ask(self, number: int) -> Trial | None:
-        options, book = self._options, self.strategies.book
-        if book.over(number):
-            return None
-        d = len(book.space)
+    def place(self, number: int) -> Sequence[float]:
+        options, d = self._options, len(self.strategies.space)
         elites = self._archive(d)
         if number < options.initial or elites.empty:
-            return book.ask(number, draws.uniform(self._seed, number, d))
+            return draws.uniform(self._seed, number, d)
         seed = random.derive_seed(self._seed, f"diversity/elites/{number}") % 2**32
         emitter = GaussianEmitter(
             elites,
@@ -61,7 +55,7 @@ class MapElites(OuterLoop):
             batch_size=1,
             seed=seed,
         )
-        return book.ask(number, emitter.ask()[0].tolist())
+        return emitter.ask()[0].tolist()
 
     def _archive(self, d: int) -> GridArchive:
         options = self._options
@@ -74,13 +68,3 @@ class MapElites(OuterLoop):
             worth = torch.tensor([s.report.objective or 0.0 for s in shown])
             archive.add(x.numpy(), worth.numpy(), np.array([s.feature for s in shown]))
         return archive
-
-    def recall(self, trial: Trial) -> bool:
-        return self.strategies.book.recall(trial)
-
-    def tell(self, report: Report) -> None:
-        self.strategies.tell(report)
-        self.share = self.strategies.book.done
-
-    def summary(self) -> list[dict[str, Any]]:
-        return self.strategies.summary()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
@@ -15,6 +15,8 @@ from understudy_diversity.strategies import (
     Feature,
     GalleryOptions,
     Metric,
+    Patience,
+    Stalled,
     Strategy,
     check_features,
     feature_of,
@@ -43,6 +45,7 @@ class NovelPolicies(OuterLoop):
         metric: Metric = "euclidean"
         success: float = 0.5
         parts: tuple[str, ...] = ("actor", "critic", "normaliser")  #: taken over from the policy
+        stalled: Stalled | None = None  #: when a trial is ended early; null is never
         gallery: GalleryOptions = field(default_factory=GalleryOptions)
 
         def __post_init__(self) -> None:
@@ -63,6 +66,7 @@ class NovelPolicies(OuterLoop):
                 f"outer_loop.search={options.search} has found no strategy to begin with."
             )
         self._firsts = list(firsts.values())
+        self._patience = Patience(options.stalled)
         self._trials: dict[str, Trial] = {}
         self._reports: dict[str, Report] = {}
 
@@ -102,12 +106,13 @@ class NovelPolicies(OuterLoop):
         self._trials[trial.key] = trial
         return True
 
-    def tell(self, report: Report) -> None:
+    def tell(self, report: Report) -> Literal["stop"] | None:
         if report.final and report.key in self._trials:
             if report.status == "ok":
                 feature_of(report, self._options)
             self._reports[report.key] = report
             self.share = len(self._reports) / (self._options.rounds * len(self._firsts))
+        return "stop" if self._patience.over(report) else None
 
     def summary(self) -> list[dict[str, Any]]:
         """A row for each trial; ``novel`` where no earlier one, of either search, was of its kind."""

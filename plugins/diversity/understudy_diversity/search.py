@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy import random
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import Acquisition
 from understudy_diversity.acquisition import by_direct, by_gradient, expected_novelty, uncertainty
-from understudy_diversity.strategies import DiversityOptions, Feature, Strategies
+from understudy_diversity.strategies import (
+    DiversityOptions,
+    Feature,
+    Strategies,
+    StrategySearch,
+)
 from understudy_diversity.surrogate import Surrogate
 
 
-class DiversitySearch(OuterLoop):
+class DiversitySearch(StrategySearch):
     """After ``initial`` random trials, ``explore`` at x_{t+1} = argmax σ_t(x), then ``exploit`` at
     x_{t+1} = argmax â(x), and so on.
 
     A trial that succeeded too rarely to show a strategy, like one that still runs, is taken to show
     what the model expects, so that it is not asked for again.
     """
-
-    extendable = ("trials", "gallery")
 
     @dataclass(frozen=True)
     class Options(DiversityOptions):
@@ -40,18 +42,12 @@ class DiversitySearch(OuterLoop):
                 raise ValueError("explore=0 is not possible with exploit=0: give one of them.")
 
     def __init__(self, options: Options, seed: int = 0) -> None:
+        super().__init__(options)
         self._options, self._seed = options, seed
-        self.strategies = Strategies(options)
 
-    def ask(self, number: int) -> Trial | None:
-        options, book = self._options, self.strategies.book
-        if book.over(number):
-            return None
-        return book.ask(number, self._place(number, number - options.initial))
-
-    def _place(self, number: int, t: int) -> list[float]:
-        """Where the trial of this `number` is, which is the `t`-th that a model chooses."""
+    def place(self, number: int) -> Sequence[float]:
         options, d = self._options, len(self.strategies.space)
+        t = number - options.initial  # how many a model chose before
         made = None if t < 0 else model_of(self.strategies, self._seed, number)
         if made is None:  # there is nothing yet that a model could be of
             return draws.uniform(self._seed, number, d)
@@ -61,16 +57,6 @@ class DiversitySearch(OuterLoop):
         novelty = expected_novelty(model, found, options.metric, self._seed, number)
         succeeds = chance(self.strategies, self._seed, number)
         return by_direct(lambda x: novelty(x) * succeeds(x), d).tolist()
-
-    def recall(self, trial: Trial) -> bool:
-        return self.strategies.book.recall(trial)
-
-    def tell(self, report: Report) -> None:
-        self.strategies.tell(report)
-        self.share = self.strategies.book.done
-
-    def summary(self) -> list[dict[str, Any]]:
-        return self.strategies.summary()
 
 
 def model_of(strategies: Strategies, seed: int, number: int) -> tuple[Surrogate, Tensor] | None:
@@ -106,30 +92,16 @@ def chance(strategies: Strategies, seed: int, number: int) -> Acquisition:
     return lambda x: model.posterior(x)[0][:, 0].clamp(0.0, 1.0)
 
 
-class RandomDiversity(OuterLoop):
+class RandomDiversity(StrategySearch):
     """Points drawn uniformly, each independently of what the others showed: the baseline."""
-
-    extendable = ("trials", "gallery")
 
     @dataclass(frozen=True)
     class Options(DiversityOptions):
         pass
 
     def __init__(self, options: Options, seed: int = 0) -> None:
-        self._seed, self.strategies = seed, Strategies(options)
+        super().__init__(options)
+        self._seed = seed
 
-    def ask(self, number: int) -> Trial | None:
-        book = self.strategies.book
-        if book.over(number):
-            return None
-        return book.ask(number, draws.uniform(self._seed, number, len(book.space)))
-
-    def recall(self, trial: Trial) -> bool:
-        return self.strategies.book.recall(trial)
-
-    def tell(self, report: Report) -> None:
-        self.strategies.tell(report)
-        self.share = self.strategies.book.done
-
-    def summary(self) -> list[dict[str, Any]]:
-        return self.strategies.summary()
+    def place(self, number: int) -> Sequence[float]:
+        return draws.uniform(self._seed, number, len(self.strategies.space))

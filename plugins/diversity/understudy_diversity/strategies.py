@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
-from understudy.running.trials import Report, Trial
+from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.space import Parameter, check_paths
 
@@ -57,6 +58,50 @@ class GalleryOptions:
 
 
 @dataclass(frozen=True)
+class Stalled:
+    """A trial is hopeless once a figure of its training has not risen for so many samples."""
+
+    figure: str  #: of the rows with which trials report: curriculum/difficulty, or a measure
+    samples: float
+
+    def __post_init__(self) -> None:
+        check_range(self, "samples", above=0)
+
+
+class Patience:
+    """Says when a trial is hopeless, from what it reports while it runs; None: never."""
+
+    def __init__(self, stalled: Stalled | None) -> None:
+        self._stalled = stalled
+        self._best: dict[
+            str, tuple[float, float]
+        ] = {}  #: by trial: the figure, and samples by then
+
+    def over(self, report: Report) -> bool:
+        """Whether the trial of this intermediate `report` is hopeless.
+
+        Raises
+        ------
+        ConfigError
+            if it has no such figure.
+        """
+        if self._stalled is None or report.final:
+            return False
+        figure = self._stalled.figure
+        if figure not in report.measures:
+            raise ConfigError(
+                f"outer_loop.stalled.figure names '{figure}', which trial '{report.key}' did not "
+                f"report.{suggestion(figure, report.measures)}"
+            )
+        value = report.measures[figure]
+        best, since = self._best.get(report.key, (-math.inf, 0.0))
+        if value > best:
+            self._best[report.key] = (value, report.cost)
+            return False
+        return report.cost - since >= self._stalled.samples
+
+
+@dataclass(frozen=True)
 class DiversityOptions:
     """What every diversity search takes."""
 
@@ -69,6 +114,7 @@ class DiversityOptions:
     #: (w, x, y, z) are four features.
     metric: Metric = "euclidean"
     success: float = 0.5  #: success rate from which on a trial shows a strategy
+    stalled: Stalled | None = None  #: when a trial is ended early; null is never
     gallery: GalleryOptions = field(default_factory=GalleryOptions)
 
     def __post_init__(self) -> None:
@@ -146,18 +192,20 @@ class Strategies:
         options = self.options
         self.book = Book(SearchOptions(options.parameters, options.trials, initial=options.initial))
         self.space = self.book.space
+        self._patience = Patience(options.stalled)
 
-    def tell(self, report: Report) -> None:
-        """Note a final report.
+    def tell(self, report: Report) -> Literal["stop"] | None:
+        """Note a final report; "stop" ends the trial of another one that is hopeless.
 
         Raises
         ------
         ConfigError
-            if it lacks a feature, or as :meth:`Book.tell`.
+            if it lacks a feature or the figure of ``stalled``, or as :meth:`Book.tell`.
         """
         if report.final and report.status == "ok":
             feature_of(report, self.options)
         self.book.tell(report)
+        return "stop" if self._patience.over(report) else None
 
     def finished(self) -> list[Strategy]:
         """In the order in which they were told, with their kinds."""
@@ -187,6 +235,34 @@ class Strategies:
                 }
             )
         return rows
+
+
+class StrategySearch(OuterLoop):
+    """A search whose trials are strategies at points of a space; where the next one is, others say."""
+
+    extendable = ("trials", "gallery")
+
+    def __init__(self, options: DiversityOptions) -> None:
+        self.strategies = Strategies(options)
+
+    @abstractmethod
+    def place(self, number: int) -> Sequence[float]:
+        """Where in the unit cube the trial of this `number` is, (d,)."""
+
+    def ask(self, number: int) -> Trial | None:
+        book = self.strategies.book
+        return None if book.over(number) else book.ask(number, self.place(number))
+
+    def recall(self, trial: Trial) -> bool:
+        return self.strategies.book.recall(trial)
+
+    def tell(self, report: Report) -> Literal["stop"] | None:
+        answer = self.strategies.tell(report)
+        self.share = self.strategies.book.done
+        return answer
+
+    def summary(self) -> list[dict[str, Any]]:
+        return self.strategies.summary()
 
 
 def feature_of(report: Report, options: Told) -> tuple[float, ...] | None:

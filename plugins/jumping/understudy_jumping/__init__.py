@@ -6,7 +6,10 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "mujoco", "motion", "characters", "humanoid", "ppo", "deepmimic", "report")
+REQUIRES = (
+    "basics", "mujoco", "motion", "characters", "humanoid", "inspect", "ppo", "deepmimic", "pose_vae",
+    "report",
+)  # fmt: skip
 
 _HERE = "understudy_jumping"
 
@@ -43,6 +46,12 @@ def understudy_register(register: Registrar) -> None:
     register.task("jumping/run_up", "imitate a run-up, and arrive at a take-off state")
     register.component(
         "command", "jumping join", f"{_HERE}.join:Join", "join a run-up and its jump in one motion"
+    )
+    register.component(
+        "command",
+        "jumping heights",
+        f"{_HERE}.heights:Heights",
+        "the highest bar that a run clears",
     )
     register.citation(
         "yin2021jumping",

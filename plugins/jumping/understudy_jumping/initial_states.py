@@ -127,7 +127,8 @@ class Harvested(InitialStates):
         who = "initial_states 'jumping/harvested'"
         scene, device = context.need_scene(CharacterScene, who), context.device
         self._arena, self._distance = arena_of(context, who), options.distance
-        states = bank.load(options.file)
+        path = context.inputs.file(f"bank {options.file}", lambda: bank.files(options.file))
+        states = bank.load(path)
         sizes = {"qpos": scene.model.nq, "qvel": scene.model.nv}
         for name, size in sizes.items():
             if name not in states or tuple(states[name].shape[1:]) != (size,):

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "motion", "report")
+REQUIRES = ("basics", "characters", "inspect", "motion", "report")
 
 _HERE = "understudy_pose_vae"
 
@@ -22,6 +22,13 @@ def understudy_register(register: Registrar) -> None:
         "pose_vae/distance",
         f"{_HERE}.terms:PoseDistance",
         "degrees to the nearest pose of a run's clips",
+    )
+    add("memory", "pose_vae/jerk", f"{_HERE}.terms:Jerk", "mean jerk of a character's links")
+    add(
+        "command",
+        "pose_vae naturalness",
+        f"{_HERE}.natural:Naturalness",
+        "how near runs are to captured poses, and their jerk",
     )
     add("report_section", "pose_vae", f"{_HERE}.report:PosesSection", "poses that it makes")
     register.citation(

@@ -36,9 +36,8 @@ class PoseOffset(Actuation):
             check_range(self, "latent_scale", "offset_scale", "offset_limit", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
-        assert context.registry is not None
         scene = context.need_scene(CharacterScene, "actuation 'pose_vae/offset'")
-        trained = trained_poses(options.run, context.registry, context.device)
+        trained = trained_poses(options.run, context)
         source = f"actuation.run={options.run}"
         self._options, self._network = options, trained.network
         self._joints = len(trained.joints)

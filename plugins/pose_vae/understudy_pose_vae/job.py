@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from understudy import distributed
 from understudy.errors import RunError
 from understudy.options import check_range
 from understudy.random import generator, private_rng
-from understudy.records import runs
+from understudy.records import checkpoint, runs
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
@@ -23,8 +24,7 @@ from understudy.running.reinforcement import misshapen
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
-from understudy.setup.registry import Registry
-from understudy.task import State
+from understudy.task import Context, State
 from understudy_basics import averages, optimisers, rotations
 from understudy_basics.nn import mlp
 from understudy_characters.character import load_character
@@ -263,21 +263,29 @@ class TrainedPoses:
     run: str
 
 
-def trained_poses(run: str, registry: Registry, device: torch.device) -> TrainedPoses:
-    """The auto-encoder of the run folder `run`.
+def trained_poses(run: str, context: Context) -> TrainedPoses:
+    """The auto-encoder of the run folder `run`, of which the run that takes it keeps a copy.
 
     Raises
     ------
     RunError
         if it is no run of the job 'pose_vae/autoencoder', or its checkpoint does not fit.
     """
-    experiment = runs.open_run(run).experiment(registry)
-    job = experiment.one("job")
+    registry = context.registry
+    assert registry is not None
+
+    def files() -> list[Path]:
+        checkpoints = checkpoint.newest(runs.open_run(run).checkpoints)[:1]
+        endings = (".json", ".safetensors")
+        return [Path(run) / "run.json", *(p.with_suffix(e) for p in checkpoints for e in endings)]
+
+    kept = context.inputs.file(f"pose auto-encoder {run}", files).parent
+    job = runs.open_run(kept).experiment(registry).one("job")
     if job is None or job.component.factory is not LearnPoses:
         raise RunError(f"{run} trained no pose auto-encoder (experiment=pose_vae/poses).")
     features = PoseFeatures(load_character(job.options.character, registry))
-    network = network_of(newest_state(run), job.options, features)
-    return TrainedPoses(network.requires_grad_(False).to(device), features.joints, run)
+    network = network_of(newest_state(str(kept)), job.options, features)
+    return TrainedPoses(network.requires_grad_(False).to(context.device), features.joints, run)
 
 
 def network_of(state: State, options: LearnPoses.Options, features: PoseFeatures) -> PoseVAE:

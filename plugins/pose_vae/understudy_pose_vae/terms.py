@@ -1,16 +1,18 @@
-"""How natural poses are, as a reward and as a measure."""
+"""How natural poses and movements are, as a reward and as measures (thesis, figure 4.8)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError
-from understudy.task import Context
+from understudy.task import Context, Memory, Shape
 from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_pose_vae.job import POSES, trained_poses
@@ -41,15 +43,16 @@ class PoseDistance:
         run: str  #: folder of the run that trained the auto-encoder
 
     def __init__(self, options: Options, context: Context) -> None:
-        assert context.registry is not None
         scene = context.need_scene(CharacterScene, "measure 'pose_vae/distance'")
-        trained = trained_poses(options.run, context.registry, context.device)
+        trained = trained_poses(options.run, context)
         names = scene.layout.joint_names
         shared = [name for name in names if name in trained.joints]
         if not shared:
             raise ConfigError(f"{options.run} has no joint that {scene.character.name} has.")
+        given = Path(options.run) / POSES
         try:
-            found = np.load(runs_file(options.run), allow_pickle=False)
+            kept = context.inputs.file(f"poses of {options.run}", lambda: [given])
+            found = np.load(kept, allow_pickle=False)
         except (OSError, ValueError) as error:
             raise RunError(
                 f"{options.run} has no poses to compare with; finish it first."
@@ -71,6 +74,31 @@ class PoseDistance:
         return angle * (180 / math.pi)
 
 
-def runs_file(run: str) -> str:
-    """Where the run folder `run` has the poses that it learned from."""
-    return f"{run}/{POSES}"
+class Jerk(Memory):
+    """``jerk`` () m/s³, the mean over the character's links and the episode so far of how large the third
+    derivative of their positions is, by differences over control periods; 0 before the third."""
+
+    reads = ("xpos", "episode_step")
+
+    def __init__(self, options: None, context: Context) -> None:
+        layout = context.need_scene(CharacterScene, "memory 'pose_vae/jerk'").layout
+        self._links = layout.link_bodies.to(context.device)
+        self._dt = context.control_dt
+        self.keeps: Mapping[str, Shape] = {"jerk": (), "past": (3, len(self._links), 3)}
+
+    def begin(self, xpos: Tensor, episode_step: Tensor) -> dict[str, Tensor]:
+        at = xpos[:, self._links]
+        return {"jerk": torch.zeros_like(at[:, 0, 0]), "past": torch.stack([at] * 3, dim=1)}
+
+    def advance(
+        self, kept: Mapping[str, Tensor], xpos: Tensor, episode_step: Tensor
+    ) -> dict[str, Tensor]:
+        at, past = xpos[:, self._links], kept["past"]
+        one, two, three = past.unbind(1)  # periods ago
+        size = (at - 3.0 * (one - two) - three).norm(dim=2).mean(1) / self._dt**3
+        count = episode_step - 2  # of differences that the episode has had
+        mean = kept["jerk"] + (size - kept["jerk"]) / count.clamp(min=1)
+        return {
+            "jerk": torch.where(count > 0, mean, 0.0),
+            "past": torch.cat([at.unsqueeze(1), past[:, :2]], dim=1),
+        }

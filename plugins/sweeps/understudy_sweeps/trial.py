@@ -92,13 +92,15 @@ def _iterate(
     name = f"evaluation/{training.experiment.root.evaluation.objective}"
 
     def report(row: Mapping[str, Any]) -> Report | None:
-        if name not in row:
+        """Of an evaluation, be it one that was given up and has no objective."""
+        if not any(key.startswith("evaluation/") for key in row):
             return None
-        figures = _figures(row)
-        return Report(trial.key, "running", row[name], figures, row["samples"], str(run.path))
+        samples, objective = row["samples"], row.get(name)
+        return Report(trial.key, "running", objective, _figures(row), samples, str(run.path))
 
     for row in run.metrics():
-        if name in row and (yield report(row)):
+        again = report(row)
+        if again is not None and (yield again):
             return True
     with contextlib.closing(training.rows()) as rows:
         while training.progress.samples < last:
@@ -215,8 +217,12 @@ def _await(path: Path) -> None:
 
 
 def _figures(row: Mapping[str, Any]) -> dict[str, float]:
-    prefix = "evaluation/"
-    return {k.removeprefix(prefix): v for k, v in row.items() if k.startswith(prefix)}
+    """What was measured, by name; and how far the curriculum is, as the row names it."""
+    return {
+        name.removeprefix("evaluation/"): value
+        for name, value in row.items()
+        if name.startswith(("evaluation/", "curriculum/")) and isinstance(value, int | float)
+    }
 
 
 def _result(trial: Trial, evaluation: Evaluation, training: Training, outcome: str) -> Report:

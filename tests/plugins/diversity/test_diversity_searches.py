@@ -127,6 +127,25 @@ def test_failed_trials_show_nothing_and_are_not_repeated() -> None:
     assert torch.pdist(torch.tensor(points(told))).min() > 1e-3
 
 
+def test_a_trial_that_makes_no_progress_is_ended_early() -> None:
+    """By any search, and again when what was told is told once more."""
+    for kind in LOOPS:
+        loops = [make(kind, stalled={"figure": "bar", "samples": 3.0}) for _ in range(2)]
+        trial = loops[0].ask(0)
+        assert trial is not None
+        assert loops[1].recall(trial)
+        figures = [0.1, 0.2, 0.2, 0.3, 0.3, 0.1, 0.3, 0.9]
+        for loop in loops:
+            answers = [
+                loop.tell(Report(trial.key, "running", None, {"bar": value}, float(cost)))
+                for cost, value in enumerate(figures)
+            ]
+            assert answers == [None] * 6 + ["stop", None]
+        told = Report(trial.key, "running", None, {"bars": 0.0}, 9.0)
+        with pytest.raises(ConfigError, match=r"stalled\.figure names 'bar', .* 'bars'"):
+            loops[0].tell(told)
+
+
 def test_a_search_that_only_fails_goes_on() -> None:
     told = carry_on(make(DiversitySearch), lambda trial: {"angle": 0.0, "success_rate": 0.0})
     assert len(set(points(told))) == 8

@@ -241,6 +241,22 @@ def test_a_bank_of_another_figure_is_refused(plugins: Plugins, tmp_path: Path) -
         environment(plugins, "task=jumping/high", "initial_states=null", f"+{given}")
 
 
+@pytest.mark.parametrize("task", ["high", "obstacle"])
+def test_poses_as_action_space_by_a_word(plugins: Plugins, task: str) -> None:
+    """What is natural then is how small the offsets are (eq. 4.3), not how near targets are."""
+    given = [f"task=jumping/{task}", "actuation=jumping/poses", "actuation.run=runs/poses"]
+    for words, name, read in (
+        (given[:1], "jumping/targets", "target_offset"),
+        (given, "pose_vae/offset", "offset_norm"),
+    ):
+        experiment = load_experiment(words, plugins)
+        assert experiment.need("actuation").component.name == name
+        (offset,) = (c for c in experiment.many("memory") if c.name == "offset")
+        assert offset.extras["reads"] == {"value": read}
+    with pytest.raises(ConfigError, match=r"actuation\.run"):
+        load_experiment(given[:2], plugins)
+
+
 def test_a_joint_that_has_no_range_is_named(plugins: Plugins) -> None:
     with pytest.raises(ConfigError, match="there is no joint 'tail'"):
         environment(plugins, "task=jumping/high", "+actuation.ranges={tail: [[0.0, 1.0]]}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,49 @@ def test_naturalness_and_distance_are_terms_of_a_task(run: Path) -> None:
     training.iterate()
     evaluation = training.job.evaluate("here", 2)
     assert 0 < evaluation.measures["unusual"].mean < 60
+
+
+def test_jerk_is_the_third_derivative(run: Path) -> None:
+    """Of positions that are cubic in time, from the third control period on; uniform motion has none."""
+    job = in_task(run, "+memory.jerk={name: pose_vae/jerk}").job
+    assert isinstance(job, Reinforcement)
+    memory, dt = job.environment.parts.memories["jerk"].part, job.environment.control_dt
+    bodies = job.environment.table["xpos"].shape[1]
+    rate = torch.tensor([0.0, 50.0, -300.0, 20.0], dtype=torch.float64).view(4, 1, 1)
+
+    def at(step: int) -> dict[str, torch.Tensor]:
+        time = step * dt
+        place = torch.tensor([1.0, 0.0, 0.0]) * (1.0 + 2.0 * time + rate * time**3 / 6)
+        return {"xpos": place.expand(4, bodies, 3), "episode_step": torch.full((4,), step)}
+
+    kept = memory.begin(**at(0))
+    for step in range(1, 9):
+        kept = memory.advance(kept, **at(step))
+        expected = rate.flatten().abs() * (step >= 3)
+        torch.testing.assert_close(kept["jerk"], expected, atol=1e-6, rtol=1e-6)
+
+
+def test_a_run_keeps_the_auto_encoder_it_acts_by(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is evaluated after that one's folder has gone, and how natural it is can be asked later."""
+    poses, own = tmp_path / "poses", tmp_path / "own"
+    shutil.copytree(run, poses)
+    quick = ("budget.samples=256", "run.video_seconds=0", f"run.dir={own}")
+    assert main(["train", *TASK, f"actuation.run={poses}", *quick]) == 0
+    shutil.rmtree(poses)
+    before = (own / "evaluation.json").read_text()
+    words = ["evaluation.final_episodes=3", "evaluation.seconds=0.1"]
+    assert main(["pose_vae", "naturalness", str(run), str(own), *words]) == 0
+    found = json.loads((own / "naturalness.json").read_text())
+    assert found["episodes"] == 3
+    distance, jerk = (found["measures"][name]["mean"] for name in ("pose_distance", "jerk"))
+    assert 0 < distance < 90
+    assert jerk > 0
+    row = capsys.readouterr().out.splitlines()[-1]
+    assert row.startswith(f"{distance:.1f} [")
+    assert row.endswith(str(own))
+    assert (own / "evaluation.json").read_text() == before
 
 
 def test_a_known_pose_is_at_no_distance(run: Path) -> None:

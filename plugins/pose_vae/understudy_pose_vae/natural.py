@@ -1,0 +1,52 @@
+"""``understudy pose_vae naturalness``: how natural the motion of finished runs is (thesis, figure 4.8)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from understudy.command.command import Command
+from understudy.running.evaluation import Evaluation
+from understudy_inspect.judging import load
+
+#: In the run folder: the evaluation.
+FILE = "naturalness.json"
+
+
+class Naturalness(Command):
+    """Judges runs of a character by how far its poses are from captured ones, and by its jerk."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.usage = "understudy pose_vae naturalness POSES RUN … [KEY=VALUE …]"
+        parser.add_argument("poses", help="run folder that trained a pose auto-encoder")
+        # overrides behind them are taken by this one, too
+        parser.add_argument("run", nargs="+", help="run folder of any task on a character")
+
+    def run(self, options: argparse.Namespace) -> int:
+        distance = f"{{name: pose_vae/distance, run: {json.dumps(options.poses)}, reduce: mean}}"
+        words = [
+            "+memory.jerk={name: pose_vae/jerk}",
+            f"+measure.pose_distance={distance}",
+            "+measure.jerk={name: value, reads: {value: jerk}}",
+            *(word for word in options.run if "=" in word),
+            *options.overrides,
+        ]
+        print("degrees to the nearest captured pose, a joint's mean; jerk of the links, m/s³")
+        for path in (word for word in options.run if "=" not in word):
+            training, run, _, _ = load(path, words, {})
+            try:
+                found, _ = training.judge()
+            finally:
+                training.close()
+            run.write_json(FILE, found.as_json(training.progress.samples))
+            print(f"{_row(found)}  {path}", flush=True)
+        return 0
+
+
+def _row(found: Evaluation) -> str:
+    figures = [found.measures["pose_distance"], found.measures["jerk"]]
+    texts = [f"{m.mean:.1f} [{m.low:.1f}, {m.high:.1f}]" for m in figures]
+    rate = "" if found.success_rate is None else f"  {found.success_rate:.0%} succeeded"
+    return f"{texts[0]}°  {texts[1]} m/s³{rate}"

@@ -1,0 +1,61 @@
+"""The highest bar that a run clears, from the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from worlds import SMALL
+
+from understudy.command.cli import main
+from understudy.running.evaluation import Evaluation
+from understudy_jumping import heights
+
+TINY = (
+    "task=jumping/high", *SMALL, "num_worlds=4", "control.substeps=5", "learner.rollout_steps=8",
+    "curriculum.start=0.5", "budget.samples=32", "evaluation.episodes=4", "evaluation.final_episodes=4",
+    "run.video_seconds=0",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training that came to a bar of 1.25 m."""
+    folder = tmp_path_factory.mktemp("heights") / "run"
+    assert main(["train", *TINY, f"run.dir={folder}"]) == 0
+    return folder
+
+
+def test_a_run_that_clears_nothing_is_said_so(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Judged where it is: at 1.25 m, and at 0.5 m, from which no step leads further down."""
+    assert main(["jumping", "heights", str(run), "--step", "1.0"]) == 2
+    said = capsys.readouterr()
+    assert [line.partition(" high")[0] for line in said.out.splitlines()] == ["1.25 m", "0.50 m"]
+    assert "clears nothing in 50% of its attempts" in said.err
+    assert not (run / heights.FILE).exists()
+
+
+def test_the_highest_bar_is_the_first_at_which_enough_succeed(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def judged(path: str, difficulty: float, wanted: float, words: list[str]) -> tuple:
+        assert (path, wanted, words) == (str(run), 0.6, ["num_worlds=2"])
+        rate = 0.75 if difficulty < 0.44 else 0.55
+        return Evaluation(episodes=100, success="landed", success_rate=rate), 32
+
+    monkeypatch.setattr(heights, "_judged", judged)
+    words = ["--success", "0.6", "--step", "0.05", "num_worlds=2"]
+    assert main(["jumping", "heights", str(run), *words]) == 0
+    found = json.loads((run / heights.FILE).read_text())
+    assert found["highest"]["height"] == pytest.approx(1.15)
+    assert [rate for _, rate in found["tried"]] == [0.55, 0.55, 0.75]
+    assert found["highest"]["evaluation"]["success_rate"] == 0.75
+    assert "1.15 m high in 75% [66%, 82%]" in capsys.readouterr().out
+
+
+def test_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["jumping", "heights", str(tmp_path)]) == 2
+    assert "is no run folder" in capsys.readouterr().err
