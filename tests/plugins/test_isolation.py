@@ -24,6 +24,8 @@ TOYS = {"basics", "miniature", "ppo"}
 MATERIAL = {
     "characters": FIGURE,
     "doctor": FIGURE,
+    "export": FIGURE | TOYS | {"spacetime"},
+    "play": FIGURE | {"ppo", "spacetime"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,

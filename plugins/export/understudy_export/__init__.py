@@ -1,10 +1,10 @@
-"""Animation out: runs and clips as BVH, glTF and USD."""
+"""Runs and clips out: motions as BVH, glTF and USD, policies as ONNX."""
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "motion", "mujoco")
+REQUIRES = ("basics", "characters", "motion", "mujoco", "play")
 
 _HERE = "understudy_export"
 
@@ -13,7 +13,10 @@ _HERE = "understudy_export"
 def understudy_register(register: Registrar) -> None:
     add = register.component
     add(
-        "command", "export", f"{_HERE}.command:Export", "write a run's motion, or a clip, as a file"
+        "command",
+        "export",
+        f"{_HERE}.command:Export",
+        "write a run's motion or policy, or a clip, as a file",
     )
     add(
         "command",

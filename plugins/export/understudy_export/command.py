@@ -27,6 +27,12 @@ from understudy_motion.writing import Shape, Shown, write_figures
 from understudy_mujoco.studio import REFERENCE
 
 BONES = "none"
+ONNX = ".onnx"
+OF_MOTIONS = (
+    "reference", "beside", "character", "rate", "seconds", "cycles",
+    "unit", "up", "skeleton", "source_rate",
+)  # fmt: skip
+"""Options that mean nothing to a policy."""
 BESIDE = 0.74
 """In heights of the figure: how far to the left the reference is put, as in videos."""
 GAMMA = 2.2
@@ -34,12 +40,17 @@ GAMMA = 2.2
 
 
 class Export(Command):
-    """Writes the learned motion of a run, or a clip, as a file; its ending says of which format."""
+    """Writes the learned motion of a run, its policy, or a clip as a file; its ending says of which format."""
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("source", help="a run folder, a clip file, or a clip's name")
         parser.add_argument(
-            "destination", type=Path, help="the file to write, such as walk.glb, .usdc or .bvh"
+            "source",
+            help="a run folder, a clip file, or a clip's name; of a policy, what `understudy play` plays",
+        )
+        parser.add_argument(
+            "destination",
+            type=Path,
+            help="the file to write, such as walk.glb, .usdc or .bvh; policy.onnx is the trained policy",
         )
         parser.add_argument(
             "--reference", action="store_true", help="the motion that the run learned from"
@@ -66,6 +77,8 @@ class Export(Command):
         add_reading(parser)
 
     def run(self, options: argparse.Namespace) -> int:
+        if options.destination.suffix.lower() == ONNX:
+            return _policy(options)
         registry = installed().registry
         clip, character = _moving(options, registry)
         if options.character == BONES:
@@ -84,6 +97,20 @@ class Export(Command):
         write_figures(figures, options.destination, registry)
         print(_summary(clip, options.destination, character))
         return 0
+
+
+def _policy(options: argparse.Namespace) -> int:
+    given = [name for name in OF_MOTIONS if getattr(options, name) not in (None, False)]
+    if given:
+        raise ConfigError(
+            f"--{given[0].replace('_', '-')} is of motions, and {options.destination} is a policy: leave it out."
+        )
+    from understudy_export.policy import write_policy
+    from understudy_play.skill import open_skill
+
+    for line in write_policy(open_skill(options.source), options.destination):
+        print(line)
+    return 0
 
 
 def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:

@@ -20,9 +20,9 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from understudy.errors import UnderstudyError
+from understudy_mujoco.shadows import FigureShadow, Patch, StillShadow, Top
 
 RGBA = tuple[float, float, float, float]
 
@@ -37,15 +37,10 @@ _LIGHT, _DARK = np.array([222.0, 227, 233]), np.array([206.0, 213, 221])
 _HORIZON, _ZENITH = np.array([238.0, 242, 246]), np.array([176.0, 198, 222])
 #: m: a square's side; where the floor has faded into the horizon by 1 - 1/e.
 _SQUARE, _HAZE = 1.0, 9.0
-#: Where sunlight goes, and how dark the middle of a shadow is.
-_SUN = np.array([0.4, 0.6, -1.3])
+#: How dark the middle of a shadow is.
 _SHADE = 0.5
-#: m: half a side of the patch of floor on which a figure's shadow is worked out, and of its cells.
-_REACH, _CELL = 1.6, 0.04
-#: m: how high a body is that is not to be seen.
-_AWAY = -1000.0
-#: m: how blurred a shadow is at the floor, and how much more for each metre above it.
-_BLUR, _BLUR_PER_METRE = 0.03, 0.35
+#: m: how high a body is that is not to be seen; what is nearer to the eye is beside the picture.
+_AWAY, _NEAR = -1000.0, 0.1
 #: Of the legend: the letters' colour; pixels to the edges, a line, and a dot's radius.
 _INK = np.array([52.0, 62, 78])
 _MARGIN, _LINE, _DOT = 16, 22, 5.5
@@ -217,55 +212,6 @@ class _Scenery:
         return shown
 
 
-class _Shadows:
-    """Soft shadows on the floor, of capsules about as large as the figure's geoms.
-
-    A shadow is the sharper and darker, the nearer what casts it is to the floor.
-    """
-
-    def __init__(self, model: mujoco.MjModel, geoms: np.ndarray) -> None:
-        half = np.sort(model.geom_aabb[geoms, 3:], axis=1)
-        longest = model.geom_aabb[geoms, 3:].argmax(axis=1)
-        self._geoms = geoms
-        self._radius = np.sqrt(half[:, 0] * half[:, 1])
-        self._centre = model.geom_aabb[geoms, :3]
-        self._along = np.eye(3)[longest] * np.maximum(half[:, 2] - self._radius, 0.0)[:, None]
-        count = round(2 * _REACH / _CELL) + 1
-        line = np.linspace(-_REACH, _REACH, count, dtype=np.float32)
-        #: (2, C, C) m from the patch's middle, x first.
-        self._cells = np.stack(np.meshgrid(line, line, indexing="ij"))
-
-    def patch(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-        """How much sunlight is kept from a patch of floor, in cells of ``_CELL`` m, x first; and (2,) m,
-        where the first cell is."""
-        axes = data.geom_xmat[self._geoms].reshape(-1, 3, 3)
-        middle = data.geom_xpos[self._geoms] + (axes @ self._centre[..., None])[..., 0]
-        along = (axes @ self._along[..., None])[..., 0]
-        ends = np.stack([middle - along, middle + along])  # (2, G, 3)
-        heights = np.maximum(ends[..., 2], 0.0)
-        feet = ends[..., :2] - heights[..., None] / _SUN[2] * _SUN[:2]  # where their shadows lie
-        origin = 0.5 * (feet.min(axis=(0, 1)) + feet.max(axis=(0, 1)))
-        light = np.ones(self._cells.shape[1:], np.float32)
-        x, y = self._cells
-        for k, radius in enumerate(self._radius.astype(np.float32)):
-            (ax, ay), (bx, by) = (feet[:, k] - origin).astype(np.float32)
-            high, higher = heights[:, k].astype(np.float32)
-            dx, dy = bx - ax, by - ay
-            share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-6)
-            share = np.clip(share, 0.0, 1.0)
-            distance = np.hypot(x - ax - share * dx, y - ay - share * dy)
-            blur = _BLUR + _BLUR_PER_METRE * (high + share * (higher - high))
-            dark = np.clip(0.5 + (radius - distance) / blur, 0.0, 1.0)
-            dark = dark * dark * (3.0 - 2.0 * dark) * np.minimum(1.0, 1.6 * radius / blur + 0.1)
-            light *= 1.0 - dark
-        dark = 1.0 - light
-        rows, columns = (np.flatnonzero((dark > 0.004).any(axis=1 - axis)) for axis in range(2))
-        if not len(rows) or not len(columns):
-            return np.zeros((1, 1), np.float32), origin
-        first, beyond = np.array([rows[0], columns[0]]), (rows[-1] + 1, columns[-1] + 1)
-        return dark[first[0] : beyond[0], first[1] : beyond[1]], origin - _REACH + _CELL * first
-
-
 class _Painter:
     """Draws frames in the thread that made it."""
 
@@ -291,9 +237,11 @@ class _Painter:
         figure = model.body_rootid[model.geom_bodyid] == model.body_rootid[model.jnt_bodyid[0]]
         drawn = (model.geom_rgba[:, 3] > 0.0) & (model.geom_group < 3)
         geoms = np.flatnonzero(figure & drawn)
-        self._geoms, self._shadows = geoms, _Shadows(model, geoms)
-        #: Whether something beside the figure is seen, which can be anywhere.
-        self._still = bool((~figure & drawn).any())
+        planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+        around = np.flatnonzero(~figure & drawn & ~planes)
+        self._geoms, self._shadow = geoms, FigureShadow(model, geoms)
+        #: Of what is seen beside the figure, which can be anywhere.
+        self._around = StillShadow(model, around) if len(around) else None
         try:
             self._gl = mujoco.GLContext(self._view.width, self._view.height)
             self._gl.make_current()
@@ -315,6 +263,9 @@ class _Painter:
         picture = scenery.background(aim)
         self._camera.lookat = [*aim, scenery.camera.height]
         corners: list[np.ndarray] = []
+        #: What casts shadows on the floor, and on what stands on it.
+        floor: list[Patch] = []
+        tops: list[tuple[Top, list[Patch]]] = []
         for k, figure in enumerate(self._figures):
             data.qpos[:] = figure.track[frame]
             data.qpos[:2] += figure.shift
@@ -336,8 +287,17 @@ class _Painter:
                 mujoco.mjv_addGeoms(self._model, data, self._option, self._perturb, every, scene)
             _colour(scene, before, figure.colour, set(self._geoms.tolist()))
             corners.append(self._box(data, aim))
-            self._cast(picture, data, aim)
-        self._compose(picture, np.array(corners))
+            casting = [self._shadow]
+            if k == 0 and self._around is not None:
+                corners.append(self._edges(self._around.points(data) - [*aim, 0.0]))
+                tops = [(top, []) for top in self._around.tops(data)]
+                casting = [self._around, self._shadow]
+            for one in casting:
+                floor += _one(one.cast(data))
+                for top, patches in tops:
+                    patches += _one(one.cast(data, float(top.centre[2])))
+        self._shade_floor(picture, floor, aim)
+        self._compose(picture, np.array(corners), tops, aim)
         colours, cover = self._legend
         corner = picture[: len(cover), : cover.shape[1]]
         corner += cover * (colours - corner)
@@ -389,30 +349,51 @@ class _Painter:
         (left, top), (right, bottom) = (pixels - reach).min(axis=0), (pixels + reach).max(axis=0)
         return np.array([left, top, right, bottom])
 
-    def _cast(self, picture: np.ndarray, data: mujoco.MjData, aim: np.ndarray) -> None:
-        """Darken `picture` (H, W, 3) where the figure's shadow lies."""
+    def _shade_floor(self, picture: np.ndarray, patches: Sequence[Patch], aim: np.ndarray) -> None:
+        """Darken `picture` (H, W, 3) where shadows lie on the floor."""
         scenery = self._scenery
-        dark, origin = self._shadows.patch(data)
-        long, wide = _CELL * np.array(dark.shape)
-        corners = np.array([[x, y, 0.0] for x in (0.0, long) for y in (0.0, wide)])
-        seen, _ = scenery.pixels(corners + np.append(origin - aim, 0.0))
-        (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
-        rows = _span(max(top, scenery.horizon), bottom, scenery.height)
-        columns = _span(left, right, scenery.width)
-        if rows.start >= rows.stop or columns.start >= columns.stop:
-            return
-        inside = slice(rows.start - scenery.horizon, rows.stop - scenery.horizon)
-        place = scenery.floor[:, inside, columns] - (origin - aim).astype(np.float32)[:, None, None]
-        shade = map_coordinates(dark, place / _CELL, order=1, output=np.float32)
-        picture[rows, columns] *= 1.0 - _SHADE * shade[..., None]
+        light = np.ones(scenery.floor.shape[1:], np.float32)
+        for patch in patches:
+            rows, columns = self._window(patch.corners(), 0.0, aim)
+            if rows.start >= rows.stop or columns.start >= columns.stop:
+                continue
+            inside = slice(rows.start - scenery.horizon, rows.stop - scenery.horizon)
+            places = scenery.floor[:, inside, columns] + aim.astype(np.float32)[:, None, None]
+            light[inside, columns] *= 1.0 - patch.at(places)
+        dark = np.flatnonzero((light < 1.0).any(axis=1))
+        if len(dark):
+            part = slice(dark[0], dark[-1] + 1)
+            picture[scenery.horizon :][part] *= 1.0 - _SHADE * (1.0 - light[part, :, None])
 
-    def _compose(self, picture: np.ndarray, boxes: np.ndarray) -> None:
-        """Lay what was drawn over `picture` (H, W, 3), where `boxes` (K, 4) say that something is."""
+    def _edges(self, points: np.ndarray) -> np.ndarray:
+        """(4,): first and last column and row between which the hull of `points` (P, 3), from the aim on
+        the floor, is seen."""
+        scenery = self._scenery
+        if ((points - scenery.eye) @ scenery.forward < _NEAR).any():  # it goes on behind the camera
+            return np.array([0.0, 0.0, scenery.width, scenery.height])
+        seen, _ = scenery.pixels(points)
+        return np.concatenate([seen.min(axis=0) - 1.0, seen.max(axis=0) + 1.0])
+
+    def _window(self, corners: np.ndarray, height: float, aim: np.ndarray) -> tuple[slice, slice]:
+        """The rows and columns in which a part of a plane is seen that has these `corners` (4, 2)."""
+        scenery = self._scenery
+        points = np.column_stack([corners - aim, np.full(len(corners), height)])
+        left, top, right, bottom = self._edges(points)
+        rows = _span(max(top, scenery.horizon), bottom, scenery.height)
+        return rows, _span(left, right, scenery.width)
+
+    def _compose(
+        self,
+        picture: np.ndarray,
+        boxes: np.ndarray,
+        tops: Sequence[tuple[Top, list[Patch]]],
+        aim: np.ndarray,
+    ) -> None:
+        """Lay what was drawn over `picture` (H, W, 3), where `boxes` (K, 4) say that something is, with
+        the shadows that fall on `tops`."""
         height, width, _ = picture.shape
         (left, top), (right, bottom) = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
         rows, columns = _span(top, bottom, height), _span(left, right, width)
-        if self._still:
-            rows, columns = slice(0, height), slice(0, width)
         if rows.start >= rows.stop or columns.start >= columns.stop:
             return
         box = mujoco.MjrRect(
@@ -422,22 +403,71 @@ class _Painter:
             _FINER * (rows.stop - rows.start),
         )
         colours, depth = self._rendered(box)
+        assert depth is not None
         covered = (depth < 1.0).astype(np.uint16)  # behind is nothing, and black
         scale = np.float32(1.0)
         if _show_opacity(self._scene):  # what one sees through has no depth
-            opacity, _ = self._rendered(box)
+            opacity = self._rendered(box, depth=False)[0]
             covered, scale = np.maximum(255 * covered, opacity[..., 0]), np.float32(255.0)
         part = picture[rows, columns]
         part *= 1.0 - _coarser(covered[::-1])[..., None] / (scale * _FINER**2)
-        part += _coarser(colours[::-1].astype(np.uint16)) / np.float32(_FINER**2)
+        drawn = _coarser(colours[::-1].astype(np.uint16)) / np.float32(_FINER**2)
+        for top, patches in tops:
+            self._shade_top(drawn, depth[::-1], (rows, columns), top, patches, aim)
+        part += drawn
 
-    def _rendered(self, box: mujoco.MjrRect) -> tuple[np.ndarray, np.ndarray]:
-        """The scene's colours (H, W, 3) uint8 and depth (H, W) in `box`, the lowest row first."""
+    def _shade_top(
+        self,
+        drawn: np.ndarray,
+        depth: np.ndarray,
+        seen: tuple[slice, slice],
+        top: Top,
+        patches: Sequence[Patch],
+        aim: np.ndarray,
+    ) -> None:
+        """Darken what was `drawn` (h, w, 3) in the rows and columns `seen`, at this finer `depth`, where
+        `patches` lie on `top`."""
+        height = float(top.centre[2])
+        own = _both(seen, self._window(top.corners(), height, aim))
+        first, left_of = seen[0].start, seen[1].start
+        world = np.append(aim, 0.0).astype(np.float32)[:, None, None]
+        for patch in patches:
+            rows, columns = _both(own, self._window(patch.corners(), height, aim))
+            if rows.start >= rows.stop or columns.start >= columns.stop:
+                continue
+            # One of the finer pixels of each: the outlines of what is in front stay smooth enough.
+            down = np.arange(_FINER * rows.start, _FINER * rows.stop, _FINER)
+            across = np.arange(_FINER * columns.start, _FINER * columns.stop, _FINER)
+            far = depth[np.ix_(down - _FINER * first, across - _FINER * left_of)]
+            places = self._places(far, down, across) + world
+            on = top.seen(places)
+            left = np.ones(on.shape, np.float32)
+            left[on] -= _SHADE * patch.at(places[:2, on])
+            part = slice(rows.start - first, rows.stop - first)
+            drawn[part, columns.start - left_of : columns.stop - left_of] *= left[..., None]
+
+    def _places(self, depth: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """(3, h, w) float32, from the aim on the floor: what is seen at `depth` (h, w) in the rows `down`
+        (h,) and columns `across` (w,) of the finer picture."""
+        scenery, vis, extent = self._scenery, self._model.vis, self._model.stat.extent
+        near, far = vis.map.znear * extent, vis.map.zfar * extent
+        away = np.float32(near * far) / (np.float32(far) - np.float32(far - near) * depth)
+        up = (0.5 * scenery.height - (down + 0.5) / _FINER) / scenery.focal
+        right = ((across + 0.5) / _FINER - 0.5 * scenery.width) / scenery.focal
+        along = scenery.forward[:, None] + scenery.up[:, None] * up  # (3, h)
+        rays = along[:, :, None] + (scenery.right[:, None] * right)[:, None]
+        return rays.astype(np.float32) * away + scenery.eye.astype(np.float32)[:, None, None]
+
+    def _rendered(
+        self, box: mujoco.MjrRect, *, depth: bool = True
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """The scene's colours (H, W, 3) uint8 and, if wanted, depth (H, W) in `box`, the lowest row
+        first."""
         colours = np.empty((box.height, box.width, 3), np.uint8)
-        depth = np.empty((box.height, box.width), np.float32)
+        away = np.empty((box.height, box.width), np.float32) if depth else None
         mujoco.mjr_render(self._view, self._scene, self._context)
-        mujoco.mjr_readPixels(colours, depth, box, self._context)
-        return colours, depth
+        mujoco.mjr_readPixels(colours, away, box, self._context)
+        return colours, away
 
 
 def _without_floor(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -468,6 +498,18 @@ def _show_opacity(scene: mujoco.MjvScene) -> bool:
         glow = float(geom.rgba[3] < 1.0)
         geom.matid, geom.rgba[:3], geom.emission, geom.specular = -1, glow, glow, 0.0
     return True
+
+
+def _both(one: tuple[slice, slice], other: tuple[slice, slice]) -> tuple[slice, slice]:
+    """The rows and columns that are in both."""
+    rows, columns = (
+        slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True)
+    )
+    return rows, columns
+
+
+def _one(patch: Patch | None) -> list[Patch]:
+    return [] if patch is None else [patch]
 
 
 def _span(first: float, last: float, size: int) -> slice:

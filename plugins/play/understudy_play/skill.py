@@ -99,7 +99,7 @@ def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
         "sources": meta.get("sources"),
         "evaluation": json.loads(evaluation.read_text()) if evaluation.is_file() else None,
     }
-    experiment = validate(config, installed().registry)
+    experiment = run.experiment(installed().registry, config)
     return Skill(str(path), experiment, state["policy"], samples, card)
 
 

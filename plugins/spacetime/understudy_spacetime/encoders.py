@@ -22,6 +22,12 @@ class StateEncoder(Encoder):
     observed range, so its position and heading stand here relative to the reference's, in the
     reference's heading frame: the same information, bounded. Rotations are two axes (6 numbers)
     rather than quaternions, which jump in sign.
+
+    Columns, for L links and E end-effectors, each in the order of the character's: the phase, its
+    sine and cosine; the root's height in m; sine and cosine of its turn from the reference's; the
+    root's position less the reference's (3), m; then the links' positions (3 L, m), x and z axes
+    (6 L), linear velocities (3 L, m/s) and angular velocities (3 L, rad/s); the end-effectors'
+    positions (3 E, m).
     """
 
     reads = (

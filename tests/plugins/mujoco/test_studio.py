@@ -8,6 +8,7 @@ import pytest
 
 from understudy.errors import UnderstudyError
 from understudy_mujoco import studio
+from understudy_mujoco.shadows import StillShadow
 from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure, draw
 
 BALL = """
@@ -121,7 +122,10 @@ SCREENED = DULL.replace(
 )
 
 
-def test_painted_floor_and_drawn_figure_are_seen_alike_through_what_is_translucent() -> None:
+def test_painted_floor_and_drawn_figure_are_seen_alike_through_what_is_translucent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(StillShadow, "cast", lambda *_: None)  # it would lie on that floor
     ball = Figure(track(0.6), LEARNED)
     (screened,) = frames(mujoco.MjModel.from_xml_string(SCREENED), ball)
     (empty,) = frames(mujoco.MjModel.from_xml_string(DULL), ball)
@@ -146,3 +150,84 @@ def test_what_stands_around_a_figure_stays_when_others_have_nothing_around_them(
     drawn = frames(model, stays, Figure(track(0.6, 2), REFERENCE, shift=(0.8, 0.0)))
     first, second = (int(coloured(frame, (1, 0, 0, 1)).sum()) for frame in drawn)
     assert first == second > 100
+
+
+#: A box on the floor whose top, a square metre, is 0.6 m high.
+BOXED = DULL.replace(
+    '<body pos="0 0 1">',
+    '<geom name="box" type="box" size=".5 .5 .3" pos="0 .3 .3" rgba=".8 .8 .8 1" contype="0"/><body pos="0 0 1">',
+)
+
+
+def darkened(
+    xml: str, ball: tuple[float, float, float], other: tuple[float, float, float]
+) -> np.ndarray:
+    """(H, W): how much darker a picture from above is with the ball at `ball` than at `other`."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    camera = Camera(np.zeros((2, 2)), height=0.6, distance=5.0, azimuth=90.0, elevation=-40.0)
+    path = np.concatenate([track(0.0), track(0.0)])
+    path[0, :3], path[1, :3] = ball, other
+    try:
+        first, second = draw(model, [Figure(path, LEARNED)], camera, WIDTH, HEIGHT, 1)
+    except UnderstudyError as error:
+        pytest.skip(str(error))
+    return second.astype(int).sum(axis=2) - first.astype(int).sum(axis=2)
+
+
+def pixel(point: tuple[float, float, float]) -> tuple[slice, slice]:
+    """Where a place is seen from that camera."""
+    scenery = studio._Scenery(
+        Camera(np.zeros((1, 2)), height=0.6, distance=5.0, azimuth=90.0, elevation=-40.0),
+        45.0, WIDTH, HEIGHT,
+    )  # fmt: skip
+    (place,), _ = scenery.pixels(np.array([point]))
+    column, row = np.round(place).astype(int)
+    return slice(row - 1, row + 2), slice(column - 1, column + 2)
+
+
+def test_a_figures_shadow_lies_on_the_box_that_it_is_above() -> None:
+    # Light goes down by 1.3 m while it goes 0.4 m along x and 0.6 m along y.
+    on_the_box = darkened(BOXED, (-0.1, 0.1, 1.0), (0.0, 50.0, 1.0))
+    seen = pixel((-0.1 + 0.4 * 0.4 / 1.3, 0.1 + 0.6 * 0.4 / 1.3, 0.6))
+    assert on_the_box[seen].min() > 60
+    # Beside the box nothing is darker than without it.
+    np.testing.assert_array_less(on_the_box[pixel((0.45, -0.15, 0.6))], 12)
+
+
+def test_what_stands_around_casts_a_shadow_on_the_floor_and_not_on_its_own_top() -> None:
+    away = (0.0, 50.0, 1.0)
+    model = mujoco.MjModel.from_xml_string(BOXED)
+    bare = mujoco.MjModel.from_xml_string(DULL)
+    camera = Camera(np.zeros((1, 2)), height=0.6, distance=5.0, azimuth=90.0, elevation=-40.0)
+    path = track(0.0)
+    path[0, :3] = away
+    try:
+        (frame,), (empty,) = (
+            list(draw(m, [Figure(path, LEARNED)], camera, WIDTH, HEIGHT, 1)) for m in (model, bare)
+        )
+    except UnderstudyError as error:
+        pytest.skip(str(error))
+    change = empty.astype(int).sum(axis=2) - frame.astype(int).sum(axis=2)
+    # The top's right edge, 0.6 m high, throws its shadow 0.18 m beside the box.
+    assert change[pixel((0.58, 0.5, 0.0))].min() > 60
+    np.testing.assert_array_less(np.abs(change[pixel((-1.0, 0.0, 0.0))]), 8)
+    top = frame[pixel((0.0, 0.3, 0.6))].astype(int).sum(axis=2)
+    assert np.ptp(top) < 12
+
+
+def test_shadows_of_what_stands_still_are_worked_out_once_and_anew_when_it_moves() -> None:
+    model = mujoco.MjModel.from_xml_string(BOXED)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shadow = StillShadow(model, np.array([model.geom("box").id]))
+    first = shadow.cast(data)
+    assert first is not None
+    assert shadow.cast(data) is first
+    assert shadow.cast(data, 0.6) is None  # nothing of it is above its own top
+    np.testing.assert_allclose(first.at(np.array([[0.0, 3.0], [0.3, 3.0]])), [1.0, 0.0], atol=1e-6)
+    model.geom_size[model.geom("box").id] = [0.5, 0.5, 0.1]
+    smaller = shadow.cast(data)
+    assert smaller is not None
+    assert smaller is not first
+    (top,) = shadow.tops(data)
+    np.testing.assert_allclose(top.centre, [0.0, 0.3, 0.4])
