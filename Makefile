@@ -63,6 +63,7 @@ bench-gpu: install
 mutants: install
 	$(BIN)/python -m pytest tests/mutants -m 'slow or not slow' --timeout=900
 
-# Train for an hour and print by how much memory, threads, descriptors and speed change.
+# Train for an hour and print by how much memory, threads, descriptors and speed change. One thread: those that
+# wait for one another would spend processor time.
 soak: install
-	$(BIN)/python tests/soak.py --minutes 60
+	OMP_NUM_THREADS=1 $(BIN)/python tests/soak.py --minutes 60

@@ -9,8 +9,7 @@ import mujoco
 import pytest
 
 
-@pytest.fixture
-def repeatable(monkeypatch: pytest.MonkeyPatch) -> None:
+def repeat_exactly(patch: pytest.MonkeyPatch) -> None:
     """Sums in a fixed order, and no contacts or limits: MuJoCo Warp 4.0 has no order for those."""
     import mujoco_warp as mjw
 
@@ -24,4 +23,9 @@ def repeatable(monkeypatch: pytest.MonkeyPatch) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         return model
 
-    monkeypatch.setattr(MujocoWarpSimulator, "_put_model", put_repeatable)
+    patch.setattr(MujocoWarpSimulator, "_put_model", put_repeatable)
+
+
+@pytest.fixture
+def repeatable(monkeypatch: pytest.MonkeyPatch) -> None:
+    repeat_exactly(monkeypatch)

@@ -1,11 +1,14 @@
 """A long training of the walk, watched from beside it: does anything grow, does anything slow down?
 
-Prints, and writes as JSON with ``--out``, for the memory, threads and descriptors of the process and the
-samples a second by its CPU clock and by the wall's: the mean, and by how much of it the straight line
-through all measurements rises over them. The first quarter warms up and is not counted. Ends with 1 if
-something but the wall clock's speed, which is also that of what else the machine does, is beyond 5 %::
+For the memory, threads and descriptors of the process, and for its samples a second of its processor
+time (user and system, of all its threads) and of the wall's, it prints the mean and by how much of it
+the straight line through all measurements rises or falls over them. The first quarter warms up and is
+not counted. What else a machine does slows the wall's clock and, by caches and cores that are shared,
+the processor's: the speed of a fixed piece of work, timed after each iteration, says by how much.
+Ends with 1 if memory, threads, descriptors or samples a second of processor time change by more than
+5 %, in either direction. ``--out`` appends the figures, with the hardware, as a line of JSON::
 
-    python tests/soak.py --minutes 60
+    OMP_NUM_THREADS=1 nice -n 5 python tests/soak.py --minutes 60 --out docs/benchmarks/soak.jsonl
 """
 
 from __future__ import annotations
@@ -15,17 +18,23 @@ import json
 import os
 import sys
 import tempfile
-import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
+import understudy_mujoco  # isort: skip  # noqa: F401 - before torch, to tell its threads how to wait
 import numpy as np
+import torch
 
 from understudy.records import runs
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 
 LIMIT = 0.05
+#: What may not change, beside what only tells of the machine.
+JUDGED = ("memory_mb", "threads", "descriptors", "samples_per_cpu_second")
+#: Measurements of a soak, less in a short one: of an hour's, each covers evaluations and checkpoints.
+WINDOWS = 80
 #: An evaluation every so many samples, so that what it keeps is watched, too.
 OVERRIDES = (
     "experiment=spacetime/walk", "num_worlds=64", "simulator.threads=1", "evaluation.criterion=null",
@@ -34,50 +43,82 @@ OVERRIDES = (
 )  # fmt: skip
 
 
-def measured(row: dict[str, float], before: tuple[float, float, float]) -> dict[str, float]:
-    """What the process holds, and how fast it was since `before` (samples, CPU and wall seconds)."""
+def clocks() -> np.ndarray:
+    return np.array([time.process_time(), time.monotonic()])
+
+
+def fixed_work() -> float:
+    """Matrix products and small operations of the size of a training's, in processor seconds."""
+    began, weights = time.process_time(), torch.ones(256, 256) / 256
+    for _ in range(40):
+        value = torch.ones(64, 256)
+        for _ in range(4):
+            value = torch.relu(value @ weights + 0.5 * value)
+    return time.process_time() - began
+
+
+def held() -> dict[str, float]:
+    """What the process holds now."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    samples, cpu, wall = row["samples"] - before[0], time.process_time(), time.monotonic()
     return {
-        "seconds": wall,
         "memory_mb": int(status["VmRSS"].split()[0]) / 1024,
-        "threads": threading.active_count() + int(status["Threads"]),
+        "threads": int(status["Threads"]),
         "descriptors": len(os.listdir("/proc/self/fd")),
-        "samples_per_cpu_second": samples / (cpu - before[1]),
-        "samples_per_second": samples / (wall - before[2]),
     }
 
 
+def processor() -> str:
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    return next((x.partition(": ")[2] for x in lines if x.startswith("model name")), "unknown")
+
+
+def line_through(seconds: np.ndarray, values: np.ndarray) -> dict[str, float]:
+    """``mean``, ``rise`` over all of `seconds` as a share of it, and ``rise_per_hour``."""
+    slope, _ = np.polyfit(seconds, values, 1)
+    rise = slope * (seconds[-1] - seconds[0]) / values.mean()
+    return {
+        "mean": float(values.mean()), "rise": float(rise), "rise_per_hour": float(slope * 3600),
+    }  # fmt: skip
+
+
 def soak(minutes: float, overrides: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """By what was watched: ``mean``, ``rise`` as a share of it, and ``rise_per_hour``."""
+    """What `line_through` says, by what was watched."""
+    table: list[dict[str, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         overrides = (*OVERRIDES, f"budget.minutes={minutes}", f"run.dir={folder}/run", *overrides)
         experiment = load_experiment(overrides)
         training = Training(experiment).prepare()
         training.attach(runs.create(experiment, overrides, training.job.sources()))
-        table: list[dict[str, float]] = []
-        before = (0.0, time.process_time(), time.monotonic())
+        samples, before, fixed = 0.0, clocks(), []
         for row in training.rows():
-            table.append(measured(row, before))
-            before = (row["samples"], time.process_time(), time.monotonic())
+            fixed.append(fixed_work())
+            processor, wall = clocks() - before
+            if wall >= minutes * 60 / WINDOWS:
+                per_cpu_second = (row["samples"] - samples) / (processor - sum(fixed))
+                table.append(
+                    {
+                        "seconds": time.monotonic(),
+                        **held(),
+                        "samples_per_cpu_second": per_cpu_second,
+                        "samples_per_second": (row["samples"] - samples) / wall,
+                        "fixed_works_per_cpu_second": len(fixed) / sum(fixed),
+                        "samples_per_fixed_work": per_cpu_second * sum(fixed) / len(fixed),
+                    }
+                )
+                samples, before, fixed = row["samples"], clocks(), []
         training.close()
     counted = table[len(table) // 4 :]
-    seconds = np.array([row.pop("seconds") for row in counted])
-    found = {}
-    for name in counted[0]:
-        values = np.array([row[name] for row in counted])
-        slope, _ = np.polyfit(seconds, values, 1)
-        rise = slope * (seconds[-1] - seconds[0])
-        found[name] = {
-            "mean": float(values.mean()),
-            "rise": float(rise / values.mean()),
-            "rise_per_hour": float(slope * 3600),
-        }
-    return found
+    columns = {name: np.array([row[name] for row in counted]) for name in counted[0]}
+    seconds = columns.pop("seconds")
+    return {name: line_through(seconds, values) for name, values in columns.items()}
+
+
+def beyond(found: Mapping[str, Mapping[str, float]]) -> list[str]:
+    return [name for name in JUDGED if abs(found[name]["rise"]) > LIMIT]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Does anything grow or slow down?")
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--out", type=Path)
     options, overrides = parser.parse_known_args()
@@ -85,17 +126,19 @@ def main() -> int:
     print(f"{options.minutes:g} minutes, the first quarter not counted")
     for name, figures in found.items():
         print(
-            f"{name:24} {figures['mean']:10.1f}   rises by {figures['rise']:+8.2%}   "
+            f"{name:26} {figures['mean']:10.1f}   rises by {figures['rise']:+8.2%}   "
             f"{figures['rise_per_hour']:+10.2f} an hour"
+            + ("" if name in JUDGED else "   (not judged)")
         )
     if options.out:
-        options.out.write_text(json.dumps({"minutes": options.minutes, **found}, indent=1) + "\n")
-    judged = {name: f for name, f in found.items() if name != "samples_per_second"}
-    worse = [
-        name
-        for name, f in judged.items()
-        if (f["rise"] < -LIMIT if name.startswith("samples") else f["rise"] > LIMIT)
-    ]
+        machine = {
+            "when": time.strftime("%Y-%m-%d"), "processor": processor(),
+            "cores": os.cpu_count(), "torch_threads": torch.get_num_threads(),
+            "versions": runs.versions(), "minutes": options.minutes, "watched": found,
+        }  # fmt: skip
+        with options.out.open("a") as file:
+            file.write(json.dumps(machine) + "\n")
+    worse = beyond(found)
     print(f"Beyond 5 %: {', '.join(worse)}." if worse else "All within 5 %.")
     return int(bool(worse))
 

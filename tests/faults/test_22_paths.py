@@ -128,6 +128,15 @@ def test_includes_that_multiply(folder: Path, monkeypatch: pytest.MonkeyPatch) -
         model(folder, "<include file='0.xml'/>")
 
 
+@pytest.mark.parametrize("within", ["", "<body>" * 150], ids=["flat", "deep"])
+def test_includes_within_includes(folder: Path, within: str) -> None:
+    for level in range(1100):
+        include = f"{within}<include file='{level + 1}.xml'/>{within.replace('<', '</')}"
+        (folder / f"{level}.xml").write_text(f"<mujoco>{include}</mujoco>")
+    with pytest.raises(FileError, match="nested more than 200 deep"):
+        model(folder, "<include file='0.xml'/>")
+
+
 @pytest.mark.parametrize(
     "text",
     [

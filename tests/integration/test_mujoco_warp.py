@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gc
 import itertools
-import os
 import subprocess
 import sys
 import warnings
@@ -19,17 +18,17 @@ import pytest
 import torch
 from arena import arena, states
 from repeatable import repeatable  # noqa: F401 - a fixture
-from torch import Tensor
 
 pytest.importorskip(
     "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
+from faults_on_gpu import TASK, apart_after_a_second, build, cold_start, dropped
+
 from understudy.errors import ConfigError
 from understudy.running.recorded import Recorded
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
-from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Rollout
 from understudy.testing import check_environment
@@ -39,12 +38,6 @@ DEVICES = [
     pytest.param("cpu", marks=pytest.mark.slow),
     pytest.param("cuda", marks=pytest.mark.gpu),
 ]
-TASK = ("experiment=spacetime/walk", "learner.minibatches=2", "policy.feedback.hidden=[32]")
-
-
-def build(device: str, *overrides: str, worlds: int = 8) -> Built:
-    fixed = ["simulator=mujoco_warp", f"device={device}", f"num_worlds={worlds}"]
-    return build_environment(load_experiment([*TASK, *fixed, *overrides]))
 
 
 def on_gpu(*overrides: str, task: Sequence[str] = TASK) -> Training:
@@ -69,32 +62,8 @@ def test_agrees_with_mujoco_over_a_second(device: str) -> None:
     The moment of a contact magnifies rounding, so worlds may differ as far as plain MuJoCo does from
     itself, begun 1e-6 beside in several ways.
     """
-    reference = build_environment(load_experiment([*TASK, "num_worlds=8"])).environment
-    environment = build(device).environment
-    everywhere = torch.ones(8, dtype=torch.bool)
-
-    def second(beside: float = 0.0, way: int = 0) -> tuple[list[Tensor], Tensor]:
-        reference.reset(seed=3)
-        simulator, noise = reference.parts.simulator, torch.Generator().manual_seed(way)
-        begun = {name: simulator.read(name).clone() for name in simulator.state_fields}
-        for value in begun.values():
-            value += beside * torch.randn(value.shape, generator=noise)
-        simulator.set_state(everywhere, begun)
-        reference.refresh()
-        targets = []
-        for _ in range(30):
-            targets.append(reference.table["reference_joint_targets"].clone())
-            simulator.step(targets[-1])
-        return targets, simulator.read("qpos").clone()
-
-    targets, exact = second()
-    beside = torch.stack([second(1e-6, way)[1] for way in range(6)])
-    own = (beside - exact).abs().amax(dim=(0, 2))
-    environment.reset(seed=3)
-    for target in targets:
-        environment.parts.simulator.step(target.to(environment.device))
-    found = environment.parts.simulator.read("qpos").cpu()
-    assert ((found - exact).abs().amax(dim=1) < 1e-4 + 3 * own).all()
+    apart, own = apart_after_a_second(device, 8)
+    assert (apart < 1e-4 + 3 * own).all()
     assert (own < 1e-4).sum() >= 5, "too many contacts: the test shows little"
 
 
@@ -130,13 +99,8 @@ def test_a_bad_world_ends_alone(device: str, value: float) -> None:
 def test_overflow_is_counted(device: str) -> None:
     """Fault 3: too small a capacity is reported with a count; the default one never overflows."""
     small = build(device, "simulator.constraints=4", "simulator.contacts=1").environment
-    roomy = build(device).environment
-    for environment in (small, roomy):
-        environment.reset(seed=0)
-        for _ in range(4):
-            environment.step(environment.observations["feedforward"])
-    assert small.parts.simulator.report()["contact_or_constraint_overflows"] > 0
-    assert roomy.parts.simulator.report() == {}
+    assert dropped(small, steps=4) > 0
+    assert dropped(build(device).environment, steps=4) == 0
 
 
 @pytest.mark.usefixtures("repeatable")
@@ -380,18 +344,6 @@ def test_cold_start(device: str, cache: str, tmp_path: Path) -> None:
     """Fault 30: with an empty kernel cache, and with one that cannot be written, the first step
     comes within a bound; the second says that the next start will be as slow."""
     folder = tmp_path / "kernels" if cache == "empty" else Path("/proc/no-such-cache")
-    overrides = [*TASK, "simulator=mujoco_warp", f"device={device}", "num_worlds=8"]
-    code = f"""
-from understudy.setup.building import build_environment
-from understudy.setup.composition import load_experiment
-environment = build_environment(load_experiment({overrides!r})).environment
-environment.reset(seed=0)
-environment.step(environment.observations["feedforward"])
-print("stepped")
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
-        timeout=240, env={**os.environ, "WARP_CACHE_PATH": str(folder)},
-    )  # fmt: skip
+    _, done = cold_start(device, str(folder))
     assert done.stdout.splitlines()[-1:] == ["stepped"], done.stderr
     assert ("No kernel cache to write" in done.stderr) == (cache != "empty")

@@ -36,6 +36,14 @@ F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/tes
 F13 = "tests/faults/test_13_stop_signals.py"
 ANY = "tests/faults/test_13_any_moment.py"
 F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
+F24 = "tests/faults/test_24_mutated_models.py"
+INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluation.py"
+TRIAL, MODELS = (
+    "plugins/mujoco/understudy_mujoco/trial.py",
+    "plugins/mujoco/understudy_mujoco/scene.py",
+)
+JOURNAL, SWEEP, POOL, PROCESSES = (f"plugins/sweeps/understudy_sweeps/{n}.py" for n in ("journal", "sweep", "pool", "processes"))  # fmt: skip
+F11, SWEEPS = "tests/faults/test_11_other_configuration.py", "tests/plugins/sweeps"
 F21, F22, F25 = "tests/faults/test_21_code_in_configurations.py", "tests/faults/test_22_paths.py", "tests/faults/test_25_odd_clips.py"  # fmt: skip
 
 MUTANTS = (
@@ -162,6 +170,67 @@ MUTANTS = (
     Mutant("models of any size", MJCF, "if len(content) > limit:", "if False:", F22),
     Mutant("a broken plugin stays", f"{KERNEL}/setup/plugins.py", "plugins.registry.remove(plugin.name)", "pass",
            "tests/faults/test_23_broken_plugins.py"),
+    # What a run carries, and which runs are read.
+    Mutant("a carried file is not compared", INPUTS,
+           "if not inside or hashlib.sha256(path.read_bytes()).hexdigest() != digest:", "if not inside:",
+           "tests/kernel/test_inputs.py"),
+    Mutant("a carried file may be elsewhere", INPUTS,
+           "path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()", "path.is_file()",
+           "tests/kernel/test_inputs.py"),
+    Mutant("the original is read again", INPUTS, "if asked not in self.kept:", "if True:", "tests/kernel/test_inputs.py"),
+    Mutant("any layout is read", RUNS, "    if layout != LAYOUT:", "    if False:", F11),
+    Mutant("older layouts are called newer", RUNS, "if isinstance(layout, int) and layout < LAYOUT:", "if False:", F11),
+    # Evaluations.
+    Mutant("evaluations repeat their draw", TRAINING, 'draw = f"{kind}/{self.progress.evaluations + 1}"', "draw = kind",
+           "tests/kernel/running/test_evaluations.py"),
+    Mutant("one draw meets the criterion", TRAINING, "met, row = _reaches(second, options.criterion),", "met, row = True,",
+           "tests/kernel/running/test_evaluations.py"),
+    Mutant("an evaluation cut short meets it", TRAINING, "return evaluation.complete and rate", "return rate",
+           "tests/kernel/running/test_evaluations.py"),
+    Mutant("the last start decides", EVALUATION, "in reversed(self._starts.items()):", "in self._starts.items():",
+           "tests/kernel/running/test_evaluation_starts.py"),
+    Mutant("all starts are judged for a criterion", EVALUATION, "if give_up_below is None and self.success:", "if self.success:",
+           "tests/kernel/running/test_evaluation_starts.py"),
+    Mutant("the measures of a bad world count", EVALUATION, "counted = running & ~step.unsound", "counted = running",
+           "tests/faults/test_01_nonfinite_state.py tests/kernel/running"),
+    # Sweeps.
+    Mutant("the journal is not synced", JOURNAL, "                os.fsync(file.fileno())\n", "", f"{SWEEPS}/test_journal.py"),
+    Mutant("a lost row of the journal is none", JOURNAL, "        self.events.append(event)\n", "",
+           f"{SWEEPS}/test_journal.py {SWEEPS}/test_sweep.py"),
+    Mutant("a row cut short stays", JOURNAL, "if not path.exists() or path.read_bytes() != rows:", "if not path.exists():",
+           f"{SWEEPS}/test_journal.py {SWEEPS}/test_sweep.py"),
+    Mutant("a trial is asked for twice", JOURNAL, "if any(trial.key == other.key for other in self.asked):", "if False:",
+           f"{SWEEPS}/test_journal.py"),
+    Mutant("two processes write a journal", SWEEP, "        book.lock()\n", "", SWEEPS),
+    Mutant("two sweeps share a folder", SWEEP, "if path.exists() and path.read_bytes() != mark:", "if False:", SWEEPS),
+    Mutant("reports are told twice", SWEEP, "if report.final or (report.key, report.cost) not in self._told:", "if True:",
+           f"{SWEEPS}/test_sweep.py"),
+    Mutant("early stops are forgotten", SWEEP, "if trial.key in self._stopped:", "if False:", f"{SWEEPS}/test_sweep.py"),
+    Mutant("trials take for ever", POOL, "if running.deadline is None or time.monotonic() < running.deadline:", "if True:",
+           f"{SWEEPS}/test_executors.py"),
+    Mutant("a killed trial is lost", POOL, "if running.tries < limit:", "if False:", f"{SWEEPS}/test_executors.py"),
+    Mutant("a killed trial is tried for ever", POOL, "if running.tries < limit:", "if True:", f"{SWEEPS}/test_executors.py -k gives_up"),
+    Mutant("trials outlive their sweep", PROCESSES, "    except (EOFError, OSError):\n        end()\n", "    except (EOFError, OSError):\n        time.sleep(3600)\n",
+           f"{SWEEPS}/test_executors.py -k children"),
+    Mutant("a library keeps a signal", SIGNALS, "if signal.getsignal(number) is not _note:", "if number not in self._previous:",
+           F13),
+    # Models that compute without end.
+    Mutant("a model is not tried first", MODELS, "        try_out(self._path, self._mjcf)\n", "", f"{F24} -k leaves"),
+    Mutant("a model may compute for ever", TRIAL, "    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))\n", "",
+           f"{F24} -k without_end"),
+    Mutant("a model may take all memory", TRIAL, "    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))\n", "",
+           f"{F24} -k without_end"),
+    Mutant("a model may hang", TRIAL, "start_new_session=True, timeout=WALL_SECONDS", "start_new_session=True",
+           f"{F24} -k ends_or_stops"),
+    Mutant("a model that crashes MuJoCo passes", TRIAL, "    if done.returncode:\n", "    if done.returncode == _REFUSED:\n",
+           f"{F24} -k ends_or_stops"),
+    Mutant("a changed model is not tried again", TRIAL, "digest = hashlib.sha256(model.text.encode())", "digest = hashlib.sha256()",
+           f"{F24} -k tried_once"),
+    Mutant("the working folder is imported", TRIAL, 'sys.executable, "-P", "-m",', 'sys.executable, "-m",',
+           f"{F24} -k working_folder"),
+    Mutant("models of any depth", MJCF, "        if depth > MAX_DEPTH:", "        if False:", F22),
+    Mutant("includes of any depth", MJCF, "self._include(included, (*within, path), depth + 1)",
+           "self._include(included, (*within, path))", f"{F22} -k within"),
     # The rest.
     Mutant("a diverged environment is measured", "benchmarks/cpu.py", 'if int(environment.quarantined):',
            "if False:", "tests/faults/test_29_invalid_benchmarks.py"),

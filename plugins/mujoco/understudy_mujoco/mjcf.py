@@ -20,7 +20,7 @@ MAX_ASSET_BYTES = 512 * 2**20
 """Of all meshes and textures together."""
 MAX_FILES = 2000
 MAX_DEPTH = 200
-"""How deeply elements may be nested."""
+"""How deeply elements and includes may be nested."""
 
 _REFUSED = ("plugin", "extension", "model")
 """Elements by which a model has libraries loaded, or models that refer to files of their own."""
@@ -78,28 +78,28 @@ class _Reader:
         if b"<!DOCTYPE" in text or b"<!ENTITY" in text or b"\0" in text:
             raise FileError(f"The model {path} does not load: it is no plain XML in UTF-8.")
         try:
-            root = ElementTree.fromstring(text.decode("utf-8-sig"))
+            return ElementTree.fromstring(text.decode("utf-8-sig"))
         except (ElementTree.ParseError, ValueError) as error:
             raise FileError(f"The model {path} does not load: no XML in UTF-8: {error}.") from error
-        level = [root]
-        for _ in range(MAX_DEPTH):
-            level = [child for element in level for child in element]
-        if level:
-            raise FileError(f"The model {path} does not load: nested more than {MAX_DEPTH} deep.")
-        return root
 
-    def _include(self, parent: ElementTree.Element, within: tuple[Path, ...]) -> None:
+    def _include(
+        self, parent: ElementTree.Element, within: tuple[Path, ...], depth: int = 1
+    ) -> None:
         """Put the content of included files in the place of the elements that include them."""
+        if depth > MAX_DEPTH:
+            raise FileError(
+                f"The model {self._path} does not load: nested more than {MAX_DEPTH} deep."
+            )
         for index in reversed(range(len(parent))):
             child = parent[index]
             if child.tag != "include":
-                self._include(child, within)
+                self._include(child, within, depth + 1)
                 continue
             path = self._inside(child.get("file", ""))
             if path in within:
                 raise FileError(f"The model {path} includes itself.")
             included = self._parse(path)
-            self._include(included, (*within, path))
+            self._include(included, (*within, path), depth + 1)
             parent[index : index + 1] = list(included)
 
     def _directories(self, elements: list[ElementTree.Element]) -> dict[str, str]:

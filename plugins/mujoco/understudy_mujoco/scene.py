@@ -14,6 +14,7 @@ from understudy.errors import FileError
 from understudy.inputs import Inputs
 from understudy.task import Context, Scene
 from understudy_mujoco.mjcf import read_mjcf
+from understudy_mujoco.trial import try_out
 
 
 def _log_nothing() -> None:
@@ -82,11 +83,7 @@ class MjcfFile(MujocoScene):
         own = Path(options.file)
         self._path = inputs.file(f"mjcf {own}", lambda: read_mjcf(own).files)
         self._mjcf = read_mjcf(self._path)
-        self.spec()
+        try_out(self._path, self._mjcf)
 
     def spec(self) -> mujoco.MjSpec:
-        try:
-            return mujoco.MjSpec.from_string(self._mjcf.text, assets=dict(self._mjcf.assets))
-        except (ValueError, RuntimeError, mujoco.FatalError) as error:
-            reason = str(error).strip().splitlines()[0]
-            raise FileError(f"The model {self._path} does not load: {reason}") from error
+        return mujoco.MjSpec.from_string(self._mjcf.text, assets=dict(self._mjcf.assets))
