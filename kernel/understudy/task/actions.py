@@ -10,9 +10,15 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Box:
-    """`size` real numbers, unbounded: what they mean and how they are limited is the actuation's."""
+    """`size` real numbers, unbounded: what they mean and how they are limited is the actuation's.
+
+    Learners that act in [-1, 1] span what is within `reach` of `around`: 0, numbers, or the field of
+    that name, (N, size).
+    """
 
     size: int
+    reach: float | tuple[float, ...] = 1.0
+    around: str | tuple[float, ...] | None = None
 
     @property
     def columns(self) -> int:
@@ -50,6 +56,10 @@ class ActionSpace:
         }
 
 
-def box(size: int) -> ActionSpace:
+def box(
+    size: int,
+    reach: float | tuple[float, ...] = 1.0,
+    around: str | tuple[float, ...] | None = None,
+) -> ActionSpace:
     """The space of `size` real numbers, named ``action``."""
-    return ActionSpace({"action": Box(size)})
+    return ActionSpace({"action": Box(size, reach, around)})

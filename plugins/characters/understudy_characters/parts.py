@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import mujoco
+import numpy as np
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
@@ -103,15 +105,38 @@ def _sized(names: Mapping[str, Shape], layout: Layout) -> dict[str, Shape]:
     return sized
 
 
+#: rad from the reference's joint targets that learners of actions in [-1, 1] span.
+REACH = 0.3
+
+
 class JointTargets(Actuation):
-    """The action is the target of every servo: angles of hinges, exponential maps of balls, in rad."""
+    """The action is the target of every servo: angles of hinges, exponential maps of balls, in rad.
+
+    Learners of actions in [-1, 1] span :data:`REACH` around the reference's targets, or without a
+    reference motion the joints' ranges.
+    """
 
     def __init__(self, options: None, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "actuation 'characters/joint_targets'")
-        self.action_space = box(scene.layout.num_actuators)
+        if "motion" in context.sections:
+            self.action_space = box(scene.layout.num_actuators, REACH, "reference_joint_targets")
+        else:
+            middle, half = joint_ranges(scene.model)
+            self.action_space = box(scene.layout.num_actuators, half, middle)
 
     def control(self, action: Tensor) -> Tensor:
         return action
+
+
+def joint_ranges(model: mujoco.MjModel) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Middle and half width of what each actuator's joint can do, (U,) rad; a turn where nothing limits
+    it, and for each axis of a ball its largest angle either way."""
+    joints = model.actuator_trnid[:, 0]
+    low, high = model.jnt_range[joints].T.copy()
+    low = np.where(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_BALL, -high, low)
+    free = model.jnt_limited[joints] == 0
+    low, high = np.where(free, -np.pi, low), np.where(free, np.pi, high)
+    return tuple(((low + high) / 2).tolist()), tuple(((high - low) / 2).tolist())
 
 
 class _UprightLinks:

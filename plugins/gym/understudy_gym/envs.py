@@ -1,26 +1,30 @@
-"""Any task as a Gymnasium vector environment::
+"""Any task as a Gymnasium environment, one world or many::
 
     import understudy_gym.envs  # registers the tasks
+    env = gymnasium.make("spacetime/walk")
     envs = gymnasium.make_vec("spacetime/walk", num_envs=64)
 
-For users of other learners. Observations are a dict of float32 arrays; ended worlds reset in the
-same step (Gymnasium's ``AutoresetMode.SAME_STEP``), with the last observation of a truncated
-episode under ``info["final_obs"]``.
+Without the import, ``gymnasium.make("understudy_gym.envs:spacetime/walk")``. Observations are float32,
+by name, or with ``flat=True`` in one row. Actions are in [-1, 1], or with ``actions="raw"`` the task's.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector.utils import batch_space, iterate
+from torch import Tensor
 
-from understudy.setup.building import build_environment
-from understudy.setup.composition import load_experiment
+from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
+from understudy_gym.worlds import Worlds, columns, flattened
+
+_RENDER_MODES = ("rgb_array",)
 
 
 def register_envs() -> None:
@@ -28,60 +32,239 @@ def register_envs() -> None:
     for name in installed().registry.tasks:
         gymnasium.register(
             id=name,
+            entry_point="understudy_gym.envs:UnderstudyEnv",
             vector_entry_point="understudy_gym.envs:UnderstudyVectorEnv",
             kwargs={"task": name},
         )
 
 
-class UnderstudyVectorEnv(VectorEnv):
-    """N worlds of the task `task`; `overrides` are Hydra's, as on the command line."""
+class UnderstudyEnv(gymnasium.Env):
+    """One world of the task `task`.
+
+    Args:
+        task, overrides, settings: as :class:`~understudy_gym.worlds.Worlds` has them.
+        flat: observations side by side in one row, in the order of the configuration.
+        render_mode: ``rgb_array`` or None.
+
+    Raises:
+        ConfigError: for a task, an override or a value that is not possible.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(_RENDER_MODES), "render_fps": 30}
 
     def __init__(
-        self, task: str, num_envs: int = 1, overrides: tuple[str, ...] = (), **_: Any
+        self,
+        task: str,
+        overrides: Sequence[str] = (),
+        *,
+        flat: bool = False,
+        render_mode: str | None = None,
+        **settings: Any,
     ) -> None:
-        experiment = load_experiment([f"task={task}", *overrides, f"num_worlds={num_envs}"])
-        self._environment = build_environment(experiment).environment
-        self._seed = experiment.root.seed
-        self.num_envs = num_envs
-        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
-        self.single_observation_space = gymnasium.spaces.Dict(
-            {
-                name: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
-                for name, shape in self._environment.observation_shapes.items()
-            }
+        self.render_mode = _known(render_mode)
+        self.worlds = Worlds(task, 1, overrides, **settings)
+        self.metadata = _metadata(self.worlds)
+        self._flat = flat
+        self.observation_space = self.worlds.observation_space(flat)
+        self.action_space = self.worlds.action_space()
+        self._seeded = False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """A seed makes what follows repeat exactly; without one, ever, the episodes are other ones in
+        every process."""
+        super().reset(seed=seed)
+        if seed is None and not self._seeded:
+            seed = int(self.np_random.integers(2**31))
+        self._seeded = True
+        return self._observed(self.worlds.environment.reset(seed)), {}
+
+    def step(self, action: Any):
+        batch = {k: np.asarray(v)[None] for k, v in action.items()} if isinstance(action, Mapping) \
+            else np.asarray(action)[None]  # fmt: skip
+        step = self.worlds.advance(columns(self.worlds.space, batch, self.worlds.device))
+        return (
+            self._observed(step.observations),
+            float(step.rewards[0]),
+            bool(step.terminated[0]),
+            bool(step.truncated[0]),
+            {},
         )
-        self.single_action_space = gymnasium.spaces.Box(
-            -np.inf, np.inf, (self._environment.action_size,), np.float32
-        )
+
+    def render(self) -> Any:
+        """(height, width, 3) uint8, or None without a render mode."""
+        return self.worlds.draw(0) if self.render_mode else None
+
+    def close(self) -> None:
+        self.worlds.environment.close()
+
+    def _observed(self, observations: Mapping[str, Tensor]) -> Any:
+        arrays = _arrays(observations, self._flat)
+        return arrays[0] if self._flat else {name: value[0] for name, value in arrays.items()}
+
+
+class UnderstudyVectorEnv(VectorEnv):
+    """`num_envs` worlds of the task `task`, stepped together.
+
+    Args:
+        task, overrides, settings: as :class:`~understudy_gym.worlds.Worlds` has them.
+        flat: observations side by side in one row, in the order of the configuration.
+        render_mode: ``rgb_array`` or None.
+        autoreset_mode: when an ended world begins its next episode, Gymnasium's. ``NEXT_STEP``, its
+            default: in the step after, whose action it ignores and whose reward is 0. ``SAME_STEP``:
+            at once, with the last observation under ``info["final_obs"]``, an array of one object a
+            world; the fastest on a GPU, where only this step is replayed as a recording.
+            ``DISABLED``: when ``reset(options={"reset_mask": mask})`` says so.
+
+    Raises:
+        ConfigError: for a task, an override or a value that is not possible.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        overrides: Sequence[str] = (),
+        *,
+        flat: bool = False,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **settings: Any,
+    ) -> None:
+        self.render_mode = _known(render_mode)
+        self._mode = _mode(autoreset_mode)
+        self.worlds = Worlds(task, num_envs, overrides, **settings)
+        self.num_envs, self._flat = num_envs, flat
+        self.metadata = {**_metadata(self.worlds), "autoreset_mode": self._mode}
+        self.single_observation_space = self.worlds.observation_space(flat)
+        self.single_action_space = self.worlds.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._ended = torch.zeros(num_envs, dtype=torch.bool, device=self.worlds.device)
+        self._seeded = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
-        """A seed makes what follows repeat exactly."""
-        return _arrays(self._environment.reset(seed)), {}
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Begin new episodes everywhere, or where ``options["reset_mask"]`` (N,) bool is true.
 
-    def step(self, actions: np.ndarray):  # pyright: ignore[reportIncompatibleMethodOverride]
-        step = self._environment.step(
-            torch.as_tensor(np.asarray(actions, dtype=np.float32)).to(self._environment.device)
-        )
-        info: dict[str, Any] = {}
-        if step.final_observations is not None:
-            ended = step.ended.cpu().numpy()
-            info = {"final_obs": _arrays(step.final_observations), "_final_obs": ended}
+        A seed makes what follows repeat exactly; without one, ever, the episodes are other ones in
+        every process.
+
+        Raises:
+            ValueError: for a mask of the wrong shape or type, one before any whole reset, or one with
+                a seed, since a seed begins the random numbers of all worlds anew.
+        """
+        super().reset(seed=seed)
+        mask = (options or {}).get("reset_mask")
+        if mask is not None:
+            return self._begin(np.asarray(mask), seed), {}
+        if seed is None and not self._seeded:
+            seed = int(self.np_random.integers(2**31))
+        self._seeded = True
+        self._ended.zero_()
+        return _arrays(self.worlds.environment.reset(seed), self._flat), {}
+
+    def _begin(self, mask: np.ndarray, seed: int | None) -> Any:
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"reset_mask must be bool of shape ({self.num_envs},), true somewhere; it is "
+                f"{mask.dtype} of shape {mask.shape}, true {int(mask.astype(bool).sum())} times."
+            )
+        if seed is not None or not self._seeded:
+            raise ValueError(
+                "A reset_mask goes without a seed, after a reset of all worlds. Call reset(seed=…) "
+                "first."
+            )
+        worlds = torch.as_tensor(mask).to(self.worlds.device)
+        self._ended &= ~worlds
+        return _arrays(self.worlds.environment.begin(worlds), self._flat)
+
+    def step(self, actions: Any):
+        batch = columns(self.worlds.space, actions, self.worlds.device)
+        if self._mode is AutoresetMode.SAME_STEP:
+            step, info = self.worlds.step(batch), {}
+            if step.final_observations is not None and bool(step.ended.any()):
+                info = self._final(step.final_observations, step.ended.cpu().numpy())
+            return *self._given(step.observations, step), info
+        resting = self._ended
+        if self._mode is AutoresetMode.DISABLED and bool(resting.any()):
+            numbers = ", ".join(map(str, resting.nonzero().flatten().tolist()))
+            raise gymnasium.error.ResetNeeded(
+                f"The worlds {numbers} have ended. Reset them with options={{'reset_mask': mask}}."
+            )
+        step = self.worlds.advance(batch)
+        observations = step.observations
+        if bool(resting.any()):  # they were stepped beside the others, to no effect
+            observations = {
+                name: torch.where(_rows(resting, value), value, observations[name])
+                for name, value in self.worlds.environment.begin(resting).items()
+            }
+            step.rewards = torch.where(resting, 0.0, step.rewards)
+            step.terminated, step.truncated = step.terminated & ~resting, step.truncated & ~resting
+        self._ended = step.ended
+        return *self._given(observations, step), {}
+
+    def _given(self, observations: Mapping[str, Tensor], step: Any) -> tuple[Any, ...]:
         return (
-            _arrays(step.observations),
-            step.rewards.cpu().numpy(),
-            step.terminated.cpu().numpy(),
-            step.truncated.cpu().numpy(),
-            info,
+            _arrays(observations, self._flat),
+            _array(step.rewards),
+            _array(step.terminated),
+            _array(step.truncated),
         )
+
+    def _final(self, observations: Mapping[str, Tensor], ended: np.ndarray) -> dict[str, Any]:
+        """As Gymnasium's own vector environments give them: an object for each world, or None."""
+        arrays = _arrays(observations, self._flat)
+        final = np.full(self.num_envs, None, dtype=object)
+        for world, value in enumerate(iterate(self.observation_space, arrays)):
+            if ended[world]:
+                final[world] = value
+        return {"final_obs": final, "_final_obs": ended}
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """One picture a world, (height, width, 3) uint8, or None without a render mode."""
+        if not self.render_mode:
+            return None
+        return tuple(self.worlds.draw(world) for world in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        self._environment.close()
+        self.worlds.environment.close()
 
 
-def _arrays(observations: dict[str, Any]) -> dict[str, np.ndarray]:
-    return {name: value.cpu().numpy() for name, value in observations.items()}
+def _rows(mask: Tensor, like: Tensor) -> Tensor:
+    return mask.view(-1, *([1] * (like.dim() - 1)))
+
+
+def _known(render_mode: str | None) -> str | None:
+    if render_mode is not None and render_mode not in _RENDER_MODES:
+        raise ConfigError(
+            f"render_mode={render_mode!r} is not possible: there is {', '.join(_RENDER_MODES)}."
+        )
+    return render_mode
+
+
+def _mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """By its name or value, in any case."""
+    if isinstance(mode, AutoresetMode):
+        return mode
+    for known in AutoresetMode:
+        if mode.upper() in (known.name, known.value.upper()):
+            return known
+    names = ", ".join(known.name for known in AutoresetMode)
+    raise ConfigError(f"autoreset_mode={mode!r} is not possible: there is {names}.")
+
+
+def _metadata(worlds: Worlds) -> dict[str, Any]:
+    return {"render_modes": list(_RENDER_MODES), "render_fps": round(worlds.steps_per_second)}
+
+
+def _array(value: Tensor) -> np.ndarray:
+    """A copy, which nothing overwrites."""
+    return np.array(value.cpu().numpy())
+
+
+def _arrays(observations: Mapping[str, Tensor], flat: bool) -> Any:
+    if flat:
+        return _array(flattened(observations))
+    return {name: _array(value) for name, value in observations.items()}
 
 
 register_envs()

@@ -13,6 +13,7 @@ from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Fields, InitialStates, Shape, box
 from understudy_basics import rotations
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
+from understudy_characters.parts import REACH
 from understudy_characters.scene import CharacterScene, reference_motion
 
 
@@ -47,7 +48,7 @@ class OffsetTargets(Actuation):
 
     def __init__(self, options: None, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "actuation 'jumping/offset_targets'")
-        self.action_space = box(scene.layout.num_actuators)
+        self.action_space = box(scene.layout.num_actuators, REACH)
 
     def control(self, action: Tensor, reference_joint_targets: Tensor) -> Tensor:
         return reference_joint_targets + action

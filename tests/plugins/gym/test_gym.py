@@ -1,38 +1,261 @@
-"""Tasks as Gymnasium vector environments."""
+"""Tasks as Gymnasium environments: one world and many, their wrappers, and what Gymnasium's checker says."""
 
 from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
 
 import numpy as np
 import pytest
 
-gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
-pytest.importorskip("understudy_gym.envs")  # registers the tasks
+gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
+envs = pytest.importorskip("understudy_gym.envs")  # registers the tasks
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
+from gymnasium.wrappers import FlattenObservation, NormalizeObservation, RecordEpisodeStatistics  # noqa: E402
+from gymnasium.wrappers import vector as vector_wrappers  # noqa: E402
+
+from understudy.errors import ConfigError  # noqa: E402
+
+#: Episodes of three steps that are cut.
+SHORT = {"overrides": ["episode.seconds=0.3"]}
+WALK, TOY = "spacetime/walk", "miniature/go"
 
 
-def test_a_task_by_its_name() -> None:
-    environments = gymnasium.make_vec("spacetime/walk", num_envs=5)
-    observations, _ = environments.reset(seed=3)
-    assert environments.observation_space.contains(observations)
-    assert environments.single_action_space.shape == (28,)
-    seen_end = False
-    for _ in range(25):
-        actions = observations["feedforward"]
-        observations, rewards, terminated, truncated, info = environments.step(actions)
-        assert rewards.shape == terminated.shape == truncated.shape == (5,)
-        assert np.isfinite(observations["state"]).all()
-        if (terminated | truncated).any():
-            seen_end = True
-            assert (info["_final_obs"] == (terminated | truncated)).all()
-    assert seen_end
-    environments.close()
+def many(task: str = TOY, num_envs: int = 3, **settings: Any) -> Any:
+    return gymnasium.make_vec(
+        task, num_envs=num_envs, **{**(SHORT if task == TOY else {}), **settings}
+    )
 
 
-def test_the_same_seed_repeats() -> None:
-    environments = gymnasium.make_vec("spacetime/walk", num_envs=3)
-    first, _ = environments.reset(seed=8)
-    first = {k: v.copy() for k, v in first.items()}
-    environments.step(first["feedforward"])
-    again, _ = environments.reset(seed=8)
-    for name, value in first.items():
-        np.testing.assert_array_equal(value, again[name])
-    environments.close()
+def idle(environments: Any) -> np.ndarray:
+    return np.zeros(environments.action_space.shape, np.float32)
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space:UserWarning")
+@pytest.mark.parametrize(("task", "flat"), [(WALK, False), (TOY, True)])
+def test_gymnasiums_own_check_passes(task: str, flat: bool) -> None:
+    env = gymnasium.make(task, flat=flat, render_mode="rgb_array", width=64, height=64)
+    check_env(env.unwrapped)
+    env.close()
+
+
+def test_no_import_is_needed_where_the_module_is_named() -> None:
+    code = (
+        "import gymnasium; env = gymnasium.make('understudy_gym.envs:miniature/go'); "
+        "env.reset(seed=0); print(env.spec.id)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "miniature/go\n"
+
+
+def test_zero_is_the_reference_of_the_walk() -> None:
+    """Actions in [-1, 1] span 0.3 rad around it; raw ones are joint targets in rad."""
+    scaled, raw = gymnasium.make(WALK), gymnasium.make(WALK, actions="raw")
+    assert scaled.action_space == gymnasium.spaces.Box(-1, 1, (28,), np.float32)
+    assert np.isinf(raw.action_space.high).all()
+    (seen, _), (same, _) = scaled.reset(seed=4), raw.reset(seed=4)
+    action = np.random.default_rng(0).uniform(-1, 1, 28).astype(np.float32)
+    for _ in range(3):
+        targets = seen["feedforward"] + 0.3 * action
+        seen, *_ = scaled.step(action)
+        same, *_ = raw.step(targets)
+        np.testing.assert_allclose(seen["state"], same["state"], rtol=1e-4, atol=1e-4)
+
+
+def test_the_scale_can_be_inverted_and_replaced() -> None:
+    env = gymnasium.make(WALK, action_scale=0.1).unwrapped
+    env.reset(seed=1)
+    worlds = env.worlds
+    action = worlds.environment.action.uniform_(-1, 1).clone()
+    target = worlds.to_task(action)
+    np.testing.assert_allclose(target - worlds.to_task(0 * action), 0.1 * action, atol=1e-6)
+    np.testing.assert_allclose(worlds.from_task(target), action, atol=1e-5)
+    uneven = gymnasium.make(TOY, action_scale=[2.0, 0.5]).unwrapped.worlds
+    assert uneven.to_task(uneven.environment.action + 1.0).tolist() == [[2.0, 0.5]]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"actions": "scald"}, "write 'scaled' or 'raw'"),
+        ({"actions": "raw", "action_scale": 2.0}, "Leave one of them out"),
+        ({"action_scale": [1.0, 1.0, 1.0]}, "2, one for each column"),
+        ({"action_scale": 0.0}, "above 0"),
+        ({"render_mode": "human_array"}, "there is rgb_array"),
+        ({"overrides": "seed=3"}, "must be a list"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*not in the possible render_modes:UserWarning")
+def test_what_is_not_possible_is_said(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        gymnasium.make(TOY, **settings)
+    with pytest.raises(ConfigError, match=said):
+        gymnasium.make_vec(TOY, num_envs=2, **settings)
+
+
+def test_an_argument_that_nothing_takes_is_refused() -> None:
+    with pytest.raises(TypeError, match="flatt"):
+        gymnasium.make_vec(TOY, num_envs=2, flatt=True)
+    with pytest.raises(ConfigError, match="NEXT_STEP, SAME_STEP, DISABLED"):
+        many(autoreset_mode="later")
+
+
+def test_flat_observations_are_those_by_name_side_by_side() -> None:
+    named, flat = many(WALK), many(WALK, flat=True)
+    (by_name, _), (row, _) = named.reset(seed=2), flat.reset(seed=2)
+    np.testing.assert_array_equal(np.concatenate(list(by_name.values()), axis=1), row)
+    assert named.observation_space.contains(by_name)
+    assert flat.observation_space.contains(row)
+
+
+def test_seeds_repeat_and_episodes_without_one_differ() -> None:
+    first, second = many(flat=True), many(flat=True)
+    assert (first.reset(seed=8)[0] == second.reset(seed=8)[0]).all()
+    again = first.step(idle(first))[0], first.reset()[0]
+    same = second.step(idle(second))[0], second.reset()[0]
+    for one, other in zip(again, same, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert (many(flat=True).reset()[0] != many(flat=True).reset()[0]).any()
+    apart = gymnasium.make_vec(TOY, num_envs=3, vectorization_mode="sync", flat=True)
+    assert len(np.unique(apart.reset()[0], axis=0)) == 3
+
+
+def test_autoreset_in_the_next_step() -> None:
+    environments = many(flat=True)
+    assert environments.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    environments.reset(seed=3)
+    rows = [environments.step(idle(environments)) for _ in range(8)]
+    assert [bool(cut.all()) for _, _, _, cut, _ in rows] == [0, 0, 1, 0, 0, 0, 1, 0]
+    assert not any(ended.any() for _, _, ended, _, _ in rows)
+    assert (rows[3][1] == 0).all()
+    assert (rows[2][1] > 0).all()
+    assert not any(info for *_, info in rows)
+    np.testing.assert_array_equal(rows[2][0], rows[1][0])  # at rest, without a force …
+    assert (rows[3][0] != rows[2][0]).any(axis=1).all()  # … until the next episode begins
+
+
+def test_autoreset_in_the_same_step() -> None:
+    same, later = many(flat=True, autoreset_mode="SAME_STEP"), many(flat=True)
+    for environments in (same, later):
+        environments.reset(seed=3)
+    for _ in range(3):
+        given = same.step(idle(same))
+        reached = later.step(idle(later))
+    observations, _, _, cut, info = given
+    assert cut.all()
+    assert info["_final_obs"].all()
+    assert info["final_obs"].dtype == object
+    np.testing.assert_array_equal(np.stack(info["final_obs"]), reached[0])
+    assert (observations != reached[0]).any(axis=1).all()
+
+
+def test_a_world_that_rests_disturbs_no_other() -> None:
+    """Worlds that fall at different times: what each goes through is what it does alone."""
+    environments = gymnasium.make_vec(WALK, num_envs=3, flat=True)
+    observations, _ = environments.reset(seed=5)
+    kept = [[row] for row in observations]
+    ended = np.zeros(3, bool)
+    for _ in range(16):
+        observations, rewards, terminated, truncated, _ = environments.step(idle(environments))
+        assert (rewards[ended] == 0).all()
+        ended = terminated | truncated
+        for row, rows in zip(observations, kept, strict=True):
+            rows.append(row)
+    same = gymnasium.make_vec(WALK, num_envs=3, flat=True, autoreset_mode="SAME_STEP")
+    observations, _ = same.reset(seed=5)
+    others = [[row] for row in observations]
+    for _ in range(16):
+        observations, _, terminated, truncated, info = same.step(idle(same))
+        for world in range(3):
+            if (terminated | truncated)[world]:
+                others[world].append(info["final_obs"][world])
+            others[world].append(observations[world])
+    ends = [len(other) > 17 for other in others]
+    assert any(ends)
+    for rows, other in zip(kept, others, strict=True):
+        np.testing.assert_allclose(rows, other[: len(rows)], rtol=1e-4, atol=1e-4)
+
+
+def test_no_autoreset_waits_for_the_mask() -> None:
+    environments = many(flat=True, autoreset_mode=AutoresetMode.DISABLED)
+    environments.reset(seed=3)
+    for _ in range(3):
+        reached, _, _, cut, _ = environments.step(idle(environments))
+    assert cut.all()
+    with pytest.raises(gymnasium.error.ResetNeeded, match="worlds 0, 1, 2"):
+        environments.step(idle(environments))
+    mask = np.array([True, False, True])
+    begun, _ = environments.reset(options={"reset_mask": mask})
+    np.testing.assert_array_equal(begun[1], reached[1])
+    assert (begun[mask] != reached[mask]).any(axis=1).all()
+    with pytest.raises(gymnasium.error.ResetNeeded, match="worlds 1 "):
+        environments.step(idle(environments))
+    environments.reset(options={"reset_mask": ~mask})
+    assert not environments.step(idle(environments))[3].any()
+    for options, seed in (({"reset_mask": mask}, 3), ({"reset_mask": mask[:2]}, None)):
+        with pytest.raises(ValueError, match="reset_mask"):
+            environments.reset(seed=seed, options=options)
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_gymnasiums_wrappers_of_many_worlds(mode: AutoresetMode) -> None:
+    """Its wrappers of observations do not take SAME_STEP, and its normalisation NEXT_STEP alone."""
+    same = mode is AutoresetMode.SAME_STEP
+    wrapped: Any = many(autoreset_mode=mode, flat=same)
+    wrapped = vector_wrappers.RecordEpisodeStatistics(wrapped)
+    if not same:
+        wrapped = vector_wrappers.FlattenObservation(wrapped)
+    if mode is AutoresetMode.NEXT_STEP:
+        wrapped = vector_wrappers.NormalizeObservation(wrapped)
+    observations, _ = wrapped.reset(seed=0)
+    assert observations.shape == wrapped.observation_space.shape
+    lengths = []
+    for _ in range(7):
+        observations, _, _, cut, info = wrapped.step(idle(wrapped))
+        assert wrapped.observation_space.contains(observations.astype(np.float32))
+        if "episode" in info:
+            lengths += info["episode"]["l"].tolist()
+        if cut.any() and mode is AutoresetMode.DISABLED:
+            wrapped.reset(options={"reset_mask": cut})
+    assert lengths == [3] * 6
+
+
+def test_gymnasiums_wrappers_of_one_world() -> None:
+    env = gymnasium.make(TOY, **SHORT)
+    env = RecordEpisodeStatistics(NormalizeObservation(FlattenObservation(env)))
+    env.reset(seed=0)
+    for _ in range(3):
+        _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert isinstance(reward, float)
+    assert (terminated, truncated) == (False, True)
+    assert info["episode"]["l"] == 3
+
+
+def test_numbers_that_went_wrong_reach_nobody() -> None:
+    environments = many(flat=True, actions="raw")
+    environments.reset(seed=0)
+    actions = idle(environments)
+    actions[1] = np.nan
+    observations, rewards, terminated, _, _ = environments.step(actions)
+    assert terminated.tolist() == [False, True, False]
+    assert np.isfinite(observations).all()
+    assert rewards[1] == 0
+
+
+def test_pictures() -> None:
+    env = gymnasium.make(WALK, render_mode="rgb_array", width=96, height=64)
+    assert env.metadata["render_fps"] == 30
+    env.reset(seed=0)
+    picture = env.render()
+    assert (picture.shape, picture.dtype) == ((64, 96, 3), np.uint8)
+    blue, orange = (picture.astype(int) @ np.array(way) > 150 for way in ([-1, 0, 1], [1, 0, -1]))
+    assert blue.sum() > 50  # the character
+    assert orange.sum() > 50  # its reference
+    both = many(WALK, 2, render_mode="rgb_array", width=48, height=32)
+    both.reset(seed=0)
+    pictures = both.render()
+    assert [p.shape for p in pictures] == [(32, 48, 3)] * 2
+    assert many(TOY).render() is None

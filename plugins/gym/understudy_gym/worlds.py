@@ -1,0 +1,238 @@
+"""The worlds of a task as other learners want them, in torch, on the environment's device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch import Tensor
+
+from understudy.errors import ConfigError
+from understudy.running.environment import Environment, Step, rows
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
+from understudy.task import ActionSpace, Box
+
+Actions = Literal["scaled", "raw"]
+
+
+class ActionScale:
+    """The affine map from actions in [-1, 1] to those of a task: around + reach · a, column by column.
+
+    `around` and `reach` are what the task's actuation declares
+    (:class:`~understudy.task.actions.Box`). Numbers beyond ±1 go as far beyond the reach: nothing is
+    clipped here. Columns that hold a choice stay as they are.
+
+    Raises:
+        ConfigError: if an actuation declares a field that the task does not have, or `reach` has
+            neither one number nor one for each column.
+    """
+
+    def __init__(
+        self, environment: Environment, reach: float | Sequence[float] | None = None
+    ) -> None:
+        space = environment.parts.actuation.part.action_space
+        self._environment = environment
+        self._fields: list[tuple[slice, str]] = []
+        self.reach = torch.ones(space.size, device=environment.device)  #: (A,)
+        self._around = torch.zeros(space.size, device=environment.device)
+        boxes = torch.zeros(space.size, dtype=torch.bool, device=environment.device)
+        column = 0
+        for part in space.parts.values():
+            columns = slice(column, column + part.columns)
+            column = columns.stop
+            if not isinstance(part, Box):
+                continue
+            boxes[columns] = True
+            self.reach[columns] = torch.tensor(part.reach, device=environment.device)
+            if isinstance(part.around, str):
+                environment.table.need("the scale of actions", [part.around], lambda name: ())
+                self._fields.append((columns, part.around))
+            elif part.around is not None:
+                self._around[columns] = torch.tensor(part.around, device=environment.device)
+        if reach is not None:
+            given = torch.as_tensor(reach, dtype=torch.float32, device=environment.device)
+            if (
+                given.dim() > 1
+                or given.numel() not in (1, space.size)
+                or not bool((given > 0).all())
+            ):
+                raise ConfigError(
+                    f"action_scale={reach} is not possible: give one number above 0, or "
+                    f"{space.size}, one for each column of an action."
+                )
+            self.reach = torch.where(boxes, given.expand(space.size), self.reach)
+
+    def around(self) -> Tensor:
+        """(A,), or (N, A) where it follows a field: the task's actions that 0 stands for now."""
+        if not self._fields:
+            return self._around
+        around = self._around.repeat(self._environment.num_worlds, 1)
+        for columns, name in self._fields:
+            around[:, columns] = self._environment.table[name]
+        return around
+
+    def to_task(self, actions: Tensor) -> Tensor:
+        """The task's actions (N, A), in its units, for `actions` (N, A) in [-1, 1]."""
+        return torch.addcmul(self.around(), self.reach, actions)
+
+    def from_task(self, actions: Tensor) -> Tensor:
+        """The inverse of :meth:`to_task`, at the same state."""
+        return (actions - self.around()) / self.reach
+
+
+class Worlds:
+    """`num_worlds` worlds of the task `task`.
+
+    Args:
+        task: as it is typed, for example ``spacetime/walk``.
+        num_worlds: N.
+        overrides: Hydra's, as on the command line (``device=cuda``, ``episode.seconds=5``).
+        actions: ``scaled`` takes actions in [-1, 1] by :class:`ActionScale`; ``raw`` takes the task's,
+            unbounded and in its units.
+        action_scale: replaces the reach that the actuation declares: one number or one for each
+            column, in the action's units. Only with ``scaled``.
+        width, height: of :meth:`draw`, pixels.
+
+    Raises:
+        ConfigError: for a task, an override or a scale that is not possible.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_worlds: int,
+        overrides: Sequence[str] = (),
+        *,
+        actions: Actions = "scaled",
+        action_scale: float | Sequence[float] | None = None,
+        width: int = 480,
+        height: int = 480,
+    ) -> None:
+        if actions not in ("scaled", "raw"):
+            raise ConfigError(f"actions={actions!r} is not possible: write 'scaled' or 'raw'.")
+        if actions == "raw" and action_scale is not None:
+            raise ConfigError("actions='raw' has no action_scale. Leave one of them out.")
+        if isinstance(overrides, str):
+            raise ConfigError(f"overrides={overrides!r} must be a list: overrides=[{overrides!r}].")
+        experiment = load_experiment([f"task={task}", *overrides, f"num_worlds={num_worlds}"])
+        built = build_environment(experiment)
+        self.environment, self._scene = built.environment, built.scene
+        self.num_worlds, self.device = num_worlds, built.environment.device
+        #: Steps after which an episode is truncated, unless a curriculum shortens it.
+        self.episode_steps = round(
+            experiment.root.episode.seconds / built.environment.control_dt / self._decision
+        )
+        self.scale = ActionScale(self.environment, action_scale) if actions == "scaled" else None
+        self.space = built.environment.parts.actuation.part.action_space
+        self._size = width, height
+
+    @property
+    def _decision(self) -> int:
+        return self.environment.decision
+
+    @property
+    def steps_per_second(self) -> float:
+        """Decisions in a second of the character's life, Hz."""
+        return 1.0 / (self.environment.control_dt * self._decision)
+
+    @torch.no_grad()
+    def to_task(self, actions: Tensor) -> Tensor:
+        """The task's actions (N, A) for a learner's."""
+        return self.scale.to_task(actions) if self.scale else actions
+
+    @torch.no_grad()
+    def from_task(self, actions: Tensor) -> Tensor:
+        """The inverse of :meth:`to_task`, at the same state."""
+        return self.scale.from_task(actions) if self.scale else actions
+
+    def step(self, actions: Tensor) -> Step:
+        """One decision by a learner's `actions` (N, A); ended worlds begin anew in the same step."""
+        return self.environment.step(self.to_task(actions))
+
+    def advance(self, actions: Tensor) -> Step:
+        """One decision; ended worlds stay where they ended. What went wrong reads 0."""
+        step = self.environment.advance(self.to_task(actions))
+        step.observations = {
+            name: torch.where(rows(step.unsound, value), 0.0, value)
+            for name, value in step.observations.items()
+        }
+        return step
+
+    @torch.no_grad()
+    def one_episode(
+        self, act: Callable[[dict[str, Tensor]], Tensor], seed: int = 0
+    ) -> tuple[Tensor, Tensor]:
+        """Lengths (N,) in steps and returns (N,) of one episode in each world.
+
+        Args:
+            act: from observations by name, each (N, …), to a learner's actions (N, A).
+            seed: where they begin. Whatever went on before in these worlds ends.
+        """
+        observations = self.environment.reset(seed)
+        length = torch.zeros(self.num_worlds, device=self.device)
+        returns, running = length.clone(), torch.ones_like(length, dtype=torch.bool)
+        while bool(running.any()):
+            step = self.step(act(observations))
+            length += running
+            returns += torch.where(running, step.rewards, 0.0)
+            running &= ~step.ended
+            observations = step.observations
+        return length, returns
+
+    def draw(self, world: int) -> np.ndarray:
+        """(height, width, 3) uint8: the world of this number, now.
+
+        Raises:
+            UnderstudyError: if its scene cannot be drawn.
+        """
+        table, width, height = self.environment.table, *self._size
+        names = [name for name in self._scene.recorded if name in table.shapes]
+        tracks = {name: table[name][world : world + 1].cpu().numpy() for name in names}
+        return next(iter(self._scene.draw(tracks, width, height)))
+
+    # ---------------------------------------------------------------- spaces
+
+    def action_space(self) -> gymnasium.Space:
+        """Of one world: a box if all of an action's parts are, ``MultiDiscrete`` if all are choices,
+        else both by name."""
+        limit = 1.0 if self.scale else np.inf
+
+        def of(part: Any) -> gymnasium.Space:
+            if isinstance(part, Box):
+                return spaces.Box(-limit, limit, (part.size,), np.float32)
+            return spaces.Discrete(part.count)
+
+        parts = self.space.parts
+        if all(isinstance(part, Box) for part in parts.values()):
+            return spaces.Box(-limit, limit, (self.space.size,), np.float32)
+        if not any(isinstance(part, Box) for part in parts.values()):
+            return spaces.MultiDiscrete([of(part).n for part in parts.values()])  # type: ignore[attr-defined]
+        return spaces.Dict({name: of(part) for name, part in parts.items()})
+
+    def observation_space(self, flat: bool) -> gymnasium.Space:
+        """Of one world: its observations by name, or side by side in one row."""
+        shapes = self.environment.observation_shapes
+        if flat:
+            size = sum(int(np.prod(shape)) for shape in shapes.values())
+            return spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        return spaces.Dict(
+            {name: spaces.Box(-np.inf, np.inf, s, np.float32) for name, s in shapes.items()}
+        )
+
+
+def columns(space: ActionSpace, actions: Any, device: torch.device) -> Tensor:
+    """An action tensor (N, A) of a batch of :meth:`Worlds.action_space`: an array, or arrays by name."""
+    if isinstance(actions, Mapping):
+        parts = [np.asarray(actions[name]) for name in space.parts]
+        actions = np.concatenate([p.reshape(len(p), -1).astype(np.float32) for p in parts], axis=1)
+    return torch.as_tensor(np.asarray(actions, dtype=np.float32)).to(device)
+
+
+def flattened(observations: Mapping[str, Tensor]) -> Tensor:
+    """(N, D): the observations side by side, in the order of the configuration. A new tensor."""
+    return torch.cat([value.flatten(1) for value in observations.values()], dim=1)
