@@ -20,6 +20,7 @@ from understudy.testing import (
     check_component,
     check_environment,
     check_plugin,
+    check_recordable,
     check_simulator,
     fake,
 )
@@ -129,6 +130,59 @@ class Growing(Where):
 def test_check_environment_refuses(parts: Mapping[str, Any], message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check_environment(line(**parts))
+
+
+def test_check_recordable() -> None:
+    far = term(lambda x: x[:, 0].abs() > 0.3, "far")
+    rows = torch.tensor([0])
+
+    def allowed(x: Tensor) -> Tensor:
+        """What looks like it waits and does not."""
+        x = torch.where(x > 0, x, 0.0).index_select(1, rows)[:, rows].clone()
+        x[:, 0] = 2.0
+        return torch.as_tensor(x.masked_fill(x > 1, 1.0)[..., 0])
+
+    check_recordable(line(terminations=[far], rewards=[term(allowed, "allowed")], seconds=3))
+
+
+@pytest.mark.parametrize(
+    ("waits", "message"),
+    [
+        (lambda x: x[:, 0] if x.sum() > 0 else -x[:, 0], "a branch on a tensor"),
+        (lambda x: x[:, 0] * x.sum().item(), r"\.item\(\)"),
+        (lambda x: x[:, 0] * float(x.sum()), r"float\(\) of a tensor"),
+        (lambda x: x[:, 0] * max(x[:, 0].tolist()), r"\.tolist\(\)"),
+        (lambda x: torch.from_numpy(x[:, 0].numpy()), r"\.numpy\(\)"),
+        (lambda x: x.cpu()[:, 0], r"\.cpu\(\)"),
+        (lambda x: x[:, 0] + torch.tensor([1.0]), "a tensor made of numbers"),
+        (lambda x: x[:, 0] + torch.as_tensor([1.0]), "a tensor made of numbers"),
+        (lambda x: x[:, [0]][:, 0], "indexing with a list"),
+        (lambda x: x[:, 0] + x[x > 5].sum(), "indexing with a mask"),
+        (lambda x: x[:, 0] + torch.masked_select(x, x > 5).sum(), "masked_select"),
+        (lambda x: x[:, 0] + len(torch.where(x > 5)[0]), "nonzero"),
+        (lambda x: x[:, 0] + len(x.unique()), "unique"),
+        (lambda x: x[:, 0] * torch.equal(x, x), "torch.equal"),
+        (
+            lambda x: x[:, 0] + torch.linalg.inv(torch.eye(2) + x.mean())[0, 0],
+            "checks for errors",
+        ),
+    ],
+)
+def test_check_recordable_refuses(waits: Any, message: str) -> None:
+    environment = line(rewards=[term(waits, "waits")])
+    with pytest.raises(AssertionError, match=f"{message}.* in a step waits for the device"):
+        check_recordable(environment)
+    environment.step(torch.zeros(4, 1))  # nothing is left behind
+
+
+def test_a_simulator_may_wait() -> None:
+    class Waiting(Line):
+        """On the CPU, where there is nothing to wait for."""
+
+        def failed(self) -> Tensor:
+            return torch.tensor([bool(x > 1e9) for x in self.x.flatten().tolist()])
+
+    check_recordable(line(simulator=Waiting(None, SimpleNamespace(num_worlds=4, substeps=1))))
 
 
 # ---------------------------------------------------------------------- simulators

@@ -11,6 +11,7 @@ from understudy.testing.conformance import (
     check_simulator,
 )
 from understudy.testing.fake import FakeScene, FakeSimulator, fake_plugins
+from understudy.testing.recording import check_recordable
 
 __all__ = [
     "FakeScene",
@@ -18,6 +19,7 @@ __all__ = [
     "check_component",
     "check_environment",
     "check_plugin",
+    "check_recordable",
     "check_simulator",
     "fake_plugins",
 ]

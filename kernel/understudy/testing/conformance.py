@@ -16,6 +16,7 @@ from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins, installed
 from understudy.setup.registry import Component
 from understudy.task import Simulator
+from understudy.testing.recording import check_recordable
 
 
 def check_component(component: Component) -> None:
@@ -151,7 +152,8 @@ def check_environment(environment: Environment, steps: int = 20) -> None:
 
 
 def check_plugin(name: str, plugins: Plugins | None = None, num_worlds: int = 4) -> None:
-    """All that the plugin `name` registers: every component, and every task built and stepped."""
+    """All that the plugin `name` registers: every component, and every task built and stepped,
+    in steps that a GPU could record."""
     plugins = plugins or installed()
     status = {p.name: p.status for p in plugins.loaded}
     assert status.get(name) == "ok", f"plugin '{name}' is {status.get(name, 'not installed')}"
@@ -168,5 +170,6 @@ def check_plugin(name: str, plugins: Plugins | None = None, num_worlds: int = 4)
             built = build_environment(experiment)
             try:
                 check_environment(built.environment)
+                check_recordable(built.environment)
             finally:
                 built.environment.close()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -139,6 +140,12 @@ class CycleTransform:
     heading: float
     """rad about world z, in (-pi, pi]."""
 
+    @cached_property
+    def _offset(self) -> tuple[float, float]:
+        """The displacement as numbers: it is used in each step, where nothing may be fetched."""
+        x, y = self.displacement.tolist()
+        return x, y
+
     def power(self, cycles: Tensor) -> tuple[Tensor, Tensor]:
         """The motion of ``cycles`` whole cycles, negative ones undoing.
 
@@ -149,7 +156,7 @@ class CycleTransform:
             The displacement (N, 2) and the heading change (N,), from the closed form of
             ``sum_k turn(k heading) displacement``; no loop, no branch on tensor values.
         """
-        x, y = self.displacement.tolist()
+        x, y = self._offset
         if abs(self.heading) < 1e-9:
             return torch.stack((cycles * x, cycles * y), dim=-1), torch.zeros_like(cycles)
         angle = cycles * self.heading

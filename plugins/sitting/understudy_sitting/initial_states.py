@@ -112,18 +112,21 @@ class _ChairBehind:
 class FromReference(InitialStates):
     """The reference's state at a time drawn within ``span``, the chair where it will sit down.
 
-    ``span: [0, 0]`` is its first frame, [0, 1] reference-state initialisation (Peng et al. 2018).
+    ``span: [0, 0]`` is its first frame, [0, 1] reference-state initialisation (Peng et al. 2018). For a
+    share ``first`` of the episodes the time is where the span begins.
     """
 
     @dataclass(frozen=True)
     class Options:
         span: tuple[float, float] = (0.0, 0.0)  #: shares of the clip
+        first: float = 0.0
         #: m along each axis and degrees by which the chair is elsewhere, at most. The paper's is fixed.
         metres: float = 0.0
         degrees: float = 0.0
         chairs: Chairs = Chairs()  #: of other sizes
 
         def __post_init__(self) -> None:
+            check_range(self, "first", least=0, most=1)
             check_range(self, "metres", "degrees", least=0)
             if not 0 <= self.span[0] <= self.span[1] <= 1:
                 raise ValueError(f"span={self.span} is not possible: give shares, rising.")
@@ -132,13 +135,14 @@ class FromReference(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._reference = reference_motion(context)
-        self._span = options.span
+        self._span, self._first = options.span, options.first
         self._chair = _ChairBehind(context, options.metres, options.degrees, options.chairs)
         self.varies = self._chair.varies
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         first, last = self._span
-        share = first + (last - first) * streams.uniform(1).squeeze(1)
+        drawn, kind = streams.uniform(2).unbind(1)
+        share = first + (last - first) * torch.where(kind < self._first, 0.0, drawn)
         time = share * self._reference.duration
         state = self._reference.sample(time)
         return {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from sitting_tasks import build
+from sitting_tasks import build, follow_clip
 
 from understudy.errors import ConfigError, FileError
 from understudy.inputs import Inputs
@@ -44,6 +44,21 @@ def test_left_and_right_mirror_each_other() -> None:
         for a, b in zip(one.hinges, other.hinges, strict=True):
             expected = a.range if abs(a.axis[1]) == 1.0 else (-a.range[1], -a.range[0])
             assert b.range == pytest.approx(expected)
+
+
+def test_servos_that_follow_the_turn_turn_the_figure() -> None:
+    """The ankles of this figure do not twist, so its hips must turn it; nothing balances it here."""
+    start = ("initial_states.span=[0,0]", "termination=null")
+    environment = build("experiment=sitting/turn_left", "num_worlds=2", *start).environment
+    environment.reset()
+    follow_clip(environment, 60)
+    torso, reference = (
+        environment.table["torso_angles"],
+        environment.table["reference_torso_angles"],
+    )
+    assert float(reference[0, 1].rad2deg()) == pytest.approx(50.0, abs=2.0)
+    assert float(torso[0, 1].rad2deg()) == pytest.approx(50.0, abs=12.0)
+    assert float(environment.table["torso_position"][0, 2]) > 1.0
 
 
 def test_a_chair_is_as_large_as_its_options_say() -> None:

@@ -117,15 +117,27 @@ def shoulder(side: Side, root: Array, pelvis: Rotation, chest: Rotation) -> Arra
 
 
 def leg_to(
-    side: Side, root: Array, pelvis: Rotation, ankle: Array, foot: Rotation, *, wide: bool = False
+    side: Side,
+    root: Array,
+    pelvis: Rotation,
+    ankle: Array,
+    foot: Rotation,
+    *,
+    wide: bool = False,
+    knee_axes: Rotation | None = None,
 ) -> Array:
     """Coordinates (F, 7) of the leg with its ankle at `ankle` (F, 3) and `foot` in the world.
 
-    The knee's axis is as close as it can be to the pelvis' y axis, or, if the legs are spread
-    `wide`, to that axis turned with the leg in the frontal plane.
+    The knee's axis is as close as it can be to the pelvis' y axis; or, if the legs are spread
+    `wide`, to that axis turned with the leg in the frontal plane; or to the y axis of `knee_axes` (F,)
+    in the world.
     """
     reach = pelvis.inv().apply(ankle - socket(side, root, pelvis))
-    thigh, knee = two_links(reach, _hinge_axis(reach, wide), (THIGH, SHIN), 1.0)
+    if knee_axes is None:
+        axis = _hinge_axis(reach, wide)
+    else:
+        axis = (pelvis.inv() * knee_axes).apply([0.0, 1.0, 0.0])
+    thigh, knee = two_links(reach, axis, (THIGH, SHIN), 1.0)
     rest = (pelvis * thigh * knee).inv() * foot
     bend = knee.as_rotvec()[:, 1:2]
     return np.hstack([exponential_maps(thigh), bend, exponential_maps(rest)])

@@ -1,7 +1,8 @@
 """Generated turns in place, by stepping.
 
 The feet take turns, the one on the inside first; each steps around the middle between them. The head
-leads, chest and pelvis follow. The centre of mass moves as an inverted pendulum on the standing foot,
+leads, chest and pelvis follow. Hips turn the legs, knees stay over the feet: a figure whose ankles do
+not twist can turn so as well. The centre of mass moves as an inverted pendulum on the standing foot,
 and every turn begins and ends standing at ease.
 """
 
@@ -116,7 +117,8 @@ def _turn(name: str, inside: Side, angle: float, seconds: float, frame_rate: flo
     def build(root: Array) -> Pose:
         pose = dict(upper)
         for side, foot in feet.items():
-            pose |= leg(side, leg_to(side, root, pelvis, foot.ankle, foot.rotation))
+            reached = leg_to(side, root, pelvis, foot.ankle, foot.rotation, knee_axes=foot.around)
+            pose |= leg(side, reached)
         return pose
 
     last = begins[-1] + step
@@ -138,7 +140,8 @@ class _Foot:
             swing = np.clip((within - _SWING[0]) / (_SWING[1] - _SWING[0]), 0.0, 1.0)
             lift += LIFT * (4.0 * swing * (1.0 - swing)) ** 3
             turned += angle / len(begins) * ease(swing)
-        around = turns(np.degrees(turned), 0.0, 0.0)
+        #: (F,) turns of the foot, and the knee over it, about the middle between the feet.
+        self.around = around = turns(np.degrees(turned), 0.0, 0.0)
         stands = np.append(standing.place(side), 0.0)
         yaw = turned + SIGN[side] * standing.TOE_OUT
         self.ankle, self.rotation = planted(around.apply(stands)[:, :2], yaw, pitch)
