@@ -50,7 +50,7 @@ def _granular(distance: float) -> Substance:
 
 
 def _viscous(distance: float) -> Substance:
-    fluid = Fluid(rest_density=DENSITY, smoothing=2.0 * distance, viscosity=0.9, tension=0.5)
+    fluid = Fluid(rest_density=DENSITY, smoothing=2.0 * distance, viscosity=0.9, tension=0.2)
     return Substance(Material(friction=1.0, fluid=fluid), colour=(0.85, 0.56, 0.20))
 
 

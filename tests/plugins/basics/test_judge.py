@@ -35,7 +35,9 @@ def test_a_policy_is_judged_and_nothing_is_learned(
     assert judged.run is not None
     assert judged.run.metrics() == []
     policy = dict(training.job.state_dict()["policy"])
-    assert_same_state(judged.job.state_dict(), {"policy": policy}, ["/policy/log_deviation"])  # by samples
+    assert_same_state(
+        judged.job.state_dict(), {"policy": policy}, ["/policy/log_deviation"]
+    )  # by samples
     same, _ = judged.judge()
     assert same == training.judge()[0]
     assert judged.job.sources()["policy"] == {"run": run}
