@@ -11,11 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy.errors import FileError
+from understudy.errors import ConfigError, FileError
 from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout, layout_of
-from understudy_characters.reference import ReferenceMotion
+from understudy_characters.reference import ReferenceMotion, low_passed
 from understudy_humanoid.character import build_spec
 from understudy_humanoid.clips import generated_walk
 from understudy_motion import library
@@ -201,3 +201,42 @@ def test_every_recorded_clip_becomes_a_finite_reference_on_the_floor(
             again = reference.sample(back[2])
             place = (back[0][:, :3] - again["reference_root_position"]).abs().amax(1)
             assert (place < 0.02).float().mean() > 0.98, path  # but at the seam itself
+
+
+def unclosed() -> Clip:
+    """The walk whose last frame leans by 0.1 rad, which its first does not."""
+    clip = generated_walk()
+    pose = clip.rotations.clone()
+    lean = rotations.from_axis_angle(
+        torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64), torch.tensor(0.1, dtype=torch.float64)
+    )
+    pose[-1, 0] = rotations.multiply(lean, pose[-1, 0])
+    return replace(clip, rotations=pose)
+
+
+def test_a_seam_that_does_not_close_loses_its_velocity_by_a_low_pass(
+    character: Character, layout: Layout
+) -> None:
+    def rolling(clip: Clip, cutoff: float | None) -> Tensor:
+        reference = ReferenceMotion(clip, character, layout, control_dt=DT, velocity_cutoff=cutoff)
+        start = reference.sample(torch.tensor([0.0, reference.duration - 1e-5]))
+        return start["reference_qvel"][:, 3].abs().max()
+
+    closed = rolling(generated_walk(), None)
+    assert rolling(unclosed(), None) > closed + 2.5
+    assert rolling(unclosed(), 6.0) < closed + 1.5
+    assert rolling(generated_walk(), 6.0) == pytest.approx(float(closed), abs=0.1)
+
+
+def test_a_low_pass_leaves_slow_motion_and_takes_fast_one_away_without_lag() -> None:
+    time = torch.arange(480, dtype=torch.float64) / 120
+    slow, fast = torch.sin(2 * math.pi * time), torch.sin(2 * math.pi * 40 * time)
+    passed = low_passed((slow + fast)[:, None], 120.0, 6.0)[:, 0]
+    assert (passed - slow)[40:-40].abs().max() < 0.01
+
+
+def test_a_low_pass_above_what_the_table_holds_is_refused(
+    character: Character, layout: Layout
+) -> None:
+    with pytest.raises(ConfigError, match="velocity_cutoff=60 Hz is not below half"):
+        ReferenceMotion(generated_walk(), character, layout, control_dt=DT, velocity_cutoff=60.0)
