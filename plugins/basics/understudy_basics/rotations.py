@@ -120,6 +120,16 @@ def turn_matrix(angle: Tensor) -> Tensor:
     return (_circle(angle) @ _axes(rows, angle.dtype, angle.device) + upright).unflatten(-1, (3, 3))
 
 
+def turned(vectors: Tensor, angle: Tensor) -> Tensor:
+    """``vectors`` (N, K, 3) turned by ``angle`` (N,) about world z: many in less time than by a matrix."""
+    x, y, _ = vectors.unbind(-1)
+    cosine, sine = angle.cos().unsqueeze(1), angle.sin().unsqueeze(1)
+    result = vectors.clone()
+    result[..., 0].mul_(cosine).addcmul_(y, sine, value=-1.0)
+    result[..., 1].mul_(cosine).addcmul_(x, sine)
+    return result
+
+
 def _circle(angle: Tensor) -> Tensor:
     """Cosine and sine, (...) -> (..., 2)."""
     return torch.stack((angle.cos(), angle.sin()), dim=-1)

@@ -78,6 +78,7 @@ class ReferenceMotion:
         self._pose = self._pose_columns(layout, fields).to(device)
         still = CycleTransform(torch.zeros(2, dtype=torch.float64), 0.0)
         self._cycle = cycle_transform(clip) if clip.loop else still
+        self._stride = torch.tensor([*self._cycle.displacement.tolist(), 0.0], device=device)
 
     def _tabulate(
         self, character: Character, layout: Layout, times: Tensor, ground: bool
@@ -167,13 +168,14 @@ class ReferenceMotion:
     def _carry(self, qpos: Tensor, qvel: Tensor, com: Tensor, cycles: Tensor) -> dict[str, Tensor]:
         """Move root, its velocity, and the centre of mass by `cycles` (N,) cycles."""
         at, dof = self._root, self._root_dof
-        displacement, angle = self._cycle.power(cycles)
-        shift = torch.nn.functional.pad(displacement, (0, 1))
         position, rotation = qpos[:, at : at + 3], qpos[:, at + 3 : at + 7]
-        if not self._cycle.straight:
+        if self._cycle.straight:
+            shift = cycles.unsqueeze(1) * self._stride
+        else:
+            displacement, angle = self._cycle.power(cycles)
+            shift = torch.nn.functional.pad(displacement, (0, 1))
             vectors = torch.stack([position, com, qvel[:, dof : dof + 3]], dim=1)
-            turned = torch.bmm(vectors, rotations.turn_matrix(-angle))
-            position, com, linear = turned.unbind(1)
+            position, com, linear = rotations.turned(vectors, angle).unbind(1)
             rotation = rotations.multiply(rotations.from_heading(angle), rotation)
             qvel = _replaced(qvel, dof, linear)
         rotation = rotations.normalize(rotation)

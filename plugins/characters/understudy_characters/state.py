@@ -57,19 +57,18 @@ def character_state(
     """
     links, at = layout.link_bodies, layout.root_address
     # index_select takes a quarter of the time of indexing on a CPU.
-    position, matrix, motion = (value.index_select(1, links) for value in (xpos, xmat, cvel))
+    position, motion = (value.index_select(1, links) for value in (xpos, cvel))
+    axes = xmat.flatten(1).index_select(1, layout.link_axes).unflatten(1, (-1, 3))
     root_position, root_rotation = qpos[:, at : at + 3], qpos[:, at + 3 : at + 7]
     com = subtree_com[:, layout.root_body]
     yaw = rotations.heading(root_rotation)
     # cvel is [angular, linear], both along world axes, linear at the character's centre of mass.
     angular, linear = motion.split(3, dim=-1)
     linear = linear + torch.linalg.cross(angular, position - com.unsqueeze(1))
-    axes = matrix.unflatten(-1, (3, 3)).mT[:, :, ::2]  # x and z
     origin = root_position.unsqueeze(1)
     effectors = xipos.index_select(1, layout.effector_bodies) - origin
-    # One product turns all of a world's vectors into its heading frame.
-    parts = [position - origin, linear, angular, axes.flatten(1, 2), effectors]
-    local = torch.bmm(torch.cat(parts, dim=1), _turn(yaw))
+    parts = [position - origin, linear, angular, axes, effectors]
+    local = rotations.turned(torch.cat(parts, dim=1), -yaw)
     position, linear, angular, axes, effectors = local.split([p.shape[1] for p in parts], dim=1)
     return {
         "com_position": com,
@@ -83,11 +82,6 @@ def character_state(
         "link_angular_velocities": angular,
         "end_effector_positions": effectors,
     }
-
-
-def _turn(yaw: Tensor) -> Tensor:
-    """(N, 3, 3): row vectors of the world times this are those of the heading frame."""
-    return rotations.turn_matrix(yaw)
 
 
 class Poses:
@@ -133,6 +127,6 @@ class Poses:
             "root_rotation": root_rotation,
             "root_heading": yaw,
             "joint_rotations": joint_rotations(self._layout, qpos),
-            "end_effector_positions": torch.bmm(effectors, _turn(yaw)),
+            "end_effector_positions": rotations.turned(effectors, -yaw),
             "link_clearances": lowest_points(self._surface, position[..., 2], up),
         }
