@@ -342,7 +342,7 @@ class Environment:
         failed, succeeded, violated = failed | unsound, succeeded & ~unsound, violated | unsound
         terminated = failed | succeeded
         truncated = outcomes["truncation"] & ~terminated
-        rewards = torch.where(unsound, 0.0, rewards)
+        rewards = rewards.masked_fill(unsound, 0.0)
         table.put(
             {"failed": failed, "succeeded": succeeded, "violated": violated, "reward": rewards}
         )
@@ -623,6 +623,5 @@ def rows(mask: Tensor, like: Tensor) -> Tensor:
 
 def sound(value: Tensor) -> Tensor:
     """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
-    return (
-        (value.abs() < LARGEST).flatten(1).all(dim=1) if value.dim() > 1 else value.abs() < LARGEST
-    )
+    size = value.abs()
+    return (size.flatten(1).amax(dim=1) if size.dim() > 1 else size) < LARGEST  # false for NaN

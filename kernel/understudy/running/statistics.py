@@ -20,7 +20,7 @@ class EpisodeStatistics:
         self.terms = [t.name for t in terminations if t.outcome != "report"]
         #: (N,) the running episodes' returns so far.
         self.returns = torch.zeros(num_worlds, device=device)
-        self._names = ["episodes", "seconds", "return", "succeeded", "truncated", "unsound"]
+        self._names = ["seconds", "return", "episodes", "succeeded", "truncated", "unsound"]
         self._names += [f"ended_by/{t}" for t in self.terms]
         self._sums = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
@@ -41,9 +41,9 @@ class EpisodeStatistics:
     ) -> None:
         """Digest one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
         self.returns.add_(rewards)
-        columns = [ended, seconds * ended, self.returns * ended, succeeded, truncated, unsound]
-        columns += [endings[t] & ended for t in self.terms]
-        self._sums += torch.stack([c.to(torch.float32) for c in columns]).sum(1)
+        amounts = (torch.stack([seconds, self.returns]) * ended).sum(1)
+        flags = [ended, succeeded, truncated, unsound, *(endings[t] for t in self.terms)]
+        self._sums += torch.cat([amounts, (torch.stack(flags) & ended).sum(1)])
 
     def collect(self) -> dict[str, float]:
         """Means since the last call, in seconds and shares; resets the sums. One host transfer."""

@@ -36,6 +36,7 @@ class Layout:
     root_address: int  #: of the root's position and quaternion in qpos
     root_dof: int  #: of its velocities in qvel
     link_bodies: Tensor  #: (L,) body ids
+    link_axes: Tensor  #: (6 L,) where ``xmat``, flat, has the links' x axes and z axes, in turn
     effector_bodies: Tensor  #: (E,) body ids
     ball_rows: Tensor  #: (B,) rows of the ball joints among the J
     ball_qpos: Tensor  #: (B, 4) their addresses in qpos
@@ -92,6 +93,7 @@ def layout_of(character: Character, end_effectors: Sequence[str] = ()) -> Layout
         root_address=character.root_address,
         root_dof=int(model.body_dofadr[character.root]),
         link_bodies=torch.tensor(bodies),
+        link_axes=(9 * torch.tensor(bodies)[:, None] + torch.tensor([0, 3, 6, 2, 5, 8])).flatten(),
         effector_bodies=torch.tensor(chosen, dtype=torch.long),
         ball_rows=torch.tensor(balls, dtype=torch.long),
         ball_qpos=_run([joints[row].addresses[0] for row in balls], 4),

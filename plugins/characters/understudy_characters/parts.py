@@ -16,7 +16,6 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Fields, Shape, box
-from understudy_basics import rotations
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.state import character_state
@@ -27,7 +26,7 @@ class Kinematics(Fields):
     """Where the links are and how they move; frames and units in
     :func:`~understudy_characters.state.character_state`."""
 
-    reads = ("qpos", "xpos", "xquat", "xipos", "cvel", "subtree_com")
+    reads = ("qpos", "xpos", "xmat", "xipos", "cvel", "subtree_com")
     provides: Mapping[str, Shape] = {
         "com_position": (3,),
         "root_position": (3,),
@@ -148,15 +147,15 @@ class _UprightLinks:
         for name in bodies:
             if name not in layout.link_names:
                 raise ConfigError(f"{who}: no body '{name}'.{suggestion(name, layout.link_names)}")
-        self._links = layout.link_bodies.to(context.device)
         surface = surface_of(scene.character, bodies or layout.upright, layout)
+        self._bodies = layout.link_bodies[surface.links].to(context.device)
         self._surface: Surface = surface.to(context.device)
         self.rows = self._surface.links  #: (B,) rows among the links
 
-    def clearances(self, xpos: Tensor, xquat: Tensor) -> Tensor:
+    def clearances(self, xpos: Tensor, xmat: Tensor) -> Tensor:
         """(N, B) m."""
-        up = rotations.to_matrix(xquat[:, self._links])[..., 2, :]
-        return lowest_points(self._surface, xpos[:, self._links, 2], up)
+        position, matrix = (value.index_select(1, self._bodies) for value in (xpos, xmat))
+        return lowest_points(self._surface, position[..., 2], matrix[..., 6:])
 
 
 class FloorContact:
@@ -171,8 +170,8 @@ class FloorContact:
         self._upright = _UprightLinks(options.bodies, context, "characters/floor_contact")
         self._clearance = options.clearance
 
-    def __call__(self, xpos: Tensor, xquat: Tensor) -> Tensor:
-        return (self._upright.clearances(xpos, xquat) <= self._clearance).any(dim=1)
+    def __call__(self, xpos: Tensor, xmat: Tensor) -> Tensor:
+        return (self._upright.clearances(xpos, xmat) <= self._clearance).any(dim=1)
 
 
 class Fall:
@@ -199,9 +198,9 @@ class Fall:
         self._upright = _UprightLinks(options.bodies, context, "characters/fall")
         self._clearance, self._margin = options.clearance, options.margin
 
-    def __call__(self, xpos: Tensor, xquat: Tensor, reference_link_clearances: Tensor) -> Tensor:
-        touches = self._upright.clearances(xpos, xquat) <= self._clearance
-        meant = reference_link_clearances[:, self._upright.rows] <= self._margin
+    def __call__(self, xpos: Tensor, xmat: Tensor, reference_link_clearances: Tensor) -> Tensor:
+        touches = self._upright.clearances(xpos, xmat) <= self._clearance
+        meant = reference_link_clearances.index_select(1, self._upright.rows) <= self._margin
         return (touches & ~meant).any(dim=1)
 
 

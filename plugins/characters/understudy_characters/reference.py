@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
@@ -97,9 +97,10 @@ class ReferenceMotion:
         self._shapes = {name: tuple(value.shape[1:]) for name, value in fields.items()}
         self._table = torch.cat([v.flatten(1) for v in fields.values()], dim=1).float().to(device)
         self._rows, self._rate = rows, (rows - 1) / clip.duration
-        self._balls = layout.ball_rows.to(device), layout.ball_qpos.flatten().to(device)
+        self._pose = self._pose_columns(layout, fields).to(device)
         still = CycleTransform(torch.zeros(2, dtype=torch.float64), 0.0)
         self._cycle = cycle_transform(clip) if clip.loop else still
+        self._stride = torch.tensor([*self._cycle.displacement.tolist(), 0.0], device=device)
 
     def _tabulate(
         self, character: Character, layout: Layout, times: Tensor, ground: bool
@@ -163,7 +164,8 @@ class ReferenceMotion:
             ended = time >= self.duration - _LAST
         place = local * self._rate
         row = place.long().clamp(0, self._rows - 2)
-        rows = torch.lerp(self._table[row], self._table[row + 1], (place - row).unsqueeze(1))
+        before, after = (self._table.index_select(0, at) for at in (row, row + 1))
+        rows = torch.lerp(before, after, (place - row).unsqueeze(1))
         fields = {
             name: part.view(-1, *shape)
             for (name, shape), part in zip(
@@ -172,11 +174,9 @@ class ReferenceMotion:
                 strict=True,
             )
         }
-        joints = rotations.normalize(fields["reference_joint_rotations"])
-        fields["reference_joint_rotations"] = joints
-        qpos, qvel = fields["reference_qpos"], fields["reference_qvel"]
-        rows_of_balls, addresses = self._balls
-        qpos[:, addresses] = joints[:, rows_of_balls].flatten(1)  # normalised with the joints
+        joints = fields["reference_joint_rotations"]
+        joints /= torch.linalg.vector_norm(joints, dim=-1, keepdim=True)
+        qpos, qvel = rows.index_select(1, self._pose), fields["reference_qvel"]
         moved = self._carry(qpos, qvel, fields["reference_com_position"], cycles)
         at = self._root
         root = moved["reference_qpos"][:, at : at + 7]
@@ -190,19 +190,34 @@ class ReferenceMotion:
             "motion_ended": ended,
         }
 
+    @staticmethod
+    def _pose_columns(layout: Layout, fields: Mapping[str, Tensor]) -> Tensor:
+        """(nq,) columns of the table for ``qpos``: balls are taken from the joints, which are normalised."""
+        starts, at = {}, 0
+        for name, value in fields.items():
+            starts[name], at = at, at + value[0].numel()
+        columns = starts["reference_qpos"] + torch.arange(fields["reference_qpos"].shape[1])
+        balls = 4 * layout.ball_rows.unsqueeze(1) + torch.arange(4)
+        columns[layout.ball_qpos] = starts["reference_joint_rotations"] + balls
+        return columns
+
     def _carry(self, qpos: Tensor, qvel: Tensor, com: Tensor, cycles: Tensor) -> dict[str, Tensor]:
         """Move root, its velocity, and the centre of mass by `cycles` (N,) cycles."""
         at, dof = self._root, self._root_dof
-        displacement, angle = self._cycle.power(cycles)
-        turn = rotations.from_heading(angle)
-        shift = torch.nn.functional.pad(displacement, (0, 1))
-        vectors = torch.stack([qpos[:, at : at + 3], com, qvel[:, dof : dof + 3]], dim=1)
-        matrix = rotations.turn_matrix(angle).transpose(1, 2)
-        position, com, linear = torch.bmm(vectors, matrix).unbind(1)
-        rotation = rotations.normalize(rotations.multiply(turn, qpos[:, at + 3 : at + 7]))
+        position, rotation = qpos[:, at : at + 3], qpos[:, at + 3 : at + 7]
+        if self._cycle.straight:
+            shift = cycles.unsqueeze(1) * self._stride
+        else:
+            displacement, angle = self._cycle.power(cycles)
+            shift = torch.nn.functional.pad(displacement, (0, 1))
+            vectors = torch.stack([position, com, qvel[:, dof : dof + 3]], dim=1)
+            position, com, linear = rotations.turned(vectors, angle).unbind(1)
+            rotation = rotations.multiply(rotations.from_heading(angle), rotation)
+            qvel = _replaced(qvel, dof, linear)
+        rotation = rotations.normalize(rotation)
         return {
             "reference_qpos": _replaced(qpos, at, position + shift, rotation),
-            "reference_qvel": _replaced(qvel, dof, linear),
+            "reference_qvel": qvel,
             "reference_com_position": com + shift,
         }
 

@@ -22,14 +22,15 @@ def joint_rotations(layout: Layout, qpos: Tensor) -> Tensor:
 
     Several hinges of one body are one joint, turned about one after the other.
     """
-    balls = qpos[:, layout.ball_qpos.flatten()].view(len(qpos), -1, 4)
-    angles = qpos[:, layout.hinge_qpos.flatten()].view(len(qpos), *layout.hinge_qpos.shape)
+    balls = qpos.index_select(1, layout.ball_qpos.flatten()).view(len(qpos), -1, 4)
+    angles = qpos.index_select(1, layout.hinge_qpos.flatten())
+    angles = angles.view(len(qpos), *layout.hinge_qpos.shape)
     axes = layout.hinge_axes.to(qpos.dtype)
     turns = rotations.from_axis_angle(axes, angles * layout.hinge_used.to(qpos.dtype))
     hinges = turns[:, :, 0]
     for k in range(1, turns.shape[2]):
         hinges = rotations.multiply(hinges, turns[:, :, k])
-    return torch.cat([balls, hinges], dim=1)[:, layout.joint_rows]
+    return torch.cat([balls, hinges], dim=1).index_select(1, layout.joint_rows)
 
 
 def character_state(
@@ -37,7 +38,7 @@ def character_state(
     *,
     qpos: Tensor,
     xpos: Tensor,
-    xquat: Tensor,
+    xmat: Tensor,
     xipos: Tensor,
     cvel: Tensor,
     subtree_com: Tensor,
@@ -55,39 +56,32 @@ def character_state(
     end_effector_positions (N, E, 3) : heading frame, the end-effectors' centres of mass
     """
     links, at = layout.link_bodies, layout.root_address
-    position, rotation = xpos[:, links], xquat[:, links]
+    # index_select takes a quarter of the time of indexing on a CPU.
+    position, motion = (value.index_select(1, links) for value in (xpos, cvel))
+    axes = xmat.flatten(1).index_select(1, layout.link_axes).unflatten(1, (-1, 3))
     root_position, root_rotation = qpos[:, at : at + 3], qpos[:, at + 3 : at + 7]
     com = subtree_com[:, layout.root_body]
     yaw = rotations.heading(root_rotation)
     # cvel is [angular, linear], both along world axes, linear at the character's centre of mass.
-    angular, linear = cvel[:, links].split(3, dim=-1)
+    angular, linear = motion.split(3, dim=-1)
     linear = linear + torch.linalg.cross(angular, position - com.unsqueeze(1))
-    axes = rotations.tangent_normal(rotation).view(*rotation.shape[:2], 2, 3)
     origin = root_position.unsqueeze(1)
-    vectors = torch.stack([position - origin, linear, angular], dim=2)
-    # One product turns all of a world's vectors into its heading frame, (N, 5 L + E, 3).
-    world = torch.cat([vectors, axes], dim=2).flatten(1, 2)
-    effectors = xipos[:, layout.effector_bodies] - origin
-    local = torch.bmm(torch.cat([world, effectors], dim=1), _turn(yaw))
-    of_links, of_effectors = local.split([world.shape[1], effectors.shape[1]], dim=1)
-    of_links = of_links.view(len(qpos), len(links), 5, 3)
+    effectors = xipos.index_select(1, layout.effector_bodies) - origin
+    parts = [position - origin, linear, angular, axes, effectors]
+    local = rotations.turned(torch.cat(parts, dim=1), -yaw)
+    position, linear, angular, axes, effectors = local.split([p.shape[1] for p in parts], dim=1)
     return {
         "com_position": com,
         "root_position": root_position,
         "root_rotation": root_rotation,
         "root_heading": yaw,
         "joint_rotations": joint_rotations(layout, qpos),
-        "link_positions": of_links[:, :, 0],
-        "link_rotations": of_links[:, :, 3:].flatten(2),
-        "link_linear_velocities": of_links[:, :, 1],
-        "link_angular_velocities": of_links[:, :, 2],
-        "end_effector_positions": of_effectors,
+        "link_positions": position,
+        "link_rotations": axes.unflatten(1, (-1, 2)).flatten(2),
+        "link_linear_velocities": linear,
+        "link_angular_velocities": angular,
+        "end_effector_positions": effectors,
     }
-
-
-def _turn(yaw: Tensor) -> Tensor:
-    """(N, 3, 3): row vectors of the world times this are those of the heading frame."""
-    return rotations.turn_matrix(yaw)
 
 
 class Poses:
@@ -133,6 +127,6 @@ class Poses:
             "root_rotation": root_rotation,
             "root_heading": yaw,
             "joint_rotations": joint_rotations(self._layout, qpos),
-            "end_effector_positions": torch.bmm(effectors, _turn(yaw)),
+            "end_effector_positions": rotations.turned(effectors, -yaw),
             "link_clearances": lowest_points(self._surface, position[..., 2], up),
         }

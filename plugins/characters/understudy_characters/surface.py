@@ -104,12 +104,11 @@ def lowest_points(surface: Surface, height: Tensor, up: Tensor) -> Tensor:
     """(N, B) m: how high the lowest point of each link of `surface` is above z = 0.
 
     Args:
-        height: (N, L) m, of all the layout's links' origins.
-        up: (N, L, 3), the world's z axis in their frames.
+        height: (N, B) m, of these links' origins.
+        up: (N, B, 3), the world's z axis in their frames.
     """
-    up = up[:, surface.links]
     along = torch.einsum("nbi,bgij->nbgj", up, surface.axes)
     centre = torch.einsum("nbi,bgi->nbg", up, surface.centres)
     reach = (along.abs() * surface.boxes).sum(-1)
     reach = reach + torch.linalg.vector_norm(along * surface.ellipsoids, dim=-1)
-    return height[:, surface.links] + (centre - reach).amin(dim=2) + surface.heights
+    return height + (centre - reach).amin(dim=2) + surface.heights

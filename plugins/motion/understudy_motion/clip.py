@@ -146,6 +146,11 @@ class CycleTransform:
         x, y = self.displacement.tolist()
         return x, y
 
+    @property
+    def straight(self) -> bool:
+        """Whether it does not turn."""
+        return abs(self.heading) < 1e-9
+
     def power(self, cycles: Tensor) -> tuple[Tensor, Tensor]:
         """The motion of ``cycles`` whole cycles, negative ones undoing.
 
@@ -157,7 +162,7 @@ class CycleTransform:
             ``sum_k turn(k heading) displacement``; no loop, no branch on tensor values.
         """
         x, y = self._offset
-        if abs(self.heading) < 1e-9:
+        if self.straight:
             return torch.stack((cycles * x, cycles * y), dim=-1), torch.zeros_like(cycles)
         angle = cycles * self.heading
         length = torch.sin(0.5 * angle) / math.sin(0.5 * self.heading)

@@ -35,6 +35,7 @@ ARRAYS = {
     "ctrl": Stage.KINEMATICS,
     "xpos": Stage.KINEMATICS,
     "xquat": Stage.KINEMATICS,
+    "xmat": Stage.KINEMATICS,
     "xipos": Stage.KINEMATICS,
     "cvel": Stage.KINEMATICS,
     "subtree_com": Stage.KINEMATICS,

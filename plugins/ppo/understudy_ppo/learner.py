@@ -203,7 +203,7 @@ class PPO(Learner):
         samples, device = batch["returns"].shape[0], batch["returns"].device
         order = torch.randperm(samples, generator=self._generator, device=device)
         order = order[: self._steps * self._batch_size]
-        shuffled = {name: value[order] for name, value in batch.items()}
+        shuffled = {name: value.index_select(0, order) for name, value in batch.items()}
         return _parts(shuffled, self._run_length * self._batch_size)
 
     def _run(self, run: Mapping[str, Tensor]) -> None:

@@ -15,13 +15,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Fields, Shape
-from understudy_basics.rotations import canonical, conjugate, multiply, turn_matrix
+from understudy_basics.rotations import canonical, conjugate, multiply, turned
 from understudy_characters.scene import CharacterScene
-
-
-def turned(angle: Tensor, vectors: Tensor) -> Tensor:
-    """`vectors` (N, K, 3) turned by `angle` (N,) rad about the vertical."""
-    return torch.bmm(vectors, turn_matrix(angle).transpose(1, 2))
 
 
 class Alignment(Fields):
@@ -61,5 +56,5 @@ class Alignment(Fields):
         return {
             "heading_deviation": deviation,
             "frame_turn": turn,
-            "aligned_end_effector_positions": turned(turn, end_effector_positions),
+            "aligned_end_effector_positions": turned(end_effector_positions, turn),
         }

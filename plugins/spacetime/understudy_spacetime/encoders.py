@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
+from understudy_basics.rotations import turned
 from understudy_characters.scene import CharacterScene
-from understudy_spacetime.alignment import turned
 
 
 class StateEncoder(Encoder):
@@ -54,7 +54,7 @@ class StateEncoder(Encoder):
         **links: Tensor,
     ) -> Tensor:
         away = (root_position - reference_root_position).unsqueeze(1)
-        error = turned(-reference_root_heading, away).squeeze(1)
+        error = turned(away, -reference_root_heading).squeeze(1)
         vectors = torch.cat([v.reshape(len(v), -1, 3) for v in links.values()], dim=1)
         turn = heading_deviation
         angle = phase * (2 * math.pi)
@@ -63,7 +63,7 @@ class StateEncoder(Encoder):
             [
                 torch.stack(scalars, dim=1),
                 error,
-                turned(frame_turn, vectors).flatten(1),
+                turned(vectors, frame_turn).flatten(1),
                 aligned_end_effector_positions.flatten(1),
             ],
             dim=1,

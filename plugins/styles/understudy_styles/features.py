@@ -77,7 +77,7 @@ def clip_features(clip: Clip, scene: CharacterScene, dt: float, least: int) -> T
 def _fields(scene: CharacterScene, qpos: Tensor, qvel: Tensor) -> dict[str, Tensor]:
     """What the simulator would show of these states."""
     model, data = scene.model, mujoco.MjData(scene.model)
-    names = ("xpos", "xquat", "xipos", "cvel", "subtree_com")
+    names = ("xpos", "xmat", "xipos", "cvel", "subtree_com")
     seen: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for position, velocity in zip(qpos.double().numpy(), qvel.double().numpy(), strict=True):
         data.qpos[:], data.qvel[:] = position, velocity

@@ -72,7 +72,7 @@ class TRPO(Learner):
                 f"learner.value_batch_size={options.value_batch_size} is more than the samples of an "
                 f"iteration: num_worlds × learner.rollout_steps = {samples}."
             )
-        set_precision(policy, "float32")  # of second derivatives
+        set_precision(policy, "float32", twice=True)
         self.options, self.policy = options, policy
         self.rollout_steps = options.rollout_steps
         self._actor = list(policy.actor_parameters())

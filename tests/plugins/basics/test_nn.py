@@ -11,6 +11,7 @@ from torch import nn
 
 from understudy.random import WorldStreams
 from understudy.task import ActionSpace, Box, Choice
+from understudy_basics import nn as basics_nn
 from understudy_basics.nn import (
     DiagonalGaussian,
     RunningNormaliser,
@@ -19,6 +20,7 @@ from understudy_basics.nn import (
     box_columns,
     head_size,
     mlp,
+    set_precision,
 )
 
 
@@ -222,3 +224,39 @@ def test_a_network_in_bfloat16_keeps_its_last_layer() -> None:
     torch.testing.assert_close(net(x), net[2](hidden.float()))
     assert not torch.equal(net(x), exact)
     assert net(x.double().float()).dtype == torch.float32
+
+
+@pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="this torch has no oneDNN")
+@pytest.mark.parametrize("shape", [(7, 20), (2, 3, 20)])
+def test_a_wide_network_is_the_same_through_onednn(
+    shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    net = mlp([20, 1024, 256, 3])
+    x = torch.randn(shape, generator=torch.Generator().manual_seed(0))
+
+    def found(faster: bool) -> tuple[torch.Tensor, ...]:
+        monkeypatch.setattr(basics_nn, "_onednn_is_faster", lambda: faster)
+        assert net._through_onednn(x) == faster
+        value = net(x)
+        slopes = torch.autograd.grad(value.square().mean(), list(net.parameters()))
+        with torch.no_grad():
+            assert torch.equal(net(x), value)
+        return (value, *slopes)
+
+    for ours, plain in zip(found(True), found(False), strict=True):
+        torch.testing.assert_close(ours, plain, rtol=1e-4, atol=1e-5)
+
+
+def test_what_onednn_cannot_do_goes_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(basics_nn, "_onednn_is_faster", lambda: True)
+    x = torch.randn(3, 20)
+    assert not mlp([20, 64, 32, 3])._through_onednn(x)  # gains nothing
+    assert not mlp([20, 1024, 256, 3], activation=nn.Tanh)._through_onednn(x)
+    net = mlp([20, 1024, 256, 3])
+    assert not net._through_onednn(x.double())
+    set_precision(net, "bfloat16")
+    assert not net._through_onednn(x)
+    set_precision(net, "float32", twice=True)
+    (slope,) = torch.autograd.grad(net(x).square().mean(), net[0].weight, create_graph=True)
+    (curvature,) = torch.autograd.grad(slope.square().sum(), net[0].weight)
+    assert curvature.abs().max() > 0

@@ -134,3 +134,13 @@ def test_twist_recovers_a_hinge_angle(qs: list[Tensor], angle: float) -> None:
     axis = axis / torch.linalg.vector_norm(axis, dim=-1, keepdim=True)
     angles = torch.full_like(axis[..., 0], angle)
     assert torch.allclose(rot.twist_angle(rot.from_axis_angle(axis, angles), axis), angles)
+
+
+def test_turned_vectors_are_those_of_the_matrix() -> None:
+    chance = torch.Generator().manual_seed(3)
+    vectors = torch.randn(5, 7, 3, dtype=torch.float64, generator=chance)
+    angle = torch.tensor([0.0, 0.3, -2.0, math.pi, 40.0], dtype=torch.float64)
+    before = vectors.clone()
+    expected = (rot.turn_matrix(angle)[:, None] @ vectors[..., None]).squeeze(-1)
+    torch.testing.assert_close(rot.turned(vectors, angle), expected)
+    assert torch.equal(vectors, before)

@@ -26,7 +26,7 @@ def standing(height: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:
     data = SCENE.character.zero_pose
     xpos = torch.tensor(data.xpos).float()[None].repeat(2, 1, 1)
     xpos[1, :, 2] += height
-    return xpos, torch.tensor(data.xquat).float()[None].repeat(2, 1, 1)
+    return xpos, torch.tensor(data.xmat).float()[None].repeat(2, 1, 1)
 
 
 def test_a_trunk_on_the_floor_is_a_contact(context: Context) -> None:
@@ -42,15 +42,15 @@ def test_a_trunk_on_the_floor_is_a_contact(context: Context) -> None:
 def test_what_the_reference_brings_to_the_floor_may_touch_it(context: Context) -> None:
     fall = Fall(Fall.Options(), context)
     links = SCENE.layout.link_names
-    xpos, xquat = standing(-0.9)  # root in the floor
+    xpos, xmat = standing(-0.9)  # root in the floor
     high = torch.full((2, len(links)), 0.5)
     low = high.clone()
     low[:, links.index("root")] = 0.15
-    assert fall(xpos, xquat, high).tolist() == [False, True]
-    assert fall(xpos, xquat, low).tolist() == [False, False]
+    assert fall(xpos, xmat, high).tolist() == [False, True]
+    assert fall(xpos, xmat, low).tolist() == [False, False]
     others = high.clone()
     others[:, links.index("left_ankle")] = 0.0  # that the feet are down excuses no fall
-    assert fall(xpos, xquat, others).tolist() == [False, True]
+    assert fall(xpos, xmat, others).tolist() == [False, True]
 
 
 def test_no_body_of_another_name(context: Context) -> None:

@@ -20,7 +20,7 @@ from understudy_characters.surface import FAR, lowest_points, surface_of
 from understudy_humanoid.character import build_spec
 
 WORLDS = 6
-NAMES = ("qpos", "xpos", "xquat", "xipos", "cvel", "subtree_com")
+NAMES = ("qpos", "xpos", "xmat", "xipos", "cvel", "subtree_com")
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,17 @@ class Figure:
 
     def forward(self, qpos: np.ndarray | None = None) -> dict[str, Tensor]:
         data = mujoco.MjData(self.model)
-        rows: dict[str, list[np.ndarray]] = {name: [] for name in NAMES}
+        rows: dict[str, list[np.ndarray]] = {name: [] for name in (*NAMES, "xquat")}
         for position, velocity in zip(self.qpos if qpos is None else qpos, self.qvel, strict=True):
             data.qpos[:], data.qvel[:] = position, velocity
             mujoco.mj_forward(self.model, data)
-            for name in NAMES:
-                rows[name].append(getattr(data, name).copy())
+            for name, values in rows.items():
+                values.append(getattr(data, name).copy())
         return {name: torch.from_numpy(np.stack(values)) for name, values in rows.items()}
+
+    def state(self) -> dict[str, Tensor]:
+        seen = self.forward()
+        return character_state(self.layout, **{name: seen[name] for name in NAMES})
 
     def moved(self, dt: float) -> np.ndarray:
         result = self.qpos.copy()
@@ -66,7 +70,7 @@ def figure(request: pytest.FixtureRequest) -> Figure:
 
 def test_velocities_are_the_derivatives_of_positions(figure: Figure) -> None:
     layout = figure.layout
-    now = character_state(layout, **figure.forward())
+    now = figure.state()
     step = 1e-5
     ends = [figure.forward(figure.moved(k * step)) for k in (-1.0, 1.0)]
     before, after = (
@@ -99,8 +103,8 @@ def test_heading_frame_ignores_place_and_heading(figure: Figure) -> None:
     velocity = torch.from_numpy(figure.qvel).clone()
     velocity[:, :3] = rotations.rotate(turn, velocity[:, :3])
     elsewhere = Figure(figure.character, figure.layout, turned.numpy(), velocity.numpy())
-    here = character_state(figure.layout, **figure.forward())
-    there = character_state(figure.layout, **elsewhere.forward())
+    here = figure.state()
+    there = elsewhere.state()
     for name in here:
         if name.startswith(("link_", "end_effector_", "joint_")):
             torch.testing.assert_close(there[name], here[name], atol=1e-8, rtol=1e-8)
@@ -108,7 +112,7 @@ def test_heading_frame_ignores_place_and_heading(figure: Figure) -> None:
 
 def test_positions_and_joint_rotations_agree_with_mujoco(figure: Figure) -> None:
     layout, model, state = figure.layout, figure.model, figure.forward()
-    found = character_state(layout, **state)
+    found = figure.state()
     heading = rotations.from_heading(found["root_heading"])[:, None]
     root = found["root_position"][:, None]
     back = rotations.rotate(heading, found["link_positions"]) + root
@@ -132,7 +136,7 @@ def test_positions_and_joint_rotations_agree_with_mujoco(figure: Figure) -> None
 
 def test_poses_without_a_simulator_have_the_same_state(figure: Figure) -> None:
     found = Poses(figure.character, figure.layout).state(torch.from_numpy(figure.qpos))
-    expected = character_state(figure.layout, **figure.forward())
+    expected = figure.state()
     for name, value in found.items():
         if name != "link_clearances":
             torch.testing.assert_close(value, expected[name], atol=1e-9, rtol=1e-9)
@@ -175,9 +179,9 @@ def test_a_mesh_reaches_as_low_as_its_extreme_vertices() -> None:
 
 
 def test_float32_in_float32_out(figure: Figure) -> None:
-    state = figure.forward()
-    single = {name: value.float() for name, value in state.items()}
-    double = character_state(figure.layout, **state)
+    seen = figure.forward()
+    single = {name: seen[name].float() for name in NAMES}
+    double = figure.state()
     layout = figure.layout.to(torch.device("cpu"))
     for name, value in character_state(layout, **single).items():
         assert value.dtype == torch.float32, name
