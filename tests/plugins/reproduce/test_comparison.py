@@ -101,6 +101,15 @@ def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> N
     }  # fmt: skip
 
 
+def test_the_table_of_deepmimics_settings_composes() -> None:
+    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+    table = load_table("deepmimic/figure_6_7", installed())
+    found = {k: load_experiment(v).need("learner").options for k, v in table.variants().items()}
+    for skill in ("walk", "run", "cartwheel"):
+        assert found[f"{skill}/released"].batch_size == 4 * 256
+        assert found[f"{skill}/optimised"].batch_size == 4 * 172
+
+
 def search(tmp_path: Path, *events: Trial | Report) -> Found:
     """What GP-UCB or CMFBO (by the events' fidelities) found in these events."""
     journal = Journal(tmp_path / "journal.jsonl")
