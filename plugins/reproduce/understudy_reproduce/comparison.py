@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +34,6 @@ from understudy_sweeps.sweep import sweep
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
 from understudy_sweeps.trial import written
 
-_NOTHING = "–"
 _NOTES = (
     "A search's best value is the highest y (the objective, scaled by eq. 6.5 where the search says so) "
     "among its trials at full fidelity; before the first of those it has none.",
@@ -246,11 +246,13 @@ def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
 
 
 def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
-    """A line for each search: its best value when all have spent as much, and in the end."""
-    equal = min(one.spent for found in cells.values() for one in found)
+    """A line for each search: its best value when all have spent as much, and in the end. A search
+    that still runs is compared once it has spent as much as the others did in the end."""
+    searches = [one for found in cells.values() for one in found]
+    equal = min(one.spent for one in [s for s in searches if s.finished] or searches)
     name, at_equal = next(iter(cells)), {}
     for column, found in cells.items():
-        values = {one.seed: one.best(equal) for one in found}
+        values = {one.seed: one.best(equal) for one in found if one.spent >= equal}
         at_equal[column] = {seed: v for seed, v in values.items() if v is not None}
     heads = [
         "search",
@@ -262,26 +264,28 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
     ]
     rows = []
     for column, found in cells.items():
-        ends = [v for one in found if (v := one.best(np.inf)) is not None]
-        first = column == name
-        difference = None if first else paired_difference(at_equal[name], at_equal[column])
+        ends = [one.best(np.inf) for one in found if one.finished]
+        there = sum(one.spent >= equal for one in found)
+        difference = paired_difference(at_equal[name], at_equal[column])
         rows.append(
             [
                 column,
-                _counted(list(at_equal[column].values()), len(found)),
-                _NOTHING if difference is None else shown_mean(difference, sign=True),
-                _counted(ends, len(found)),
-                shown_mean(mean_of([one.spent for one in found]), "samples"),
+                _counted(list(at_equal[column].values()), there, len(found)),
+                shown_mean(None if column == name else difference, sign=True),
+                _counted([v for v in ends if v is not None], len(ends), len(found)),
+                words.short(statistics.fmean(one.spent for one in found)),
                 ", ".join(f"{len(one.curve)} ({one.whole})" for one in found),
             ]
         )
     return Table(heads, rows)
 
 
-def _counted(values: Sequence[float], seeds: int) -> str:
-    missing = seeds - len(values)
+def _counted(values: Sequence[float], there: int, begun: int) -> str:
+    """The mean of `values`, which `there` of the `begun` searches could have."""
     parts = [f"{shown_mean(mean_of(values))} ({len(values)})"] if values else []
-    return "; ".join([*parts, *([f"{missing} without one"] if missing else [])])
+    parts += [f"{there - len(values)} without one"] if there > len(values) else []
+    parts += [f"{begun - there} still running"] if begun > there else []
+    return "; ".join(parts)
 
 
 def _csv(rows: Iterator[list[Any]]) -> str:

@@ -161,13 +161,11 @@ def test_values_are_compared_at_equal_samples(tmp_path: Path) -> None:
     comparison = Comparison("x/y", table, tmp_path, [])
     curve = np.array([[10.0, 1.0], [20.0, 2.0], [90.0, 9.0]])
     lower = np.array([[10.0, np.nan], [30.0, 0.5]])
+    up = np.array([0, 1])
     comparison.found = {
-        ("r", "a"): [Found(0, curve), Found(1, curve + np.array([0, 1]))],
-        ("r", "b"): [Found(0, lower), Found(1, lower[:1])],
+        ("r", "a"): [Found(0, curve, 3, True), Found(1, curve + up, 3, True)],
+        ("r", "b"): [Found(0, lower, 1, True), Found(1, lower + up, 1, True)],
     }
-    ((_, shown),) = list(comparison.tables())
-    assert shown.heads[1] == "best value after 10 samples"
-    comparison.found["r", "b"] = [Found(0, lower), Found(1, lower + np.array([0, 1]))]
     ((_, shown),) = list(comparison.tables())
     assert shown.heads[1] == "best value after 30 samples"
     a, b = shown.rows
@@ -175,3 +173,12 @@ def test_values_are_compared_at_equal_samples(tmp_path: Path) -> None:
     assert b[1].startswith("1 [")
     assert b[2].startswith("-1.5")
     assert a[3].startswith("9.5 [")
+    assert (a[4], a[5], b[5]) == ("90", "3 (3), 3 (3)", "2 (1), 2 (1)")
+    comparison.found["r", "b"] = [Found(0, lower, 1, True), Found(1, lower[:1])]
+    _, b = next(comparison.tables())[1].rows
+    assert b[1] == b[3] == "0.5 (1); 1 still running", "it is not compared before it is there"
+    assert b[2] == "-1.5"
+    comparison.found["r", "b"] = [Found(0, lower[:1], 0, True)]
+    ((_, shown),) = list(comparison.tables())
+    assert shown.heads[1] == "best value after 10 samples"
+    assert shown.rows[1][1:4] == ["1 without one", "–", "1 without one"]
