@@ -64,9 +64,12 @@ class Found:
         known = self.curve[(self.curve[:, 0] <= samples) & np.isfinite(self.curve[:, 1])]
         return float(known[-1, 1]) if len(known) else None
 
-    def steps(self) -> np.ndarray:
-        """(m, 2): the curve as it is, constant until it jumps, from its first value on."""
+    def steps(self, end: float = 0.0) -> np.ndarray:
+        """(m, 2): the curve as it is, constant until it jumps, from its first value on; what is finished
+        stays at its best up to `end`."""
         known = self.curve[np.isfinite(self.curve[:, 1])]
+        if self.finished and len(known) and end > self.spent:
+            known = np.vstack([known, [end, known[-1, 1]]])
         before = np.column_stack([known[1:, 0], known[:-1, 1]])
         corners = np.empty((max(2 * len(known) - 1, 0), 2))
         corners[0::2], corners[1::2] = known, before
@@ -144,14 +147,14 @@ class Comparison:
 
     def _charts(self, row: str) -> str:
         """The curves of a row's searches in one picture; colours go by the table's columns."""
-        series, end = [], 0.0
+        searches = [one for (r, _), found in self.found.items() if r == row for one in found]
+        end, series = max(one.spent for one in searches), []
         for index, column in enumerate(self.table.columns):
             found = self.found.get((row, column), ())
-            curves = [steps for one in found if len(steps := one.steps())]
-            end = max([end, *(one.spent for one in found)])
+            curves = [steps for one in found if len(steps := one.steps(end))]
             line, band = mean_curve(curves)
             series.append(Series(line, style_of(index), band, curves))
-        return draw_series(Chart(f"{row}: best value at full fidelity", ""), series, end)
+        return draw_series(Chart(f"{row}: best value at full fidelity", "", dots=True), series, end)
 
     def text(self) -> str:
         """The tables, for a terminal."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,8 @@ def test_the_best_is_of_whole_trials_in_the_order_in_which_they_ended(tmp_path: 
     assert (found.whole, found.seed, found.finished) == (3, 7, True)
     assert [found.best(s) for s in (120, 150, 169, 1e9)] == [None, 1.0, 1.0, 3.0]
     assert found.steps().tolist() == [[150, 1], [170, 1], [170, 3], [200, 3], [200, 3]]
+    assert found.steps(300).tolist()[-2:] == [[300, 3], [300, 3]]
+    assert replace(found, finished=False).steps(300).tolist() == found.steps().tolist()
 
 
 def test_what_is_no_search_by_value_is_refused(tmp_path: Path) -> None:
