@@ -23,13 +23,16 @@ FIGURE = {"basics", "humanoid", "characters", "motion", "mujoco"}
 TOYS = {"basics", "miniature", "ppo"}
 MATERIAL = {
     "characters": FIGURE,
+    "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "doctor": FIGURE,
     "export": FIGURE | TOYS | {"spacetime"},
     "play": FIGURE | {"ppo", "spacetime"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,
-    "reproduce": TOYS | FIGURE | {"spacetime"},
+    "reproduce": TOYS
+    | FIGURE
+    | {"bayes", "cmfbo", "deepmimic", "morphology", "mujoco_warp", "spacetime", "warp_torch"},
     "spacetime": FIGURE | {"deepmimic", "retarget"},
     "styles": FIGURE | {"ppo", "report", "spacetime"},
     "sweeps": TOYS,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +34,6 @@ from understudy_sweeps.sweep import sweep
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
 from understudy_sweeps.trial import written
 
-_NOTHING = "–"
 _NOTES = (
     "A search's best value is the highest y (the objective, scaled by eq. 6.5 where the search says so) "
     "among its trials at full fidelity; before the first of those it has none.",
@@ -64,9 +64,12 @@ class Found:
         known = self.curve[(self.curve[:, 0] <= samples) & np.isfinite(self.curve[:, 1])]
         return float(known[-1, 1]) if len(known) else None
 
-    def steps(self) -> np.ndarray:
-        """(m, 2): the curve as it is, constant until it jumps, from its first value on."""
+    def steps(self, end: float = 0.0) -> np.ndarray:
+        """(m, 2): the curve as it is, constant until it jumps, from its first value on; what is finished
+        stays at its best up to `end`."""
         known = self.curve[np.isfinite(self.curve[:, 1])]
+        if self.finished and len(known) and end > self.spent:
+            known = np.vstack([known, [end, known[-1, 1]]])
         before = np.column_stack([known[1:, 0], known[:-1, 1]])
         corners = np.empty((max(2 * len(known) - 1, 0), 2))
         corners[0::2], corners[1::2] = known, before
@@ -144,14 +147,14 @@ class Comparison:
 
     def _charts(self, row: str) -> str:
         """The curves of a row's searches in one picture; colours go by the table's columns."""
-        series, end = [], 0.0
+        searches = [one for (r, _), found in self.found.items() if r == row for one in found]
+        end, series = max(one.spent for one in searches), []
         for index, column in enumerate(self.table.columns):
             found = self.found.get((row, column), ())
-            curves = [steps for one in found if len(steps := one.steps())]
-            end = max([end, *(one.spent for one in found)])
+            curves = [steps for one in found if len(steps := one.steps(end))]
             line, band = mean_curve(curves)
             series.append(Series(line, style_of(index), band, curves))
-        return draw_series(Chart(f"{row}: best value at full fidelity", ""), series, end)
+        return draw_series(Chart(f"{row}: best value at full fidelity", "", dots=True), series, end)
 
     def text(self) -> str:
         """The tables, for a terminal."""
@@ -246,11 +249,13 @@ def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
 
 
 def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
-    """A line for each search: its best value when all have spent as much, and in the end."""
-    equal = min(one.spent for found in cells.values() for one in found)
+    """A line for each search: its best value when all have spent as much, and in the end. A search
+    that still runs is compared once it has spent as much as the others did in the end."""
+    searches = [one for found in cells.values() for one in found]
+    equal = min(one.spent for one in [s for s in searches if s.finished] or searches)
     name, at_equal = next(iter(cells)), {}
     for column, found in cells.items():
-        values = {one.seed: one.best(equal) for one in found}
+        values = {one.seed: one.best(equal) for one in found if one.spent >= equal}
         at_equal[column] = {seed: v for seed, v in values.items() if v is not None}
     heads = [
         "search",
@@ -262,26 +267,28 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
     ]
     rows = []
     for column, found in cells.items():
-        ends = [v for one in found if (v := one.best(np.inf)) is not None]
-        first = column == name
-        difference = None if first else paired_difference(at_equal[name], at_equal[column])
+        ends = [one.best(np.inf) for one in found if one.finished]
+        there = sum(one.spent >= equal for one in found)
+        difference = paired_difference(at_equal[name], at_equal[column])
         rows.append(
             [
                 column,
-                _counted(list(at_equal[column].values()), len(found)),
-                _NOTHING if difference is None else shown_mean(difference, sign=True),
-                _counted(ends, len(found)),
-                shown_mean(mean_of([one.spent for one in found]), "samples"),
+                _counted(list(at_equal[column].values()), there, len(found)),
+                shown_mean(None if column == name else difference, sign=True),
+                _counted([v for v in ends if v is not None], len(ends), len(found)),
+                words.short(statistics.fmean(one.spent for one in found)),
                 ", ".join(f"{len(one.curve)} ({one.whole})" for one in found),
             ]
         )
     return Table(heads, rows)
 
 
-def _counted(values: Sequence[float], seeds: int) -> str:
-    missing = seeds - len(values)
+def _counted(values: Sequence[float], there: int, begun: int) -> str:
+    """The mean of `values`, which `there` of the `begun` searches could have."""
     parts = [f"{shown_mean(mean_of(values))} ({len(values)})"] if values else []
-    return "; ".join([*parts, *([f"{missing} without one"] if missing else [])])
+    parts += [f"{there - len(values)} without one"] if there > len(values) else []
+    parts += [f"{begun - there} still running"] if begun > there else []
+    return "; ".join(parts)
 
 
 def _csv(rows: Iterator[list[Any]]) -> str:

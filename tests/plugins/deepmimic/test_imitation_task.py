@@ -21,7 +21,6 @@ from understudy_basics.nn import DiagonalGaussian
 from understudy_deepmimic.encoders import StateEncoder
 from understudy_deepmimic.horizon import Horizon, NormalisedReturn, horizon
 from understudy_ppo.learner import PPO
-from understudy_reproduce.tables import load_table
 
 WALK = ("experiment=deepmimic/walk", "num_worlds=4")
 
@@ -193,15 +192,6 @@ def test_the_sweep_of_settings_composes() -> None:
     experiment = load_experiment(["ablation=deepmimic/settings"])
     for overrides in experiment.need("outer_loop").options.variants.values():
         load_experiment(["experiment=deepmimic/walk_gpu", *overrides])
-
-
-def test_the_table_of_settings_composes(plugins: Plugins) -> None:
-    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
-    table = load_table("deepmimic/figure_6_7", plugins)
-    found = {k: load_experiment(v).need("learner").options for k, v in table.variants().items()}
-    for skill in ("walk", "run", "cartwheel"):
-        assert found[f"{skill}/released"].batch_size == 4 * 256
-        assert found[f"{skill}/optimised"].batch_size == 4 * 172
 
 
 @pytest.mark.parametrize(

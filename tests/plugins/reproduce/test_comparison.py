@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,15 @@ def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> N
     }  # fmt: skip
 
 
+def test_the_table_of_deepmimics_settings_composes() -> None:
+    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+    table = load_table("deepmimic/figure_6_7", installed())
+    found = {k: load_experiment(v).need("learner").options for k, v in table.variants().items()}
+    for skill in ("walk", "run", "cartwheel"):
+        assert found[f"{skill}/released"].batch_size == 4 * 256
+        assert found[f"{skill}/optimised"].batch_size == 4 * 172
+
+
 def search(tmp_path: Path, *events: Trial | Report) -> Found:
     """What GP-UCB or CMFBO (by the events' fidelities) found in these events."""
     journal = Journal(tmp_path / "journal.jsonl")
@@ -135,6 +145,8 @@ def test_the_best_is_of_whole_trials_in_the_order_in_which_they_ended(tmp_path: 
     assert (found.whole, found.seed, found.finished) == (3, 7, True)
     assert [found.best(s) for s in (120, 150, 169, 1e9)] == [None, 1.0, 1.0, 3.0]
     assert found.steps().tolist() == [[150, 1], [170, 1], [170, 3], [200, 3], [200, 3]]
+    assert found.steps(300).tolist()[-2:] == [[300, 3], [300, 3]]
+    assert replace(found, finished=False).steps(300).tolist() == found.steps().tolist()
 
 
 def test_what_is_no_search_by_value_is_refused(tmp_path: Path) -> None:
@@ -152,13 +164,11 @@ def test_values_are_compared_at_equal_samples(tmp_path: Path) -> None:
     comparison = Comparison("x/y", table, tmp_path, [])
     curve = np.array([[10.0, 1.0], [20.0, 2.0], [90.0, 9.0]])
     lower = np.array([[10.0, np.nan], [30.0, 0.5]])
+    up = np.array([0, 1])
     comparison.found = {
-        ("r", "a"): [Found(0, curve), Found(1, curve + np.array([0, 1]))],
-        ("r", "b"): [Found(0, lower), Found(1, lower[:1])],
+        ("r", "a"): [Found(0, curve, 3, True), Found(1, curve + up, 3, True)],
+        ("r", "b"): [Found(0, lower, 1, True), Found(1, lower + up, 1, True)],
     }
-    ((_, shown),) = list(comparison.tables())
-    assert shown.heads[1] == "best value after 10 samples"
-    comparison.found["r", "b"] = [Found(0, lower), Found(1, lower + np.array([0, 1]))]
     ((_, shown),) = list(comparison.tables())
     assert shown.heads[1] == "best value after 30 samples"
     a, b = shown.rows
@@ -166,3 +176,12 @@ def test_values_are_compared_at_equal_samples(tmp_path: Path) -> None:
     assert b[1].startswith("1 [")
     assert b[2].startswith("-1.5")
     assert a[3].startswith("9.5 [")
+    assert (a[4], a[5], b[5]) == ("90", "3 (3), 3 (3)", "2 (1), 2 (1)")
+    comparison.found["r", "b"] = [Found(0, lower, 1, True), Found(1, lower[:1])]
+    _, b = next(comparison.tables())[1].rows
+    assert b[1] == b[3] == "0.5 (1); 1 still running", "it is not compared before it is there"
+    assert b[2] == "-1.5"
+    comparison.found["r", "b"] = [Found(0, lower[:1], 0, True)]
+    ((_, shown),) = list(comparison.tables())
+    assert shown.heads[1] == "best value after 10 samples"
+    assert shown.rows[1][1:4] == ["1 without one", "–", "1 without one"]

@@ -416,11 +416,20 @@ def test_a_report_that_was_lost_is_made_again(
 def test_point_and_fidelity(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
     trial = Trial("a", point={"learner.rate": 0.5, "policy.push": 1.0}, fidelity=0.25)
     monkeypatch.setattr(scripted, "trials", [trial])
+    monkeypatch.setattr(Starts, "reads", ("difficulty",))
     script(tmp_path)
     assert events(tmp_path) == whole("a", 6, 8, 10)
     assert json.loads((tmp_path / "a/run.json").read_text())["config"]["difficulty"] == 0.25
     recalled = Journal.open(tmp_path / "journal.jsonl").asked
     assert recalled == [trial]
+
+
+def test_a_fidelity_that_nothing_reads(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr(scripted, "trials", [Trial("a", fidelity=0.25)])
+    with pytest.raises(ConfigError, match="Nothing in this task reads `difficulty`"):
+        script(tmp_path)
+    assert [event for event, *_ in events(tmp_path)] == ["asked"]
+    assert not scripted.told
 
 
 def test_beginning_from_an_earlier_trial(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
