@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import re
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, installed, load
@@ -84,6 +87,69 @@ def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
             term.component.name for term in experiment.many("reward.terms")
         ]
     check_plugin("balance", balance)
+
+
+def snippets(page: Path) -> list[str]:
+    """The Python of `page`."""
+    return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+
+
+LEARNERS = ROOT / "docs" / "other-learners.md"
+#: By library: the shortest training that its snippet can be cut to.
+SHORTENED = {
+    "stable_baselines3": {
+        "num_envs=64": "num_envs=4", "n_steps=32, batch_size=256": "n_steps=4, batch_size=8", "20_480": "32",
+    },
+    "rsl_rl": {"num_envs=64": "num_envs=4", '_env": 32': '_env": 4', "learn(10)": "learn(2)"},
+    "skrl": {"num_envs=64": "num_envs=4", "rollouts=32": "rollouts=4", "size=32": "size=4", ": 320": ": 8"},
+}  # fmt: skip
+
+
+@pytest.fixture
+def run_snippet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[[str, dict[str, str]], tuple[float, float]]:
+    """Runs the page's training with a library, changed, in an empty folder; returns what it prints: the
+    mean steps of an episode before and after."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(atexit, "register", lambda function: function)  # skrl's would come too late
+
+    def run(library: str, changes: dict[str, str]) -> tuple[float, float]:
+        pytest.importorskip(library, reason="it is not installed (extra learners)")
+        (code,) = (s for s in snippets(LEARNERS) if f"understudy_gym.{library} import" in s)
+        for old, new in changes.items():
+            assert old in code, old
+            code = code.replace(old, new)
+        with torch.random.fork_rng():
+            exec(compile(code, str(LEARNERS), "exec"), {})
+        said = re.findall(r"mean episode before (\S+), after (\S+) steps", capsys.readouterr().out)
+        return float(said[0][0]), float(said[0][1])
+
+    return run
+
+
+@pytest.mark.parametrize("library", SHORTENED)
+def test_other_learners_take_what_the_page_gives_them(
+    library: str, run_snippet: Any, tmp_path: Path
+) -> None:
+    changes = {**SHORTENED[library], 'Worlds("spacetime/walk", 64)': 'Worlds("spacetime/walk", 4)'}
+    assert min(run_snippet(library, changes)) >= 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("library", SHORTENED)
+def test_other_learners_learn_the_walk(library: str, run_snippet: Any) -> None:
+    """Within 20 480 samples, about a minute each on two idle cores."""
+    before, after = run_snippet(library, {})
+    assert after > 1.3 * before
+
+
+def test_the_page_shows_what_gymnasium_does() -> None:
+    pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
+    names: dict[str, Any] = {}
+    exec(compile(snippets(LEARNERS)[0], str(LEARNERS), "exec"), names)
+    assert names["envs"].reset()[0].shape == (64, 274)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))

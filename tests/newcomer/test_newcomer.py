@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -125,6 +126,18 @@ def test_what_was_learned_is_read_by_another_program(understudy: Path, demo: Pat
     assert scene.animations
     named = {node.name for node in scene.nodes}
     assert {"root", "left_knee", "right_elbow"} <= named
+
+
+@pytest.mark.slow
+def test_stable_baselines3_learns_the_walk(understudy: Path) -> None:
+    """The page's 20 480 samples, from the wheel; some minutes on two idle cores."""
+    pytest.importorskip("stable_baselines3", reason="it is not installed (extra learners)")
+    text = (ROOT / "docs" / "other-learners.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+    (code,) = (s for s in snippets if "understudy_gym.stable_baselines3" in s)
+    said = run([str(understudy.with_name("python")), "-c", code], understudy.parents[2], 1800)
+    before, after = re.findall(r"before (\S+), after (\S+) steps", said)[0]
+    assert float(after) > 1.3 * float(before)
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from torch import Tensor
 
 from understudy.errors import ConfigError
+from understudy.running.environment import rows
 from understudy.setup.plugins import installed
 from understudy_gym.worlds import Worlds, columns, flattened
 
@@ -194,7 +195,7 @@ class UnderstudyVectorEnv(VectorEnv):
         observations = step.observations
         if bool(resting.any()):  # they were stepped beside the others, to no effect
             observations = {
-                name: torch.where(_rows(resting, value), value, observations[name])
+                name: torch.where(rows(resting, value), value, observations[name])
                 for name, value in self.worlds.environment.begin(resting).items()
             }
             step.rewards = torch.where(resting, 0.0, step.rewards)
@@ -227,10 +228,6 @@ class UnderstudyVectorEnv(VectorEnv):
 
     def close_extras(self, **kwargs: Any) -> None:
         self.worlds.environment.close()
-
-
-def _rows(mask: Tensor, like: Tensor) -> Tensor:
-    return mask.view(-1, *([1] * (like.dim() - 1)))
 
 
 def _known(render_mode: str | None) -> str | None:

@@ -76,8 +76,10 @@ class UnderstudyVecEnv(VecEnv):
         return self._given(), {}
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
-        step = self.worlds.step(actions)
-        self._observations = _kept(step.observations)
+        # The runner is in inference mode: what is made in it could not be changed in place outside.
+        with torch.inference_mode(False), torch.no_grad():
+            step = self.worlds.step(actions)
+            self._observations = _kept(step.observations)
         return self._given(), step.rewards, step.ended, {"time_outs": step.truncated}
 
     def close(self) -> None:
@@ -87,6 +89,5 @@ class UnderstudyVecEnv(VecEnv):
         return TensorDict(self._observations, batch_size=[self.num_envs], device=self.device)
 
 
-@torch.no_grad()
 def _kept(observations: Mapping[str, Tensor]) -> dict[str, Any]:
     return {name: value.clone() for name, value in observations.items()}

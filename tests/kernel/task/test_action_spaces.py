@@ -29,3 +29,10 @@ def test_boxes_and_choices() -> None:
     assert parts["gait"].tolist() == [3, 0]
     assert parts["joints"].tolist() == [[0.5, -0.5], [1.5, -1.5]]
     assert parts["hand"].tolist() == [1, 0]
+
+
+def test_boxes_say_what_bounded_learners_span() -> None:
+    plain = box(3).parts["action"]
+    assert isinstance(plain, Box)
+    assert (plain.reach, plain.around) == (1.0, None)
+    assert box(2, 0.3, "reference").parts["action"] == Box(2, reach=0.3, around="reference")

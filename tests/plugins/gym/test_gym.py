@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 from typing import Any
@@ -9,15 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
-envs = pytest.importorskip("understudy_gym.envs")  # registers the tasks
+pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
 
-from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.vector import AutoresetMode  # noqa: E402
-from gymnasium.wrappers import FlattenObservation, NormalizeObservation, RecordEpisodeStatistics  # noqa: E402
-from gymnasium.wrappers import vector as vector_wrappers  # noqa: E402
+import gymnasium
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import FlattenObservation, NormalizeObservation, RecordEpisodeStatistics
+from gymnasium.wrappers import vector as vector_wrappers
 
-from understudy.errors import ConfigError  # noqa: E402
+from understudy.errors import ConfigError
+from understudy.setup.composition import load_experiment
+from understudy.setup.registry import Component
+from understudy.task import ActionSpace, Actuation, Choice
+from understudy.task import Box as BoxPart
+from understudy.testing.fake import FAKE_TASK, fake_plugins
+from understudy_gym import envs, worlds
 
 #: Episodes of three steps that are cut.
 SHORT = {"overrides": ["episode.seconds=0.3"]}
@@ -68,11 +76,10 @@ def test_zero_is_the_reference_of_the_walk() -> None:
 def test_the_scale_can_be_inverted_and_replaced() -> None:
     env = gymnasium.make(WALK, action_scale=0.1).unwrapped
     env.reset(seed=1)
-    worlds = env.worlds
-    action = worlds.environment.action.uniform_(-1, 1).clone()
-    target = worlds.to_task(action)
-    np.testing.assert_allclose(target - worlds.to_task(0 * action), 0.1 * action, atol=1e-6)
-    np.testing.assert_allclose(worlds.from_task(target), action, atol=1e-5)
+    action = env.worlds.environment.action.uniform_(-1, 1).clone()
+    target = env.worlds.to_task(action)
+    np.testing.assert_allclose(target - env.worlds.to_task(0 * action), 0.1 * action, atol=1e-6)
+    np.testing.assert_allclose(env.worlds.from_task(target), action, atol=1e-5)
     uneven = gymnasium.make(TOY, action_scale=[2.0, 0.5]).unwrapped.worlds
     assert uneven.to_task(uneven.environment.action + 1.0).tolist() == [[2.0, 0.5]]
 
@@ -259,3 +266,36 @@ def test_pictures() -> None:
     pictures = both.render()
     assert [p.shape for p in pictures] == [(32, 48, 3)] * 2
     assert many(TOY).render() is None
+
+
+def test_actions_of_numbers_and_choices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boxes and choices by name; a choice is not scaled."""
+
+    class Sided(Actuation):
+        action_space = ActionSpace(
+            {"side": Choice(2), "step": BoxPart(1, reach=5.0, around=(2.0,))}
+        )
+
+        def __init__(self, options: None, context: Any) -> None:
+            pass
+
+        def control(self, action: Any) -> Any:
+            return (2 * action[:, :1] - 1) * action[:, 1:]
+
+    task = [o for o in FAKE_TASK if "actuation" not in o]
+    plugins = fake_plugins()
+    plugins.registry.add(Component("actuation", "fake/sided", Sided, "fake"))
+    chosen = functools.partial(load_experiment, plugins=plugins)
+    monkeypatch.setattr(
+        worlds, "load_experiment", lambda o: chosen([x for x in o if not x.startswith("task=")])
+    )
+    environments = envs.UnderstudyVectorEnv("", 3, [*task, "+actuation={name: fake/sided}"])
+    space = environments.single_action_space
+    assert space == spaces.Dict({"side": spaces.Discrete(2), "step": spaces.Box(-1, 1, (1,))})
+    environments.reset(seed=0)
+    sample = environments.action_space.sample()
+    assert environments.action_space.contains(sample)
+    environments.step(sample)
+    taken = environments.worlds.environment.action.numpy()
+    np.testing.assert_array_equal(taken[:, 0], sample["side"])
+    np.testing.assert_allclose(taken[:, 1:], 2 + 5 * sample["step"], rtol=1e-6)

@@ -174,10 +174,14 @@ def test_rsl_rl_trains(rsl_rl: Any) -> None:
         "num_steps_per_env": 4, "save_interval": 100, "obs_groups": {"actor": ["state"], "critic": ["state"]},
         "algorithm": {"class_name": "PPO"}, "actor": {**model, "distribution_cfg": noise}, "critic": model,
     }  # fmt: skip
-    runner = OnPolicyRunner(rsl_rl(TASK, 4, CUT), config)
+    env = rsl_rl(TASK, 4, CUT)
+    runner = OnPolicyRunner(env, config)
     before = [p.clone() for p in runner.alg.actor.parameters()]
     runner.learn(2)
     assert any((a != b).any() for a, b in zip(before, runner.alg.actor.parameters(), strict=True))
+    with torch.inference_mode():  # in which the runner collects
+        assert not env.step(torch.zeros(4, 2))[1].is_inference()
+    env.worlds.one_episode(runner.get_inference_policy())
     with pytest.raises(ConfigError, match="init_at_random_ep_len=False"):
         runner.learn(1, init_at_random_ep_len=True)
 
