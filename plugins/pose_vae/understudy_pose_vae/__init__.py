@@ -23,7 +23,7 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.terms:PoseDistance",
         "degrees to the nearest pose of a run's clips",
     )
-    add("report_section", "pose_vae", f"{_HERE}.report:PosesSection", "poses that it makes")
+    add("report_section", "pose_vae/poses", f"{_HERE}.report:PosesSection", "poses that it makes")
     register.citation(
         "pose_vae",
         "Yin, Yang, van de Panne, Yin 2021. Discovering diverse athletic jumping strategies. "
