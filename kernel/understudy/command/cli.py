@@ -95,13 +95,17 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
     """The commands that plugins register; of these only the one that is asked for is imported."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
-    for name in registry.names("command"):
+    names = registry.names("command")
+    for name in names:
         component = registry.find("command", name)
         *group, word = name.split()
         where = commands
         for first in group[:1]:
             if first not in groups:
-                text = f"commands about {first}"
+                under = [other for other in names if other.split()[0] == first]
+                text = ", ".join(other.removeprefix(f"{first} ") for other in under)
+                if len(under) == 1:
+                    text += f": {component.summary}"
                 parser = commands.add_parser(first, help=text, description=text)
                 groups[first] = parser.add_subparsers(metavar="COMMAND", required=True)
             where = groups[first]

@@ -54,6 +54,7 @@ class Evaluation:
     success_rate: float | None = None  #: None where nothing is defined as success
     mean_episode_seconds: float | None = None
     violated: Mapping[str, float] = field(default_factory=dict)  #: by termination term
+    cut: Mapping[str, float] = field(default_factory=dict)  #: by truncation that ended them
     measures: Mapping[str, Measured] = field(default_factory=dict)
     objective: str = "success_rate"  #: what searches maximise: this, or a measure
     seconds: float | None = None  #: the episodes' length
@@ -83,6 +84,7 @@ class Evaluation:
             "starts": "never used in training",
             "mean_episode_seconds": self.mean_episode_seconds,
             "violated": dict(self.violated),
+            "cut": dict(self.cut),
             "measures": {name: m.as_json() for name, m in self.measures.items()},
             "objective": {"name": self.objective, "value": self.objective_value},
         }
@@ -103,7 +105,9 @@ class Evaluation:
             return "; ".join(figures) + "."
         bound, early = ("", "") if self.complete else ("at most ", ", stopped early")
         text = f"{bound}{self.success_rate:.0%} of {self.episodes} episodes succeeded{early} ({self.success})"
-        return "; ".join([text, *figures]) + "."
+        if cut := [f"{name} cut {share:.0%} short" for name, share in self.cut.items() if share]:
+            cut.append(f"on average they lasted {self.mean_episode_seconds:.3g} s")
+        return "; ".join([text, *cut, *figures]) + "."
 
 
 def wilson_interval(rate: float, n: int, z: float = 1.96) -> tuple[float, float]:
@@ -294,16 +298,21 @@ class Evaluator:
             on_step = None
         joined = {name: torch.cat([batch[name] for batch in found]) for name in found[0]}
         rate = None if self.success is None else (done - lost) / done
+
+        def shares(*outcomes: str) -> dict[str, float]:
+            return {
+                term.name: float(joined[f"fired/{term.name}"].float().mean())
+                for term in self.built.environment.parts.terminations
+                if term.outcome in outcomes
+            }
+
         return Evaluation(
             episodes=done,
             success=self.success.text if self.success else "",
             success_rate=rate,
             mean_episode_seconds=float(joined["seconds"].mean()),
-            violated={
-                term.name: float(joined[f"fired/{term.name}"].float().mean())
-                for term in self.built.environment.parts.terminations
-                if term.outcome in ("failure", "report")
-            },
+            violated=shares("failure", "report"),
+            cut=shares("truncation"),
             measures={
                 name: Measured.of(reducer.reduce, joined[f"measure/{name}"])
                 for name, reducer in self._reducers.items()

@@ -53,7 +53,9 @@ class Check(Command):
     def run(self, options: argparse.Namespace) -> int:
         registry = installed().registry
         if options.loop and options.fix is None:
-            raise ConfigError("--loop makes a new clip: say where it is to be written, --fix OUT.")
+            raise ConfigError(
+                f"--loop makes a new clip of {options.clip}: say where it is to be written, --fix OUT."
+            )
         clip = open_clip(options.clip, options, registry)
         character = _character(options.character, clip, registry)
         before = examine(clip, character)

@@ -195,7 +195,7 @@ def make_loop(clip: Clip, character: Character | None) -> Repair:
         ConfigError: the clip loops already, or no two of its frames fit.
     """
     if clip.loop:
-        raise ConfigError(f"Clip {clip.source} loops already; leave --loop out.")
+        raise ConfigError(f"Clip {clip.name} loops already; leave --loop out.")
     clip = evenly_spaced(clip)
     contacts = None
     if character is not None:
@@ -204,7 +204,7 @@ def make_loop(clip: Clip, character: Character | None) -> Repair:
     loop = find_loop(clip, contacts)
     if loop is None:
         raise ConfigError(
-            f"Clip {clip.source} has no loop: no two of its frames, a whole cycle apart, have the same "
+            f"Clip {clip.name} has no loop: no two of its frames, a whole cycle apart, have the same "
             "feet on the ground."
         )
     start, stop = clip.times[[loop.first, loop.last]].tolist()

@@ -51,7 +51,7 @@ def cut(clip: Clip, start: float, stop: float) -> Clip:
     """
     if not 0.0 <= start < stop <= clip.duration:
         raise ConfigError(
-            f"Clip {clip.source} cannot be cut from {start:g} to {stop:g} s: it lasts from 0 to "
+            f"Clip {clip.name} cannot be cut from {start:g} to {stop:g} s: it lasts from 0 to "
             f"{clip.duration:g} s."
         )
     inner = clip.times[(clip.times > start + 1e-9) & (clip.times < stop - 1e-9)]
@@ -78,7 +78,7 @@ def evenly_spaced(clip: Clip) -> Clip:
     usual = steps.median().item()
     if clip.duration / usual > MAX_FRAMES:
         raise ConfigError(
-            f"Clip {clip.source}: {clip.duration / usual:.0f} frames of {usual:g} s are too many; cut it, "
+            f"Clip {clip.name}: {clip.duration / usual:.0f} frames of {usual:g} s are too many; cut it, "
             f"or take every second frame (at most {MAX_FRAMES})."
         )
     if (steps / usual - 1.0).abs().max() <= EVEN:

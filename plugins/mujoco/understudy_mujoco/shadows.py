@@ -21,8 +21,8 @@ _REACH, _CELL = 1.6, 0.04
 _FINE, _MOST = 0.02, 1500
 #: m: how blurred a shadow is at what casts it, and how much more for each metre above the plane.
 _BLUR, _BLUR_PER_METRE = 0.03, 0.35
-#: Darkness that is not seen, and the m of height that a plane may differ from what lies on it.
-_UNSEEN, _SAME = 0.004, 0.004
+#: Darkness that is not seen, and the m of height by which what is seen on a plane may be off it.
+_UNSEEN, _SAME = 0.004, 0.001
 #: m: a box whose top is narrower is too small for shadows to be seen on it.
 _NARROW = 0.15
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)

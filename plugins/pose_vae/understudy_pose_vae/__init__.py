@@ -30,7 +30,7 @@ def understudy_register(register: Registrar) -> None:
         f"{_HERE}.natural:Naturalness",
         "how near runs are to captured poses, and their jerk",
     )
-    add("report_section", "pose_vae", f"{_HERE}.report:PosesSection", "poses that it makes")
+    add("report_section", "pose_vae/poses", f"{_HERE}.report:PosesSection", "poses that it makes")
     register.citation(
         "pose_vae",
         "Yin, Yang, van de Panne, Yin 2021. Discovering diverse athletic jumping strategies. "

@@ -47,7 +47,7 @@ def _meaning(info: Row, evaluation: Row) -> str:
         over = _OVER.get(words.text(measure.get("reduce", "")), "")
         details = ", ".join(part for part in (about, over) if part)
         text = text.replace(name, f"{name} ({details}) is" if details else f"{name} is", 1)
-        return f"An episode succeeds if its {text}."
+        return f"An episode succeeds if its {text}.{_cut(evaluation)}"
     left = {
         term: share
         for term, value in mapping(evaluation.get("violated")).items()
@@ -59,7 +59,16 @@ def _meaning(info: Row, evaluation: Row) -> str:
         if left
         else ""
     )
-    return f"An episode succeeds by this: {text}.{also}"
+    return f"An episode succeeds by this: {text}.{also}{_cut(evaluation)}"
+
+
+def _cut(evaluation: Row) -> str:
+    """What ended episodes earlier and is no failure, in a sentence after others."""
+    shares = {k: number(v) for k, v in mapping(evaluation.get("cut")).items()}
+    ended = ", ".join(f"{words.share(v)} of them by {k}" for k, v in shares.items() if v)
+    return (
+        f" Some were over earlier, and judged by what there was of them: {ended}." if ended else ""
+    )
 
 
 #: How the values of an episode become one.
@@ -92,6 +101,13 @@ def _sentence(info: Row, evaluation: Row, rows: Sequence[Row]) -> str:
         return f"Not evaluated yet, after {after}." if after else "Nothing has been learned yet."
     length = number(evaluation.get("seconds"))
     of_length = "" if length is None else f" of {length:g} s"
+    if length is not None and any(
+        number(share) for share in mapping(evaluation.get("cut")).values()
+    ):
+        mean = number(evaluation.get("mean_episode_seconds"))
+        of_length = f" of at most {length:g} s" + (
+            "" if mean is None else f" ({mean:.3g} s on average)"
+        )
     bounds = percent_interval(evaluation)
     within = f" (95 % interval {bounds})" if bounds else ""
     return (

@@ -68,7 +68,7 @@ _PARTS = {
         "sitting room": ("SitInRoom", "a controller sits down in a room seen in a picture"),
     },
     ("trials", "report_section"): {
-        "trials": ("TransitionsSection", "success by zone, which skill followed which"),
+        "sitting/trials": ("TransitionsSection", "success by zone, which skill followed which"),
     },
     ("chain", "outer_loop"): {"sitting/chain": ("Chain", "trainings that build on one another")},
     ("initial_states", "initial_states"): {

@@ -112,12 +112,23 @@ BODIES: tuple[Body, ...] = (
     *_arm("left", 0.183),
 )
 
-#: What joins the trunk's links in pictures: body, a capsule's ends in its frame, radius.
-_TRUNK: tuple[tuple[str, Vector, Vector, float], ...] = (
+#: What joins the links in pictures: body, a capsule's ends in its frame, radius.
+_JOINING: tuple[tuple[str, Vector, Vector, float], ...] = (
     ("root", (0, 0, 0.08), (0, 0, 0.21), 0.078),
     ("chest", (0, 0, 0.02), (0, 0, 0.13), 0.09),
     ("chest", (-0.015, -0.125, 0.215), (-0.015, 0.125, 0.215), 0.052),
     ("neck", (0, 0, -0.02), (0, 0, 0.1), 0.045),
+    *(
+        (f"{side}_{name}", (0, 0, 0), (0, 0, end), radius)
+        for side in ("right", "left")
+        for name, end, radius in (
+            ("shoulder", -0.1, 0.047),
+            ("elbow", -0.1, 0.041),
+            ("hip", -0.12, 0.056),
+            ("knee", -0.06, 0.051),
+            ("ankle", -0.01, 0.04),
+        )
+    ),
 )
 
 
@@ -140,7 +151,7 @@ def build_humanoid() -> mujoco.MjSpec:
             body.add_freejoint(name=row.name)
         for hinge in row.hinges:
             _add_hinge(spec, body, hinge)
-    for name, start, end, radius in _TRUNK:
+    for name, start, end, radius in _JOINING:
         made[name].add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *end], size=[radius, 0, 0],
             mass=0, contype=0, conaffinity=0, rgba=COLOUR,

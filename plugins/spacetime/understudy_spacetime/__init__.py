@@ -102,7 +102,7 @@ def understudy_register(register: Registrar) -> None:
     add("clip", "keyframed", f"{_HERE}.keyframes:keyframed", "a few poses of another clip")
     add(
         "report_section",
-        "evolved_states",
+        "spacetime/evolved_states",
         f"{_HERE}.section:EvolvedSection",
         "where initial states have evolved to",
     )

@@ -69,6 +69,14 @@ def test_help_lists_commands_without_importing_them(capsys: pytest.CaptureFixtur
     assert "never works" in shown
 
 
+def test_a_group_of_commands_says_what_is_in_it(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    (group,) = (line.split() for line in lines if line.startswith("    say "))
+    assert set(" ".join(group[1:]).split(", ")) == {"hello", "lazily"}
+
+
 def test_a_command_that_cannot_be_imported_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["say", "lazily"]) == 2
     assert "cannot be used" in capsys.readouterr().err

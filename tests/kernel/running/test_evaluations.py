@@ -167,6 +167,16 @@ def test_failures_that_only_report() -> None:
     assert evaluated(far(6), far(4, name="near")).success_rate == 0.0
 
 
+def test_what_ended_early_and_is_no_failure_is_told() -> None:
+    found = evaluated(far(6, "truncation", "end"), far(100))
+    assert (found.success_rate, found.violated, found.cut) == (1.0, {"far": 0.0}, {"end": 0.5})
+    assert found.as_json(96)["cut"] == {"end": 0.5}
+    assert "(survived 4 s without far); end cut 50% short; on average they lasted 3.75 s" in (
+        found.sentence()
+    )
+    assert "cut" not in evaluated(far(100, "truncation", "end"), far(100)).sentence()
+
+
 def test_a_success_term_ends_episodes_and_is_the_success() -> None:
     found = evaluated(far(6, "success", "there"), far(100), "+measure.at={name: line/value}")
     assert found.success == "there within 4 s"

@@ -201,6 +201,15 @@ def test_says_what_a_success_leaves_out(tmp_path: Path) -> None:
     )
 
 
+def test_says_that_episodes_were_over_early(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    add_evaluation(run, cut={"motion_end": 0.6, "pause": 0.0}, mean_episode_seconds=1.71)
+    page, _ = report(run)
+    assert "97 % of 64 episodes of at most 20 s (1.71 s on average) succeeded" in page.text
+    ended = "judged by what there was of them: 60 % of them by motion_end."
+    assert ended in page.text
+
+
 def test_measures_of_the_task(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     add_evaluation(run, objective={"name": "height", "value": 1.234})
