@@ -194,7 +194,7 @@ MUTANTS = (
     Mutant("all starts are judged for a criterion", EVALUATION, "if give_up_below is None and self.success:", "if self.success:",
            "tests/kernel/running/test_evaluation_starts.py"),
     Mutant("the measures of a bad world count", EVALUATION, "counted = running & ~step.unsound", "counted = running",
-           "tests/faults/test_01_nonfinite_state.py tests/kernel/running"),
+           "tests/kernel/running/test_evaluations.py -k wrong"),
     # Sweeps.
     Mutant("the journal is not synced", JOURNAL, "                os.fsync(file.fileno())\n", "", f"{SWEEPS}/test_journal.py"),
     Mutant("a lost row of the journal is none", JOURNAL, "        self.events.append(event)\n", "",
