@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from soak import LIMIT, soak
+from soak import LIMIT, beyond, soak
 
 
 @pytest.mark.slow
@@ -19,3 +19,18 @@ def test_it_is_watched() -> None:
     found = soak(0.1, ("num_worlds=16",))
     assert found["descriptors"]["rise"] == pytest.approx(0.0, abs=0.3)
     assert found["samples_per_cpu_second"]["mean"] > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "rise", "bad"),
+    [
+        ("memory_mb", 0.06, True), ("descriptors", -0.06, True), ("threads", 0.04, False),
+        ("samples_per_fixed_work", -0.06, True), ("samples_per_cpu_second", -0.06, True),
+        ("samples_per_cpu_second", 0.06, False), ("samples_per_second", -0.8, False),
+    ],
+)  # fmt: skip
+def test_what_is_beyond(name: str, rise: float, bad: bool) -> None:
+    names = ("memory_mb", "threads", "descriptors", "samples_per_cpu_second", "samples_per_second",
+             "samples_per_fixed_work")  # fmt: skip
+    found = {other: {"rise": rise if other == name else 0.0} for other in names}
+    assert beyond(found) == ([name] if bad else [])

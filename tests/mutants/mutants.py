@@ -36,6 +36,8 @@ F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/tes
 F13 = "tests/faults/test_13_stop_signals.py"
 ANY = "tests/faults/test_13_any_moment.py"
 F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
+F06, F08 = "tests/faults/test_06_replay.py", "tests/faults/test_08_disk_full.py"
+NN, WARP = "plugins/basics/understudy_basics/nn.py", "tests/integration/test_mujoco_warp.py"
 F24 = "tests/faults/test_24_mutated_models.py"
 INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluation.py"
 TRIAL, MODELS = (
@@ -192,7 +194,7 @@ MUTANTS = (
     Mutant("all starts are judged for a criterion", EVALUATION, "if give_up_below is None and self.success:", "if self.success:",
            "tests/kernel/running/test_evaluation_starts.py"),
     Mutant("the measures of a bad world count", EVALUATION, "counted = running & ~step.unsound", "counted = running",
-           "tests/faults/test_01_nonfinite_state.py tests/kernel/running"),
+           "tests/kernel/running/test_evaluations.py -k wrong"),
     # Sweeps.
     Mutant("the journal is not synced", JOURNAL, "                os.fsync(file.fileno())\n", "", f"{SWEEPS}/test_journal.py"),
     Mutant("a lost row of the journal is none", JOURNAL, "        self.events.append(event)\n", "",
@@ -231,6 +233,38 @@ MUTANTS = (
     Mutant("models of any depth", MJCF, "        if depth > MAX_DEPTH:", "        if False:", F22),
     Mutant("includes of any depth", MJCF, "self._include(included, (*within, path), depth + 1)",
            "self._include(included, (*within, path))", f"{F22} -k within"),
+    # What else must hold.
+    Mutant("dropped contacts are not counted", "plugins/mujoco_warp/understudy_mujoco_warp/simulator.py",
+           "        self._overflows += ((self._overflow & self._dropping) != 0).sum()\n", "", f"{WARP} -m slow -k overflow"),
+    Mutant("the GPU's controls do not arrive", "plugins/mujoco_warp/understudy_mujoco_warp/simulator.py",
+           '        self._views["ctrl"].copy_(control)\n', "", f"{WARP} -m slow -k agrees"),
+    Mutant("a dump is replayed from elsewhere", "plugins/inspect/understudy_inspect/replay.py",
+           'simulator.restore(state["snapshot"])', "pass", F06),
+    Mutant("what hardly varies is blown up", NN, "torch.rsqrt(self.variance + 1e-4)", "torch.rsqrt(self.variance)", f"{F06} -k normaliser"),
+    Mutant("normalised values are of any size", NN, ".clamp(-self.clip, self.clip)", "", f"{F06} -k normaliser"),
+    Mutant("the normaliser stops learning", NN, "total.clamp(max=self.horizon)", "total", f"{F06} -k normaliser"),
+    Mutant("metrics that do not fit are a traceback", RUNS,
+           "                file.write(json.dumps(row) + \"\\n\")\n        except OSError as error:",
+           "                file.write(json.dumps(row) + \"\\n\")\n        except ZeroDivisionError as error:", f"{F08} -k status_2"),
+    Mutant("a dump that does not fit stops the run", TRAINING, "except RunError as error:  # the training can go on",
+           "except ZeroDivisionError as error:  # the training can go on", f"{F08} -k dump"),
+    Mutant("arrays of objects are read", "plugins/report/understudy_report/motion.py", "allow_pickle=False", "allow_pickle=True",
+           F20),
+    Mutant("damaged archives are a traceback", NPZ, "except Exception as error:  # zipfile raises",
+           "except ZeroDivisionError as error:  # zipfile raises", "tests/faults/test_24_mutated_clips.py"),
+    Mutant("the phase does not wrap", "plugins/characters/understudy_characters/reference.py",
+           '(local / self.duration).clamp(0.0, 1.0 - 1e-6)', "local * 2", "tests/faults/test_26_laws.py -k phase"),
+    Mutant("advantages go on over an episode's end", "plugins/basics/understudy_basics/returns.py",
+           "decay = gamma * lam * continues", "decay = gamma * lam + 0 * continues", "tests/plugins/basics/test_returns.py"),
+    Mutant("descriptors leak", RUNS, '            with open(self.metrics_file, "a", encoding="utf-8") as file:\n',
+           '            file = open(self.metrics_file, "a", encoding="utf-8", buffering=1)\n            os.dup(file.fileno())\n            if True:\n',
+           "tests/faults/test_28_soak.py"),
+    Mutant("plugins load torch", f"{KERNEL}/setup/plugins.py", "import pluggy\n", "import pluggy\nimport torch\n",
+           "tests/faults/test_30_cold_start.py"),
+    Mutant("a home is needed", f"{KERNEL}/setup/plugins.py", 'GROUP = "understudy"\n',
+           'GROUP = "understudy"\n(Path.home() / ".understudy").mkdir(exist_ok=True)\n', "tests/faults/test_30_cold_start.py"),
+    Mutant("a cache that cannot be written is used", "plugins/warp_torch/understudy_warp_torch/kernels.py",
+           "    wp.config.kernel_cache_dir = temporary\n", "", "tests/plugins/warp_torch/test_kernels.py"),
     # The rest.
     Mutant("a diverged environment is measured", "benchmarks/cpu.py", 'if int(environment.quarantined):',
            "if False:", "tests/faults/test_29_invalid_benchmarks.py"),

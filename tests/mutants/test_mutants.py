@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -35,6 +36,21 @@ def test_the_guard_is_where_it_was(mutant: Mutant) -> None:
     assert (ROOT / mutant.file).read_text(encoding="utf-8").count(mutant.before) == 1
     for word in shlex.split(mutant.tests.partition(" -")[0]):
         assert (ROOT / word).exists()
+
+
+def test_every_fault_has_a_guard_to_lose() -> None:
+    """Each of the thirty on docs/reliability.md has a test that fails without a guard of it."""
+    page = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\d+) \|.*\|([^|]*)\|$", page, re.MULTILINE))
+    assert list(rows) == [str(n) for n in range(1, 31)]
+    tried = {word for m in MUTANTS for word in shlex.split(m.tests.partition(" -")[0])}
+    for number, cell in rows.items():
+        named = re.findall(r"`((?:tests/)?[\w/]+(?:\.py)?)`", cell)
+        files = [
+            name if "/" in name else f"tests/faults/{name}" for name in named if "test" in name
+        ]
+        assert [(ROOT / file).exists() for file in files] == [True] * max(len(files), 1), number
+        assert any(f.startswith(t) or t.startswith(f) for f in files for t in tried), number
 
 
 @pytest.fixture(scope="module")

@@ -386,6 +386,26 @@ def test_only_first_episodes_count() -> None:
     assert found.measures["return"].mean == statistics.fmean(returns)
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e12])
+def test_what_a_world_measures_when_its_numbers_go_wrong_does_not_count(value: float) -> None:
+    """World 1 was at 1 + 1 and 1 + 2 before."""
+    made = evaluator(
+        far(50), "+measure.at={name: line/value}", "+measure.high={name: line/value, reduce: max}"
+    )
+    steps: list[Tensor] = []
+
+    def harm(counted: Tensor) -> None:
+        steps.append(counted)
+        if len(steps) == 3:
+            made.built.environment.parts.simulator.read("x")[1] = value
+
+    found = made.run(policy(), "a", 4, on_step=harm)
+    assert found.success_rate == 0.75
+    assert found.measures["at"].mean == (4 + 3 + 6 + 7) / 4
+    assert found.measures["high"].mean == (4 + 3 + 6 + 7) / 4
+    assert found.measures["return"].mean == (10 + (2 + 3) + 18 + 22) / 4
+
+
 def test_evaluations_before_are_no_matter() -> None:
     """Nothing of an evaluation is left in the next one."""
     made = evaluator(far(6))
