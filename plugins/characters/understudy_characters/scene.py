@@ -141,6 +141,7 @@ class CharacterScene(MujocoScene):
         character = Character(self.character.name, self.shown().compile())
         model, data = character.model, mujoco.MjData(character.model)
         bodies = [model.body(name).id for name in self._things]
+        surfaces: list[list[Shape]] = []
         poses = []
         for frame in range(len(tracks["qpos"]) if bodies else 0):
             seen = {name: recorded[frame] for name, recorded in tracks.items()}
@@ -148,12 +149,12 @@ class CharacterScene(MujocoScene):
                 one.place(model, data, seen)
             mujoco.mj_kinematics(model, data)
             poses.append((data.xpos[bodies].copy(), data.xquat[bodies].copy()))
-            if frame == 0:
+            if not surfaces:
                 surfaces = [body_shapes(character, body) for body in bodies]
-        for row, name in enumerate(self._things):
-            if surfaces[row]:
+        for row, (name, surface) in enumerate(zip(self._things, surfaces, strict=False)):
+            if surface:
                 positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
-                yield Thing(name, positions, turns, surfaces[row])
+                yield Thing(name, positions, turns, surface)
 
     def outlines(
         self, tracks: Mapping[str, np.ndarray]

@@ -70,6 +70,7 @@ def test_a_click_in_the_browser_sends_it(skill: str) -> None:
     viser = pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
     import msgspec
     from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
 
     from understudy_play.page import Page
     from understudy_viewer.page import free_port
