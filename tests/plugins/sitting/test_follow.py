@@ -81,9 +81,8 @@ def test_a_click_in_the_browser_sends_it(skill: str) -> None:
         page.advance()
         x, y = (float(v) for v in world.shown()["qpos"][:2])
         address = page.url.replace("http", "ws")
-        with connect(
-            address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None
-        ) as visitor:  # type: ignore[list-item]
+        version = Subprotocol(f"viser-v{viser.__version__}")
+        with connect(address, subprotocols=[version], max_size=None) as visitor:
             camera = {
                 "wxyz": (1, 0, 0, 0), "position": (0, 0, 4), "fov": 1.0, "near": 0.1, "far": 99.0,
                 "image_height": 100, "image_width": 100, "look_at": (0, 0, 0), "up_direction": (0, 0, 1),
