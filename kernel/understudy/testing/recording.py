@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
 from understudy.running.environment import Environment
 
@@ -130,7 +130,7 @@ def _unwatched(method: Callable[..., Any]) -> Callable[..., Any]:
     """`method` with no torch mode at work."""
 
     def call(*args: Any, **options: Any) -> Any:
-        with torch._C.DisableTorchFunction(), torch.utils._python_dispatch._disable_current_modes():
+        with torch._C.DisableTorchFunction(), _disable_current_modes():
             return method(*args, **options)
 
     return call

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from understudy.errors import ConfigError, FileError
@@ -15,8 +17,9 @@ from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
-from understudy_motion.clip import Clip
+from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.npz import Archive
+from understudy_motion.writing import Shown
 from understudy_mujoco.scene import MujocoScene
 
 
@@ -73,11 +76,61 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
     return learned, clip("reference_qpos", f"{learned.name}-reference")
 
 
+def recorded_surroundings(path: str | Path) -> list[Shown]:
+    """What stands around the character in the first recorded episode of the run folder `path`: each
+    thing a motion of one joint, with the frames of :func:`recorded_clips`.
+
+    Raises:
+        RunError, ConfigError, FileError: as :func:`recorded_clips`.
+    """
+    run = runs.open_run(path)
+    experiment = _experiment(run)
+    made, inputs = experiment.registry.sections, experiment.inputs
+    sections = {
+        name: made[name].make(options, experiment.registry, inputs)
+        for name, options in experiment.sections.items()
+        if name != "motion"  # its clip may not be there any more
+    }
+    scene = _scene(experiment, sections)
+    if not isinstance(scene, CharacterScene):
+        return []
+    archive = Archive(run.path / "recording.npz")
+    frames = int(archive.number("first_episode"))
+    names = [
+        n for n in scene.recorded if n in archive.names and n not in ("reference_qpos", "phase")
+    ]
+    tracks = {name: _track(archive, name)[:frames] for name in names}
+    dt = archive.number("control_dt")
+    found = []
+    for thing in scene.surroundings(tracks):
+        names = (thing.name,)
+        clip = Clip(
+            name=thing.name,
+            times=dt * torch.arange(len(thing.positions), dtype=torch.float64),
+            root_position=torch.from_numpy(thing.positions),
+            rotations=torch.from_numpy(thing.rotations[:, None]),
+            joint_names=names,
+            loop=False,
+            skeleton=Skeleton(names, (-1,), np.zeros((1, 3))),
+            source=str(run.path),
+        )
+        found.append(Shown(clip, thing.shapes))
+    return found
+
+
+def _track(archive: Archive, name: str) -> np.ndarray:
+    """(T,) or (T, …)"""
+    try:
+        return archive.floats(name, None, None)
+    except FileError:
+        return archive.floats(name, None)
+
+
 def _experiment(run: Run) -> Experiment:
     return run.experiment(installed().registry)
 
 
-def _character(experiment: Experiment) -> Character:
+def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
     control = experiment.root.control
     context = Context(
         seed=0,
@@ -86,9 +139,13 @@ def _character(experiment: Experiment) -> Character:
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
         inputs=experiment.inputs,
+        sections=dict(sections),
     )
-    chosen = experiment.need("scene")
-    scene, name = chosen.build(context), chosen.component.name
+    return experiment.need("scene").build(context)
+
+
+def _character(experiment: Experiment) -> Character:
+    scene, name = _scene(experiment, {}), experiment.need("scene").component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
     if isinstance(scene, CharacterScene):

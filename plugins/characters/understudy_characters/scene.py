@@ -20,9 +20,11 @@ from understudy_characters.heads import head_body, ring
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.servos import ServoOptions, drive, gains_of
+from understudy_characters.shapes import body_shapes
 from understudy_characters.state import Poses
 from understudy_characters.surroundings import Surroundings
 from understudy_motion.section import Motion
+from understudy_motion.writing import Shape
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
 from understudy_mujoco.studio import draw as draw_figures
@@ -31,6 +33,16 @@ from understudy_mujoco.studio import draw as draw_figures
 _BESIDE = 0.74
 #: The camera's distance, in heights of what it shows; and the frames over which its path is smoothed.
 _DISTANCE, _SMOOTHING = 1.75, 6.0
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A body around the character, and where it is in T frames."""
+
+    name: str
+    positions: np.ndarray  #: (T, 3) m, world
+    rotations: np.ndarray  #: (T, 4), world
+    shapes: list[Shape]  #: in its frame
 
 
 class CharacterScene(MujocoScene):
@@ -63,9 +75,11 @@ class CharacterScene(MujocoScene):
         sections = context.sections.values() if context else ()
         self._around = tuple(s for s in sections if isinstance(s, Surroundings))
         self.recorded = ("qpos", "reference_qpos", "phase")
+        own = {body.name for body in spec.bodies}
         for one in self._around:
             one.add(spec)
             self.recorded += one.recorded
+        self._things = [body.name for body in spec.bodies if body.name not in own]
         self._spec = spec
         self.character = _compiled(name, self.spec())
 
@@ -120,6 +134,27 @@ class CharacterScene(MujocoScene):
         if self.azimuth is not None:
             camera = replace(camera, azimuth=self.azimuth)
         return draw_figures(self.shown().compile(), figures, camera, width, height)
+
+    def surroundings(self, tracks: Mapping[str, np.ndarray]) -> Iterator[Thing]:
+        """What stands around the character in the recorded `tracks`, each (T, …), as large as in the
+        first frame."""
+        character = Character(self.character.name, self.shown().compile())
+        model, data = character.model, mujoco.MjData(character.model)
+        bodies = [model.body(name).id for name in self._things]
+        surfaces: list[list[Shape]] = []
+        poses = []
+        for frame in range(len(tracks["qpos"]) if bodies else 0):
+            seen = {name: recorded[frame] for name, recorded in tracks.items()}
+            for one in self._around:
+                one.place(model, data, seen)
+            mujoco.mj_kinematics(model, data)
+            poses.append((data.xpos[bodies].copy(), data.xquat[bodies].copy()))
+            if not surfaces:
+                surfaces = [body_shapes(character, body) for body in bodies]
+        for row, (name, surface) in enumerate(zip(self._things, surfaces, strict=False)):
+            if surface:
+                positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
+                yield Thing(name, positions, turns, surface)
 
     def outlines(
         self, tracks: Mapping[str, np.ndarray]

@@ -44,6 +44,20 @@ def shapes(character: Character, geoms: Sequence[Geom] | None = None) -> list[Sh
     return result
 
 
+def body_shapes(character: Character, body: int) -> list[Shape]:
+    """The geoms of `body` of the character's model, whichever they are, in the body's frame."""
+    model, found = character.model, []
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] != body:
+            continue
+        mesh, turn = _mesh(character, geom), np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        vertices = mesh.vertices @ turn.reshape(3, 3).T + model.geom_pos[geom]
+        r, g, b, a = (float(part) for part in model.geom_rgba[geom])
+        found.append(Shape(model.body(body).name, vertices, np.asarray(mesh.faces), (r, g, b, a)))
+    return found
+
+
 def _mesh(character: Character, geom: int) -> trimesh.Trimesh:
     kind, size = int(character.model.geom_type[geom]), character.model.geom_size[geom]
     make, types = trimesh.creation, mujoco.mjtGeom

@@ -16,7 +16,11 @@ from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn
-from understudy_characters.recording import recorded_clips, run_character
+from understudy_characters.recording import (
+    recorded_clips,
+    recorded_surroundings,
+    run_character,
+)
 from understudy_characters.shapes import bones, shapes
 from understudy_export.figure import figure
 from understudy_motion.arguments import add_reading, open_clip, positive
@@ -40,7 +44,10 @@ GAMMA = 2.2
 
 
 class Export(Command):
-    """Writes the learned motion of a run, its policy, or a clip as a file; its ending says of which format."""
+    """Writes the learned motion of a run, its policy, or a clip as a file; its ending says of which format.
+
+    Of a run .glb and .gltf files also have what stands around the figure.
+    """
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -92,6 +99,10 @@ class Export(Command):
         figures = [Shown(clip, surface)]
         if options.beside:
             figures.append(_beside(options, surface))
+        if _with_surroundings(options):
+            for thing in recorded_surroundings(options.source):
+                timing = {"rate": options.rate, "seconds": options.seconds}
+                figures.append(replace(thing, clip=timed(thing.clip, **timing)))
         if Path(options.source).is_dir() and options.unit is not None:
             figures = [replace(f, clip=_in_unit(f.clip, options)) for f in figures]
         write_figures(figures, options.destination, registry)
@@ -111,6 +122,12 @@ def _policy(options: argparse.Namespace) -> int:
     for line in write_policy(open_skill(options.source), options.destination):
         print(line)
     return 0
+
+
+def _with_surroundings(options: argparse.Namespace) -> bool:
+    """Of runs, into files that hold several motions: the chair that the figure sits on, say."""
+    learned = Path(options.source).is_dir() and not options.reference
+    return learned and options.destination.suffix.lower() in (".glb", ".gltf")
 
 
 def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:

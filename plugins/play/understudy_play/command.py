@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
-from understudy_play.player import Player
+from understudy_play.player import Player, World
 from understudy_play.skill import Skill, names, open_skill, pack, rounded
 
 #: s between pushes, which go to the left and to the right in turn.
@@ -46,11 +46,7 @@ class Play(Command):
         parser.add_argument(
             "--pack", metavar="FILE", type=Path, help="evaluate, and write it small"
         )
-        parser.add_argument("--host", default="127.0.0.1", help="address to serve at (%(default)s)")
-        parser.add_argument(
-            "--port", type=int, default=8080, help="the first port to try (%(default)s)"
-        )
-        parser.add_argument("--no-browser", action="store_true", help="do not open the page")
+        add_page_arguments(parser)
 
     def run(self, options: argparse.Namespace) -> int:
         if options.skill is None:
@@ -62,24 +58,46 @@ class Play(Command):
             return _pack(skill, options.pack.with_suffix(""))
         if options.video is not None:
             return _film(skill, options)
-        if importlib.util.find_spec("viser") is None:
-            raise ConfigError(
-                "Playing in the browser needs viser: pip install 'understudy[view]', or --video FILE."
-            )
-        from understudy_play.page import Page
-        from understudy_viewer.page import free_port
+        return serve(lambda: Player(skill), options)
 
-        page = Page(skill, options.host, free_port(options.host, options.port))
-        try:
-            print(f"{page.url} plays {skill.name}; Ctrl-C ends it.", flush=True)
-            if not options.no_browser:
-                webbrowser.open(page.url)
-            page.run()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            page.close()
-        return 0
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the page is served, as :func:`serve` takes it."""
+    parser.add_argument("--host", default="127.0.0.1", help="address to serve at (%(default)s)")
+    parser.add_argument(
+        "--port", type=int, default=8080, help="the first port to try (%(default)s)"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="do not open the page")
+
+
+def serve(make: Callable[[], World], options: argparse.Namespace) -> int:
+    """Show the world that `make` makes in the browser until interrupted.
+
+    Raises
+    ------
+    ConfigError
+        if viser is missing, or as the page.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise ConfigError(
+            "Playing in the browser needs viser: pip install 'understudy[view]', or --video FILE."
+        )
+    from understudy_play.page import Page
+    from understudy_viewer.page import free_port
+
+    port = free_port(options.host, options.port)
+    world = make()
+    page = Page(world, options.host, port)
+    try:
+        print(f"{page.url} plays {world.name}; Ctrl-C ends it.", flush=True)
+        if not options.no_browser:
+            webbrowser.open(page.url)
+        page.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        page.close()
+    return 0
 
 
 def describe(skill: Skill) -> str:
@@ -107,28 +125,33 @@ def _pack(skill: Skill, path: Path) -> int:
 
 
 def _film(skill: Skill, options: argparse.Namespace) -> int:
-    from understudy_report.video import write_video
-
     player = Player(skill)
     try:
         tracks = record(player, options.seconds, options.push)
     finally:
         player.close()
-    every = max(1, round(1.0 / (30.0 * player.dt)))
-    frames = player.scene.draw({k: v[::every] for k, v in tracks.items()}, _WIDTH, _HEIGHT)
-    write_video(options.video, frames, 1.0 / (every * player.dt))
+    film(player, tracks, options.video)
     fell = f", {player.falls} falls" if player.falls else ", no fall"
     print(f"{options.video}: {options.seconds:g} s of {skill.name}{fell}")
     return 0
 
 
-def record(player: Player, seconds: float, push: float = 0.0) -> dict[str, np.ndarray]:
+def film(world: World, tracks: Mapping[str, np.ndarray], path: Path) -> None:
+    """Write what was recorded of `world` (:func:`record`) as a video."""
+    from understudy_report.video import write_video
+
+    every = max(1, round(1.0 / (30.0 * world.dt)))
+    frames = world.scene.draw({k: v[::every] for k, v in tracks.items()}, _WIDTH, _HEIGHT)
+    write_video(path, frames, 1.0 / (every * world.dt))
+
+
+def record(player: World, seconds: float, push: float = 0.0) -> dict[str, np.ndarray]:
     """What `player` does for `seconds`, by field (T, …), pushed by `push` N s now and then."""
     frames = list(_frames(player, max(2, round(seconds / player.dt)), push))
     return {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
 
 
-def _frames(player: Player, count: int, push: float) -> Iterator[dict[str, np.ndarray]]:
+def _frames(player: World, count: int, push: float) -> Iterator[dict[str, np.ndarray]]:
     spacing, side = round(_EVERY / player.dt), 1.0
     for index in range(count):
         if push and index % spacing == spacing // 2:

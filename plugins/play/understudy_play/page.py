@@ -1,4 +1,4 @@
-"""The page on which a policy acts while one watches and pushes: a viser server and one simulated world."""
+"""The page on which a policy acts while one watches, pushes and leads: a viser server and one world."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 import logging
 import threading
 import time
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
@@ -18,13 +19,13 @@ from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
 from understudy_motion.kinematics import forward_kinematics
-from understudy_play.player import Player
-from understudy_play.skill import Skill
+from understudy_play.player import World
 from understudy_viewer.stage import COLOURS, Colour
 
 _SKY: Colour = (255, 255, 255)
 _FLOOR: Colour = (238, 241, 245)
 _LINES: Colour = (205, 211, 219)
+_FLAG: Colour = (220, 38, 38)
 #: m: after so far the ground's squares repeat.
 _SQUARE = 5.0
 _SPEEDS = {"0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0}
@@ -33,7 +34,8 @@ _WAYS = {"← left": (0.0, 1.0), "right →": (0.0, -1.0), "forward": (1.0, 0.0)
 
 
 class Page:
-    """Serves one world of `skill` at ``url`` until it is closed.
+    """Serves `world` at ``url`` until it is closed, and closes it then. Where it has a target, a click on
+    the floor is the next one.
 
     Raises
     ------
@@ -41,19 +43,20 @@ class Page:
         if the task's scene is no character.
     """
 
-    def __init__(self, skill: Skill, host: str, port: int) -> None:
-        self._player = Player(skill)
+    def __init__(self, world: World, host: str, port: int) -> None:
+        self._player = world
         scene = self._player.scene
         if not isinstance(scene, CharacterScene):
             self._player.close()
             raise ConfigError(
-                f"{skill.name} is not the task of a character, which the page draws. Use --video FILE."
+                f"{world.name} is not the task of a character, which the page draws. Use --video FILE."
             )
         self._character = Character(scene.character.name, scene.shown().compile())
         self._lock = (
             threading.Lock()
         )  # of what the browser's events change: the world is the loop's
         self._pushes: list[tuple[float, float, float]] = []
+        self._sent: tuple[float, float] | None = None
         self._again = self._closed = False
         self._playing, self._speed = True, 1.0
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
@@ -61,7 +64,7 @@ class Page:
             self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
         at = f"[{host}]" if ":" in host else host
         self.url = f"http://{at}:{self._server.get_port()}"
-        self._dress(skill)
+        self._dress(world.name)
         self._draw()
 
     def run(self) -> None:
@@ -76,12 +79,14 @@ class Page:
     def advance(self) -> None:
         """One decision, after what the visitor asked for."""
         with self._lock:
-            pushes, again = self._pushes, self._again
-            self._pushes, self._again = [], False
+            pushes, again, sent = self._pushes, self._again, self._sent
+            self._pushes, self._again, self._sent = [], False, None
         if again:
             self._player.restart()
         for impulse in pushes:
             self._player.push(impulse)
+        if sent is not None:
+            self._player.target = sent
         self._player.step()
         self._draw()
 
@@ -90,13 +95,18 @@ class Page:
         with self._lock:
             self._pushes.append((x, y, 0.0))
 
+    def send(self, x: float, y: float) -> None:
+        """Send the character to this place of the world, m, from the next decision on."""
+        with self._lock:
+            self._sent = x, y
+
     def close(self) -> None:
         self._closed = True
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
         self._player.close()
 
-    def _dress(self, skill: Skill) -> None:
+    def _dress(self, name: str) -> None:
         scene, gui, length = self._server.scene, self._server.gui, self._character.length
         scene.configure_environment_map(None)  # it would be fetched from the network
         scene.add_light_hemisphere("/sky", sky_color=_SKY, ground_color=_FLOOR, intensity=1.2)
@@ -124,18 +134,24 @@ class Page:
                 ("learned", "reference"), COLOURS, (None, 0.35), strict=True
             )
         ]
+        self._flag = scene.add_icosphere(
+            "/stage/target", radius=0.06 * length, color=_FLAG, visible=False, cast_shadow=False
+        )
         camera = self._server.initial_camera
         camera.look_at = np.array([0.0, 0.0, 0.5 * length])
         camera.position = camera.look_at + length * np.array([0.85, -1.5, 0.3])
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=COLOURS[0])
         gui.main_panel.dock_right()
-        gui.add_html(f"<div style='margin:0 .75em'><b>{escape(skill.name)}</b></div>")
+        gui.add_html(f"<div style='margin:0 .75em'><b>{escape(name)}</b></div>")
         self._told = gui.add_html("")
         strength = gui.add_slider("Push, N s", 0.0, 40.0, 1.0, 12.0)
         way = gui.add_button_group("Direction", tuple(_WAYS))
         self._ghost = gui.add_checkbox("Reference", False, hint="where the clip is now")
         pause, again = gui.add_button("Pause"), gui.add_button("Start again")
         speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
+        if self._player.target is not None:
+            gui.add_html("<div style='margin:0 .75em'>Click on the floor to send it there.</div>")
+            scene.on_click()(self._clicked)
 
         @way.on_click
         def _(_: object) -> None:
@@ -156,6 +172,11 @@ class Page:
         def _(_: object) -> None:
             self._speed = _SPEEDS[speed.value]
 
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        hit = on_floor(event.ray_origin, event.ray_direction)
+        if hit is not None:
+            self.send(hit[0] - self._node.position[0], hit[1] - self._node.position[1])
+
     def _draw(self) -> None:
         shown = self._player.shown()
         tracks = [shown["qpos"], shown.get("reference_qpos")]
@@ -169,6 +190,10 @@ class Page:
                 self._figures, tracks, (True, self._ghost.value), strict=True
             ):
                 self._place(parts, qpos if visible else None)
+            target = self._player.target
+            self._flag.visible = target is not None
+            if target is not None:
+                self._flag.position = (*target, 0.0)
             falls = self._player.falls
             self._told.content = (
                 "<div style='margin:0 .75em;font-size:.85em;color:#667080'>"
@@ -188,3 +213,12 @@ class Page:
         for joint, part in parts:
             part.position, part.wxyz = places[0, joint].numpy(), turns[0, joint].numpy()
             part.visible = True
+
+
+def on_floor(origin: Sequence[float], direction: Sequence[float]) -> tuple[float, float] | None:
+    """Where the ray from `origin` along `direction`, both (3,), meets the floor z = 0, m; None if it goes
+    up or nowhere near."""
+    if direction[2] >= -1e-3:
+        return None
+    along = -origin[2] / direction[2]
+    return origin[0] + along * direction[0], origin[1] + along * direction[1]

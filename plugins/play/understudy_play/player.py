@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment, build_policy
+from understudy.setup.config import Experiment
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.skill import Skill
 
@@ -16,19 +20,21 @@ _ENDLESS = 86400.0
 _LEASH = 0.08
 
 
-class Player:
-    """One world of the task of `skill`, judged as evaluations are: what they only report ends nothing."""
+class World(ABC):
+    """One world of a task, judged as evaluations are: what they only report ends nothing."""
 
-    def __init__(self, skill: Skill, seed: int = 0) -> None:
-        self.skill = skill
+    def __init__(self, name: str, experiment: Experiment, seed: int = 0) -> None:
+        self.name = name  #: for people
         built = build_environment(
-            skill.experiment, num_worlds=1, episode_seconds=_ENDLESS, evaluating=True
+            experiment, num_worlds=1, episode_seconds=_ENDLESS, evaluating=True
         )
+        self.context = built.context
         self.environment, self.scene = built.environment, built.scene
         self.dt = self.environment.decision * self.environment.control_dt  #: s, of a step
-        self.policy = build_policy(skill.experiment, built.context)
-        skill.give(self.policy)
         self.falls = 0
+        #: m, in the world: where the visitor wants the character, and a click on the floor sends it; None
+        #: where nothing can be sent anywhere.
+        self.target: tuple[float, float] | None = None
         self._seed = seed
         self._tracks = [n for n in self.scene.recorded if n in self.environment.table.shapes]
         self._mass = 0.0
@@ -42,12 +48,15 @@ class Player:
         self._seed += 1
         self._moved = torch.zeros(2)
 
+    @abstractmethod
+    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """The action (1, A)."""
+
     @torch.no_grad()
     def step(self) -> None:
         """One decision; after a fall the next episode begins."""
         self._take_reference_along()
-        action = self.policy.distribution(self._observations).mode()
-        step = self.environment.step(action)
+        step = self.environment.step(self.act(self._observations))
         self.falls += int(step.failed.sum())
         if bool(step.ended.any()):
             self._moved.zero_()
@@ -86,7 +95,7 @@ class Player:
         """
         simulator = self.environment.parts.simulator
         if not self._mass or not {"qpos", "qvel"} <= simulator.fields.keys():
-            raise ConfigError(f"{self.skill.name} has no character that can be pushed.")
+            raise ConfigError(f"{self.name} has no character that can be pushed.")
         state = self._state()
         state["qvel"][:, :3] += torch.tensor(impulse) / self._mass
         self._set(state)
@@ -101,3 +110,15 @@ class Player:
 
     def close(self) -> None:
         self.environment.close()
+
+
+class Player(World):
+    """The policy of `skill` in one world of its task."""
+
+    def __init__(self, skill: Skill, seed: int = 0) -> None:
+        super().__init__(skill.name, skill.experiment, seed)
+        self.policy = build_policy(skill.experiment, self.context)
+        skill.give(self.policy)
+
+    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+        return self.policy.distribution(observations).mode()

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "ppo", "report")
+REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "play", "ppo", "report")
 
 _HERE = "understudy_sitting"
 #: By module and kind: the component's name, its class or function, and what it is.
@@ -66,6 +66,9 @@ _PARTS = {
     },
     ("room_command", "command"): {
         "sitting room": ("SitInRoom", "a controller sits down in a room seen in a picture"),
+    },
+    ("follow", "command"): {
+        "sitting follow": ("Follow", "the figure walks to where one clicks in the browser"),
     },
     ("trials", "report_section"): {
         "sitting/trials": ("TransitionsSection", "success by zone, which skill followed which"),

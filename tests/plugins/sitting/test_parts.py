@@ -86,6 +86,17 @@ def test_the_second_stage_begins_where_others_ended(states: Path) -> None:
     assert math.radians(15) >= float(rotations.heading(table["chair_rotation"]).abs().max()) > 0.05
 
 
+def test_a_share_of_the_episodes_begins_in_the_first_frame() -> None:
+    span = ["initial_states.span=[0.2,1.0]", "initial_states.first=0.25"]
+    built = build("experiment=sitting/turn_left", "num_worlds=2", *span)
+    states, streams = built.environment.parts.initial_states, WorldStreams(1, "first", 2, "cpu")
+    starts = torch.cat([states.sample(streams)["motion_start"] for _ in range(1000)])
+    first = torch.isclose(starts, torch.tensor(0.2 * 4.6))
+    assert float(first.float().mean()) == pytest.approx(0.25, abs=0.04)
+    assert float(starts.min()) == pytest.approx(0.2 * 4.6)
+    assert float(starts.max()) == pytest.approx(4.6, abs=0.05)
+
+
 def test_a_bank_of_another_figure_is_refused(tmp_path: Path) -> None:
     bank.save(tmp_path / "bank", {"qpos": torch.zeros(3, 43), "qvel": torch.zeros(3, 34)}, {})
     with pytest.raises(ConfigError, match=r"'qpos' is \(43,\) there and \(28,\) here"):

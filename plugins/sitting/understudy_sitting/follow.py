@@ -1,0 +1,108 @@
+"""``understudy sitting follow``: the figure goes where one clicks, by the skills walk and turn."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy.command.command import Command
+from understudy.errors import ConfigError
+from understudy.setup.composition import load_experiment
+from understudy_play.command import add_page_arguments, film, record, serve
+from understudy_play.player import World
+
+WALK, LEFT, RIGHT = 0, 1, 2
+#: rad, of the target's azimuth: from the first on it turns in place, until the second is reached. The
+#: walk's targets are within 60 degrees.
+_BEGIN_TO_TURN, _TURNED = math.radians(75.0), math.radians(30.0)
+#: m, at which a target is reached; then it turns on the spot until it is that far away again.
+_REACHED, _LEFT_BEHIND = 0.4, 0.8
+#: m, in the world: where a video sends it, one after the other.
+_ROUND = ((3.0, 0.0), (3.0, 3.0), (0.0, 3.0), (0.0, 0.0))
+
+
+class Follower(World):
+    """One world in which finished skills, walk and maybe turns to the left and to the right, take the
+    figure to ``target``.
+
+    No skill stands still: at its target the figure turns on the spot, or without turns walks around it.
+
+    Raises
+    ------
+    ConfigError
+        if there are not one or three runs, or one does not fit the figure.
+    RunError
+        if one is no run.
+    """
+
+    def __init__(self, runs: Sequence[str], seed: int = 0) -> None:
+        if len(runs) not in (1, 3):
+            raise ConfigError("Give the run of walk, or those of walk, turn_left and turn_right.")
+        named = ",".join(f"'{run}'" for run in runs)
+        experiment = load_experiment(["task=sitting/follow", f"actuation.runs=[{named}]"])
+        super().__init__(f"walking to a target, {runs[0]}", experiment, seed)
+        self._turns, self._switch, self._there = len(runs) == 3, WALK, False
+        self.target = _ROUND[0]
+
+    @property
+    def switch(self) -> int:
+        """Which of the runs is at work, from 0."""
+        return self._switch
+
+    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+        assert self.target is not None
+        table = self.environment.table
+        away = torch.tensor(self.target) - table["torso_position"][0, :2]
+        azimuth = float(torch.atan2(away[1], away[0]) - table["torso_yaw"][0])
+        self._choose(math.remainder(azimuth, 2 * math.pi), float(away.norm()))
+        return torch.tensor([[float(self._switch), *self.target]])
+
+    def _choose(self, azimuth: float, distance: float) -> None:
+        if not self._turns:
+            return
+        self._there = distance < (_LEFT_BEHIND if self._there else _REACHED)
+        turning = self._switch != WALK
+        if self._there:
+            self._switch = self._switch if turning else LEFT
+        elif abs(azimuth) < (_TURNED if turning else _BEGIN_TO_TURN):
+            self._switch = WALK
+        elif not turning:
+            self._switch = LEFT if azimuth > 0 else RIGHT
+
+
+class Follow(Command):
+    """Shows the figure in the browser, where a click on the floor sends it, or films a walk around."""
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument(
+            "runs", nargs="+", metavar="RUN", help="of walk, and of turn_left and turn_right"
+        )
+        parser.add_argument(
+            "--video", metavar="FILE", type=Path, help="write a video (.mp4) of a square instead"
+        )
+        parser.add_argument(
+            "--seconds", type=float, default=24.0, help="of the video (%(default)s)"
+        )
+        add_page_arguments(parser)
+
+    def run(self, options: argparse.Namespace) -> int:
+        if options.video is None:
+            return serve(lambda: Follower(options.runs), options)
+        world = Follower(options.runs)
+        try:
+            parts = []
+            for place in _ROUND:
+                world.target = place
+                parts.append(record(world, options.seconds / len(_ROUND)))
+        finally:
+            world.close()
+        tracks = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        film(world, tracks, options.video)
+        print(f"{options.video}: {options.seconds:g} s, {world.falls} falls")
+        return 0

@@ -1,0 +1,105 @@
+"""Finished skills go where a click on the page's floor sends them."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError
+from understudy_sitting.follow import LEFT, RIGHT, WALK, Follower
+
+HOST = "127.0.0.1"
+TINY = (
+    "num_worlds=2", "learner.rollout_steps=64", "learner.minibatches=2", "budget.samples=128",
+    "evaluation.episodes=2", "evaluation.final_episodes=2", "evaluation.seconds=0.1",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def skill(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A run of walking that has learned next to nothing."""
+    run = tmp_path_factory.mktemp("skills") / "walk"
+    assert main(["train", "experiment=sitting/walk", *TINY, f"run.dir={run}"]) == 0
+    return str(run)
+
+
+@pytest.fixture
+def world(skill: str) -> Iterator[Follower]:
+    world = Follower([skill])
+    yield world
+    world.close()
+
+
+def test_the_target_is_what_the_skill_sees(world: Follower) -> None:
+    table = world.environment.table
+    for target, sine in (((0.0, 50.0), 1.0), ((0.0, -50.0), -1.0)):
+        world.target = target
+        world.step()
+        assert table["target"][0].tolist() == pytest.approx(target)
+        yaw = float(table["torso_yaw"][0])
+        assert float(table["goal_direction"][0, 0]) == pytest.approx(sine * math.cos(yaw), abs=0.05)
+
+
+def test_turns_act_where_the_target_is_behind(skill: str) -> None:
+    world = Follower([skill] * 3)
+    try:
+        seen = []
+        for azimuth, distance in (
+            (0.5, 3.0), (1.4, 3.0), (1.0, 3.0), (0.4, 3.0), (1.0, 3.0), (-1.4, 3.0), (-0.2, 3.0),
+            (0.1, 0.3), (1.0, 0.7), (0.1, 0.9),
+        ):  # fmt: skip
+            world._choose(azimuth, distance)
+            seen.append(world.switch)
+    finally:
+        world.close()
+    assert seen == [WALK, LEFT, LEFT, WALK, WALK, RIGHT, WALK, LEFT, LEFT, WALK]
+
+
+def test_two_runs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="walk, turn_left and turn_right"):
+        Follower(["a", "b"])
+
+
+def test_a_click_in_the_browser_sends_it(skill: str) -> None:
+    """A visitor's message, over a socket: the ray from the camera through the pixel that was clicked."""
+    viser = pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
+    import msgspec
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    from understudy_play.page import Page
+    from understudy_viewer.page import free_port
+
+    world = Follower([skill])
+    page = Page(world, HOST, free_port(HOST, 0))
+    try:
+        page.advance()
+        x, y = (float(v) for v in world.shown()["qpos"][:2])
+        address = page.url.replace("http", "ws")
+        version = Subprotocol(f"viser-v{viser.__version__}")
+        with connect(address, subprotocols=[version], max_size=None) as visitor:
+            camera = {
+                "wxyz": (1, 0, 0, 0), "position": (0, 0, 4), "fov": 1.0, "near": 0.1, "far": 99.0,
+                "image_height": 100, "image_width": 100, "look_at": (0, 0, 0), "up_direction": (0, 0, 1),
+            }  # fmt: skip
+            click = {
+                "event_type": "click", "ray_origin": (0.0, 0.0, 4.0), "ray_direction": (0.5, -0.25, -1.0),
+                "screen_pos": ((0.5, 0.5),), "modifier": None,
+            }  # fmt: skip
+            visitor.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **camera}))
+            visitor.send(msgspec.msgpack.encode({"type": "ScenePointerMessage", **click}))
+            due = time.monotonic() + 20
+            while page._sent is None and time.monotonic() < due:
+                time.sleep(0.02)
+        page.advance()
+        assert world.target == pytest.approx((x + 2.0, y - 1.0), abs=1e-5)
+        assert world.environment.table["target"][0].tolist() == pytest.approx(world.target)
+        assert tuple(page._flag.position) == pytest.approx((x + 2.0, y - 1.0, 0.0), abs=1e-5)
+        assert page._flag.visible
+    finally:
+        page.close()
