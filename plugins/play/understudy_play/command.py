@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -68,17 +67,10 @@ class Play(Command):
             )
         from understudy_play.page import Page
         from understudy_viewer.page import free_port
+        from understudy_viewer.serving import serve
 
         page = Page(skill, options.host, free_port(options.host, options.port))
-        try:
-            print(f"{page.url} plays {skill.name}; Ctrl-C ends it.", flush=True)
-            if not options.no_browser:
-                webbrowser.open(page.url)
-            page.run()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            page.close()
+        serve(page, f"plays {skill.name}", browser=not options.no_browser)
         return 0
 
 
