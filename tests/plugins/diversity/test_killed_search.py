@@ -19,8 +19,8 @@ from understudy.command.cli import main
 #: progress are ended early.
 SEARCH = (
     "search=diversity/vault",
-    "budget.samples=65536",
-    "evaluation.every_samples=8192",
+    "budget.samples=32768",
+    "evaluation.every_samples=4096",
     "evaluation.episodes=4",
     "evaluation.final_episodes=4",
     "checkpoint.minutes=0",
@@ -29,7 +29,7 @@ SEARCH = (
     "outer_loop.explore=2",
     "outer_loop.exploit=2",
     "outer_loop.success=0.0",
-    "outer_loop.stalled={figure: height, samples: 8192}",
+    "outer_loop.stalled={figure: height, samples: 4096}",
 )
 KEYS = [f"trial{number}" for number in range(7)]
 
@@ -43,6 +43,7 @@ def told(folder: Path) -> list[dict[str, Any]]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_killed_ten_times(tmp_path: Path) -> None:
     """Each kill is a SIGKILL of a real search in a process of its own; trials, points, early ends,
     weights and the summary are those of one that was never killed."""
