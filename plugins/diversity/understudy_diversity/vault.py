@@ -24,9 +24,9 @@ from understudy.task import (
     Fields,
     InitialStates,
     Scene,
-    Simulator,
     box,
 )
+from understudy_basics.tensors import TensorSimulator
 
 START, RUN_UP = -1.05, 3.0  #: m, where take-offs are; m/s, how fast all are along x
 GRAVITY, HEIGHT = 9.81, 1.0  #: m/s²; m, of the centre of mass at take-off
@@ -68,7 +68,7 @@ class VaultScene(Scene):
         return np.stack([limbs[..., 0], np.zeros_like(limbs[..., 0]), limbs[..., 1]], axis=-1), None
 
 
-class Vault(Simulator):
+class Vault(TensorSimulator):
     """A body in flight, semi-implicit Euler; a control is (N, 2): how tucked to be, in [0, 1], and the
     angular acceleration in rad/s² while the foot is on the floor."""
 
@@ -84,14 +84,6 @@ class Vault(Simulator):
             name: torch.zeros(n, *shape, device=device) for name, shape in self.fields.items()
         }
 
-    def read(self, name: str) -> Tensor:
-        return self._state[name]
-
-    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        for name, value in state.items():
-            own = self._state[name]
-            own.copy_(torch.where(worlds.view(-1, *[1] * (own.dim() - 1)), value, own))
-
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         position, velocity, pitch, spin, tuck = self._state.values()
         dt = self._dt
@@ -105,14 +97,6 @@ class Vault(Simulator):
 
     def failed(self) -> Tensor:
         return ~(self._state["position"].abs() < 1e6).all(dim=1)
-
-    def snapshot(self) -> dict[str, Tensor]:
-        return {name: value.clone() for name, value in self._state.items()}
-
-    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        if worlds is None:
-            worlds = torch.ones_like(self._state["pitch"], dtype=torch.bool)
-        self.set_state(worlds, snapshot)
 
 
 class TakeOff(InitialStates):

@@ -24,9 +24,9 @@ from understudy.task import (
     InitialStates,
     Scene,
     Shape,
-    Simulator,
     box,
 )
+from understudy_basics.tensors import TensorSimulator
 from understudy_miniature.drawing import draw_points
 
 
@@ -63,7 +63,7 @@ class PlaneScene(Scene):
         return draw_points(tracks, width, height, upright=self.options.gravity > 0)
 
 
-class Plane(Simulator):
+class Plane(TensorSimulator):
     """Semi-implicit Euler of the points; a control is the force on each pushed one, (N, 2·pushed) N.
 
     Worlds may differ in ``drag``.
@@ -92,14 +92,6 @@ class Plane(Simulator):
         super().vary([name for name in names if name not in self.parameters])
         self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
 
-    def read(self, name: str) -> Tensor:
-        return self._state[name]
-
-    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        for name, value in state.items():
-            own = self._state[name]
-            own.copy_(torch.where(worlds.view(-1, *[1] * (own.dim() - 1)), value, own))
-
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         scene, (position, velocity, drag) = self._scene, self._state.values()
         push = control.view(len(control), scene.pushed, 2)
@@ -116,14 +108,6 @@ class Plane(Simulator):
 
     def failed(self) -> Tensor:
         return ~(self._state["positions"].abs() < 1e6).flatten(1).all(dim=1)
-
-    def snapshot(self) -> dict[str, Tensor]:
-        return {name: value.clone() for name, value in self._state.items()}
-
-    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        if worlds is None:
-            worlds = torch.ones_like(self._state["drag"], dtype=torch.bool)
-        self.set_state(worlds, snapshot)
 
 
 class Somewhere(InitialStates):

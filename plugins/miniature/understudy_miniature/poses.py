@@ -14,17 +14,15 @@ from torch import Tensor, nn
 from understudy import distributed
 from understudy.errors import RunError
 from understudy.options import check_range
-from understudy.random import WorldStreams, generator, private_rng
+from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
 from understudy.running.evaluation import Evaluation, Measured
-from understudy.running.jobs import Job
-from understudy.running.reinforcement import misshapen
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
-from understudy.task import Context, State
-from understudy_basics import averages, optimisers
+from understudy.task import Context
 from understudy_basics.nn import mlp
+from understudy_basics.supervised import NetworkJob
 
 
 class Poses(ABC):
@@ -73,7 +71,7 @@ class AutoEncoder(nn.Module):
         return self.decoder(self.encoder(pose))
 
 
-class LearnPoses(Job):
+class LearnPoses(NetworkJob[AutoEncoder]):
     """Trains an auto-encoder on drawn poses by gradient descent on the mean squared error.
 
     A sample is a pose; the poses come from what fills the slot ``poses``.
@@ -99,18 +97,13 @@ class LearnPoses(Job):
         self.network = network.to(self.device)
 
     def prepare(self) -> None:
-        rate = torch.tensor(self.options.learning_rate, device=self.device)
-        self._optimiser = optimisers.adam(list(self.network.parameters()), rate)
-        self._generator = generator(self._seed, "poses", self.device)
+        self.begin(self.options.learning_rate, self._seed, "poses")
 
     def iterate(self, samples: int) -> dict[str, Any]:
-        u = torch.rand(self.options.batch, 2, generator=self._generator, device=self.device)
+        u = torch.rand(self.options.batch, 2, generator=self.generator, device=self.device)
         pose = self.poses.draw(u)
-        self._optimiser.zero_grad()
         loss = (self.network(pose) - pose).square().mean()
-        loss.backward()
-        averages.average_gradients(list(self.network.parameters()), loss.detach().view(1))
-        self._optimiser.step()
+        self.descend(loss, loss.view(1))
         return {"consumed": len(pose) * distributed.size(), "loss": float(loss.detach())}
 
     @torch.no_grad()
@@ -123,23 +116,6 @@ class LearnPoses(Job):
         error = (self.network(pose) - pose).square().mean(dim=1).sqrt()
         measures = {"error": Measured.of("last", error.cpu())}
         return Evaluation(episodes=episodes, measures=measures)
-
-    def state_dict(self) -> State:
-        return {
-            "network": dict(self.network.state_dict()),
-            "optimiser": optimisers.state_of(self._optimiser),
-            "generator": self._generator.get_state(),
-        }
-
-    def load_state_dict(self, state: State) -> None:
-        self.load_learned(state, 0)
-        optimisers.load_state(self._optimiser, state["optimiser"])
-        self._generator.set_state(state["generator"])
-
-    def load_learned(self, state: State, samples: int) -> None:
-        for misfit in misshapen(dict(self.network.state_dict()), state.get("network"), "network"):
-            raise RunError(f"The checkpoint does not fit this auto-encoder: {misfit}.")
-        self.network.load_state_dict(state["network"])
 
 
 def trained_decoder(run: str, context: Context) -> tuple[nn.Module, int]:

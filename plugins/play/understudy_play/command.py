@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
@@ -84,19 +83,12 @@ def serve(make: Callable[[], World], options: argparse.Namespace) -> int:
         )
     from understudy_play.page import Page
     from understudy_viewer.page import free_port
+    from understudy_viewer.serving import serve as serve_page
 
     port = free_port(options.host, options.port)
     world = make()
     page = Page(world, options.host, port)
-    try:
-        print(f"{page.url} plays {world.name}; Ctrl-C ends it.", flush=True)
-        if not options.no_browser:
-            webbrowser.open(page.url)
-        page.run()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        page.close()
+    serve_page(page, f"plays {world.name}", browser=not options.no_browser)
     return 0
 
 

@@ -19,14 +19,14 @@ from understudy.random import generator, private_rng
 from understudy.records import checkpoint, runs
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation, Measured
-from understudy.running.jobs import Job
 from understudy.running.reinforcement import misshapen
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context, State
-from understudy_basics import averages, optimisers, rotations
+from understudy_basics import rotations
 from understudy_basics.nn import mlp
+from understudy_basics.supervised import NetworkJob
 from understudy_characters.character import load_character
 from understudy_motion.reading import Axis, ReadOptions, Unit
 from understudy_pose_vae import pictures
@@ -78,7 +78,7 @@ class PoseVAE(nn.Module):
         self.code_std.copy_(mean.std(0))
 
 
-class LearnPoses(Job):
+class LearnPoses(NetworkJob[PoseVAE]):
     """Trains a :class:`PoseVAE`. A sample is a pose; an iteration is every pose once, in mini-batches."""
 
     @dataclass(frozen=True)
@@ -141,24 +141,19 @@ class LearnPoses(Job):
             network = PoseVAE(self._features.size, latent, options.hidden)
         self.network = network.to(self.device)
         self._x = self.poses.features.to(self.device)
-        rate = torch.tensor(options.learning_rate, device=self.device)
-        self._optimiser = optimisers.adam(list(self.network.parameters()), rate)
-        self._generator = generator(self._seed, "pose_vae/batches", self.device)
+        self.begin(options.learning_rate, self._seed, "pose_vae/batches")
 
     def iterate(self, samples: int) -> dict[str, Any]:
         options, x, network = self.options, self._x, self.network
         size = min(options.batch, len(x))
-        order = torch.randperm(len(x), generator=self._generator, device=self.device)
+        order = torch.randperm(len(x), generator=self.generator, device=self.device)
         batches = order[: len(x) // size * size].view(-1, size)
         sums = torch.zeros(2, device=self.device)
         latent = network.code_mean.shape[0]
         for rows in batches:
-            noise = torch.randn(size, latent, generator=self._generator, device=self.device)
-            self._optimiser.zero_grad()
+            noise = torch.randn(size, latent, generator=self.generator, device=self.device)
             found = torch.stack(network.loss(x[rows], noise, options.beta))
-            found[0].backward()
-            sums += averages.average_gradients(list(network.parameters()), found.detach())
-            self._optimiser.step()
+            sums += self.descend(found[0], found)
         network.note_codes(x)
         loss, error = (sums / len(batches)).tolist()
         return {"consumed": batches.numel() * distributed.size(), "loss": loss, "error": error}
@@ -231,20 +226,6 @@ class LearnPoses(Job):
 
     def sources(self) -> Mapping[str, Any]:
         return {"poses": self.poses.sources}
-
-    def state_dict(self) -> State:
-        return {
-            "network": dict(self.network.state_dict()),
-            "optimiser": optimisers.state_of(self._optimiser),
-            "generator": self._generator.get_state(),
-        }
-
-    def load_state_dict(self, state: State) -> None:
-        for misfit in misshapen(dict(self.network.state_dict()), state.get("network"), "network"):
-            raise RunError(f"The checkpoint does not fit this auto-encoder: {misfit}.")
-        self.network.load_state_dict(state["network"])
-        optimisers.load_state(self._optimiser, state["optimiser"])
-        self._generator.set_state(state["generator"])
 
     def load_learned(self, state: State, samples: int) -> None:
         self.network = network_of(state, self.options, self._features).to(self.device)

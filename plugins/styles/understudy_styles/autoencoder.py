@@ -12,16 +12,15 @@ from torch import Tensor, nn
 from understudy import distributed
 from understudy.errors import ConfigError, RunError
 from understudy.options import check_range
-from understudy.random import WorldStreams, generator, private_rng
+from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
 from understudy.running.evaluation import Evaluation, Measured
-from understudy.running.jobs import Job
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
-from understudy.task import Context, State
-from understudy_basics import averages, optimisers
+from understudy.task import Context
+from understudy_basics.supervised import NetworkJob
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
 from understudy_styles.features import clip_features
@@ -58,7 +57,7 @@ class MotionAutoEncoder(nn.Module):
         return torch.bmm(features, features.mT) / frames.shape[1]
 
 
-class LearnFeatures(Job):
+class LearnFeatures(NetworkJob[MotionAutoEncoder]):
     """Trains the auto-encoder on windows of clips, from frames with noise on them, by Adam on the mean
     squared error of normalised frames.
 
@@ -103,9 +102,7 @@ class LearnFeatures(Job):
         seen = self._windows["training"].flatten(0, 1)
         self.network.mean.copy_(seen.mean(0))
         self.network.deviation.copy_(seen.std(0).clamp(min=1e-2))
-        rate = torch.tensor(self.options.learning_rate, device=self.device)
-        self._optimiser = optimisers.adam(list(self.network.parameters()), rate)
-        self._generator = generator(self._seed, "windows", self.device)
+        self.begin(self.options.learning_rate, self._seed, "windows")
 
     def _load(self) -> None:
         """All windows, (W, K, D)."""
@@ -126,15 +123,12 @@ class LearnFeatures(Job):
 
     def iterate(self, samples: int) -> dict[str, Any]:
         windows, batch = self._windows["training"], self.options.batch
-        rows = torch.randint(len(windows), (batch,), generator=self._generator, device=self.device)
+        rows = torch.randint(len(windows), (batch,), generator=self.generator, device=self.device)
         frames = windows[rows]
-        noise = torch.randn(frames.shape, generator=self._generator, device=self.device)
-        self._optimiser.zero_grad()
+        noise = torch.randn(frames.shape, generator=self.generator, device=self.device)
         noisy = frames + self.options.noise * self.network.deviation * noise
         loss = self._errors(frames, noisy).mean()
-        loss.backward()
-        averages.average_gradients(list(self.network.parameters()), loss.detach().view(1))
-        self._optimiser.step()
+        self.descend(loss, loss.view(1))
         return {"consumed": batch * distributed.size(), "loss": float(loss.detach())}
 
     def _errors(self, frames: Tensor, given: Tensor) -> Tensor:
@@ -157,23 +151,6 @@ class LearnFeatures(Job):
             measures={"error": Measured.of("last", error.cpu())},
             objective="error",
         )
-
-    def state_dict(self) -> State:
-        return {
-            "network": dict(self.network.state_dict()),
-            "optimiser": optimisers.state_of(self._optimiser),
-            "generator": self._generator.get_state(),
-        }
-
-    def load_state_dict(self, state: State) -> None:
-        self.load_learned(state, 0)
-        optimisers.load_state(self._optimiser, state["optimiser"])
-        self._generator.set_state(state["generator"])
-
-    def load_learned(self, state: State, samples: int) -> None:
-        for misfit in misshapen(dict(self.network.state_dict()), state.get("network"), "network"):
-            raise RunError(f"The checkpoint does not fit this auto-encoder: {misfit}.")
-        self.network.load_state_dict(state["network"])
 
 
 def new_network(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import webbrowser
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip
+from understudy_viewer.serving import serve
 from understudy_viewer.sources import open_scene
 from understudy_viewer.stage import build
 
@@ -60,15 +60,7 @@ class View(Command):
 
         stage = build(open_scene(sources, registry, read, options.character))
         page = Page(stage, options.host, free_port(options.host, options.port))
-        try:
-            print(f"{page.url} shows the motion; Ctrl-C ends it.", flush=True)
-            if not options.no_browser:
-                webbrowser.open(page.url)
-            page.run()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            page.close()
+        serve(page, "shows the motion", browser=not options.no_browser)
         return 0
 
 

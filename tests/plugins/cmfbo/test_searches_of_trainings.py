@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from worlds import python
+from deaths import die_after
 
 from understudy.command.cli import main
 
@@ -55,33 +55,10 @@ def test_trials_are_trained_at_their_difficulty(whole: Path) -> None:
     assert [row["trial"] for row in summary if row["found"] == "answer"] in (["trial2"], ["trial3"])
 
 
-#: Carries the sweep out and dies when row `after` of the journal is written.
-KILLED = """
-import os, sys
-import torch
-torch.set_num_threads(1)
-from understudy.command.cli import main
-from understudy_sweeps import sweep as module
-folder, after, *overrides = sys.argv[1:]
-
-def dying(write):
-    def written(self, event):
-        write(self, event)
-        if len(self.events) == int(after):
-            os._exit(9)
-    return written
-
-module.Journal.ask = dying(module.Journal.ask)
-module.Journal.tell = dying(module.Journal.tell)
-main(["sweep", *overrides, f"run.dir={folder}"])
-"""
-
-
 @pytest.mark.parametrize("after", [3, 6])
 def test_killed_and_started_again(whole: Path, tmp_path: Path, after: int) -> None:
     folder = tmp_path / "search"
-    died = python(KILLED, str(folder), str(after), *QUICK, cwd=tmp_path)
-    assert died.returncode == 9, died.stderr
+    die_after(after, folder, *QUICK)
     assert len(rows(folder)) == after
     assert main(["sweep", *QUICK, f"run.dir={folder}"]) == 0
     assert asked(folder) == asked(whole)

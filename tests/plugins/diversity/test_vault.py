@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from worlds import python
+from deaths import die_after
 
 from understudy.command.cli import main
 from understudy.running.reinforcement import Reinforcement
@@ -113,32 +113,9 @@ def test_a_finished_search_makes_its_gallery_anew(
     assert {f: f.stat().st_mtime_ns for f in (whole / "gallery").glob("*.mp4")} == films
 
 
-#: Carries the sweep out and dies when row `after` of the journal is written.
-KILLED = """
-import os, sys
-import torch
-torch.set_num_threads(1)
-from understudy.command.cli import main
-from understudy_sweeps import sweep as module
-folder, after, *overrides = sys.argv[1:]
-
-def dying(write):
-    def written(self, event):
-        write(self, event)
-        if len(self.events) == int(after):
-            os._exit(9)
-    return written
-
-module.Journal.ask = dying(module.Journal.ask)
-module.Journal.tell = dying(module.Journal.tell)
-main(["sweep", *overrides, f"run.dir={folder}"])
-"""
-
-
 def test_killed_and_started_again(whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "s"
-    died = python(KILLED, str(folder), "5", *QUICK, cwd=tmp_path)
-    assert died.returncode == 9, died.stderr
+    die_after(5, folder, *QUICK)
     assert main(["sweep", *QUICK, f"run.dir={folder}"]) == 0
     assert asked(folder) == asked(whole)
 

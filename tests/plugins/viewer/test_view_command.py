@@ -13,7 +13,7 @@ import pytest
 from understudy.command import cli
 from understudy.errors import ConfigError
 from understudy.setup import plugins
-from understudy_viewer import command
+from understudy_viewer import command, serving
 from understudy_viewer.stage import Stage
 
 BUNDLED = ("characters", "humanoid", "motion", "mujoco", "viewer")
@@ -57,7 +57,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setitem(sys.modules, "understudy_viewer.page", page)
     Page.served.clear()
     addresses: list[str] = []
-    monkeypatch.setattr(command.webbrowser, "open", addresses.append)
+    monkeypatch.setattr(serving.webbrowser, "open", addresses.append)
     return addresses
 
 

@@ -1,0 +1,34 @@
+"""A simulator whose whole state is tensors of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from understudy.running.environment import rows
+from understudy.task import Simulator
+
+
+class TensorSimulator(Simulator):
+    """Keeps fields and parameters, (N, …) by name, in ``_state``, which steps change in place."""
+
+    _state: dict[str, Tensor]
+
+    def read(self, name: str) -> Tensor:
+        return self._state[name]
+
+    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
+        for name, value in state.items():
+            own = self._state[name]
+            own.copy_(torch.where(rows(worlds, own), value, own))
+
+    def snapshot(self) -> dict[str, Tensor]:
+        return {name: value.clone() for name, value in self._state.items()}
+
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        if worlds is None:
+            some = next(iter(self._state.values()))
+            worlds = torch.ones(len(some), dtype=torch.bool, device=some.device)
+        self.set_state(worlds, snapshot)
