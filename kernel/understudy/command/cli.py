@@ -104,8 +104,7 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
             if first not in groups:
                 under = [other for other in names if other.split()[0] == first]
                 text = ", ".join(other.removeprefix(f"{first} ") for other in under)
-                if len(under) == 1:
-                    text += f": {component.summary}"
+                text += f": {component.summary}" if len(under) == 1 else ""
                 parser = commands.add_parser(first, help=text, description=text)
                 groups[first] = parser.add_subparsers(metavar="COMMAND", required=True)
             where = groups[first]

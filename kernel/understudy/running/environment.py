@@ -219,9 +219,7 @@ class Environment:
     def reads(self) -> set[str]:
         """Every field that some part reads."""
         found = {name for _, names in self._readers() for name in names}
-        return {
-            name.removeprefix(_PREVIOUS) for name in found.union(self.parts.initial_states.reads)
-        }
+        return {n.removeprefix(_PREVIOUS) for n in found.union(self.parts.initial_states.reads)}
 
     def _resolve_fields(self, givers: Callable[[str], Sequence[str]]) -> None:
         """Check that every field that is read exists, leave out optional ones that do not, and make

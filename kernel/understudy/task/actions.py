@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+Reach = float | tuple[float, ...]
+Around = str | tuple[float, ...] | None
+
 
 @dataclass(frozen=True)
 class Box:
@@ -17,8 +20,8 @@ class Box:
     """
 
     size: int
-    reach: float | tuple[float, ...] = 1.0
-    around: str | tuple[float, ...] | None = None
+    reach: Reach = 1.0
+    around: Around = None
 
     @property
     def columns(self) -> int:
@@ -56,10 +59,6 @@ class ActionSpace:
         }
 
 
-def box(
-    size: int,
-    reach: float | tuple[float, ...] = 1.0,
-    around: str | tuple[float, ...] | None = None,
-) -> ActionSpace:
+def box(size: int, reach: Reach = 1.0, around: Around = None) -> ActionSpace:
     """The space of `size` real numbers, named ``action``."""
     return ActionSpace({"action": Box(size, reach, around)})
