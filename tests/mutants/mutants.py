@@ -257,7 +257,7 @@ MUTANTS = (
     Mutant("advantages go on over an episode's end", "plugins/basics/understudy_basics/returns.py",
            "decay = gamma * lam * continues", "decay = gamma * lam + 0 * continues", "tests/plugins/basics/test_returns.py"),
     Mutant("descriptors leak", RUNS, '            with open(self.metrics_file, "a", encoding="utf-8") as file:\n',
-           '            file = open(self.metrics_file, "a", encoding="utf-8", buffering=1)\n            os.dup(file.fileno())\n            if True:\n',
+           '            file = open(self.metrics_file, "a", encoding="utf-8", buffering=1)\n            [os.dup(file.fileno()) for _ in range(20)]\n            if True:\n',
            "tests/faults/test_28_soak.py"),
     Mutant("plugins load torch", f"{KERNEL}/setup/plugins.py", "import pluggy\n", "import pluggy\nimport torch\n",
            "tests/faults/test_30_cold_start.py"),
