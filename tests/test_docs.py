@@ -30,7 +30,8 @@ EXTERNAL = ROOT / "tests" / "external" / "understudy-balance"
 
 def commands(page: Path) -> list[list[str]]:
     """The overrides of every train and sweep command of `page`."""
-    found = re.findall(r"^understudy (?:train|sweep) (.*)$", page.read_text(encoding="utf-8"), re.M)
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    found = re.findall(r"^understudy (?:train|sweep) (.*)$", text, re.M)
     return [shlex.split(line, comments=True) for line in found]
 
 
