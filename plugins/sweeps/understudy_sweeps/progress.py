@@ -59,7 +59,7 @@ class Progress:
 def describe(journal: Journal, trials: int, running: int) -> str:
     """Where the sweep stands, in words."""
     finished = journal.finished
-    failed = sum(report.objective is None for report in finished.values())
+    failed = sum(report.status != "ok" for report in finished.values())
     done = f"{len(finished)} of {trials}" if trials else str(len(finished))
     parts = [f"{done} done", f"{running} running"]
     if failed:
