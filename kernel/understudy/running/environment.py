@@ -621,5 +621,5 @@ def rows(mask: Tensor, like: Tensor) -> Tensor:
 
 def sound(value: Tensor) -> Tensor:
     """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
-    size = value.abs()
-    return (size.flatten(1).amax(dim=1) if size.dim() > 1 else size) < LARGEST  # false for NaN
+    size = value.abs()[:, None].flatten(1)  # amax is NaN where a number is; it takes no empty rows
+    return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
