@@ -60,6 +60,8 @@ class Network(nn.Sequential):
 
     def _through_onednn(self, x: Tensor) -> bool:
         plain = x.device.type == "cpu" and x.dtype == torch.float32 and self.precision != "bfloat16"
+        # Its tensors can be neither compiled nor exported.
+        plain = plain and not torch.compiler.is_compiling()
         differentiable = not (self.twice and torch.is_grad_enabled())
         return plain and differentiable and self._suits_onednn and _onednn_is_faster()
 
