@@ -33,7 +33,7 @@ docs: install
 	$(BIN)/python -m mkdocs build --strict
 
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python tests/side_by_side.py
 
 test-slow: install
 	$(BIN)/python -m pytest -m slow --timeout=3600

@@ -1,0 +1,79 @@
+"""All tests of ``make test``, in as many processes as there are groups at hand, two at a time.
+
+Not pytest-xdist: its workers take signals that the tests of stop signals send. A group is a process of its
+own, so nothing is shared but the machine; what it prints is shown when it ends::
+
+    python tests/side_by_side.py [options of pytest]
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parent
+SIDE_BY_SIDE = 2
+#: The plugins' folders are dealt to so many groups, the largest first.
+PLUGIN_GROUPS = 5
+
+
+def groups() -> list[list[Path]]:
+    """What each process runs, what takes longest first; together it is everything in ``tests``."""
+    plugins: list[list[Path]] = [[] for _ in range(PLUGIN_GROUPS)]
+    sizes = [0] * PLUGIN_GROUPS
+    found = [path for path in (TESTS / "plugins").iterdir() if is_tests(path)]
+    for path in sorted(found, key=lines, reverse=True):
+        least = sizes.index(min(sizes))
+        plugins[least].append(path)
+        sizes[least] += lines(path)
+    first = [[TESTS / "faults"], *plugins]
+    rest = [p for p in TESTS.iterdir() if is_tests(p) and p.name not in ("faults", "plugins")]
+    return [*first, sorted(rest)]
+
+
+def is_tests(path: Path) -> bool:
+    if path.is_dir():
+        return any(path.rglob("test_*.py"))
+    return path.match("test_*.py")
+
+
+def lines(path: Path) -> int:
+    files = path.rglob("test_*.py") if path.is_dir() else [path]
+    return sum(len(file.read_bytes().splitlines()) for file in files)
+
+
+def main(options: list[str]) -> int:
+    waiting, failed, lock = groups(), [], threading.Lock()
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # a core for each process
+
+    def work() -> None:
+        while True:
+            with lock:
+                if not waiting:
+                    return
+                group = waiting.pop(0)
+            command = [sys.executable, "-m", "pytest", *options, *map(str, group)]
+            done = subprocess.run(
+                command, cwd=TESTS.parent, env=environment, text=True, stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            with lock:
+                print(done.stdout, flush=True)
+                if done.returncode not in (0, 5):  # 5: no test of it was asked for
+                    failed.append(group)
+
+    workers = [threading.Thread(target=work) for _ in range(SIDE_BY_SIDE)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    for group in failed:
+        print("failed:", *(path.relative_to(TESTS.parent) for path in group))
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
