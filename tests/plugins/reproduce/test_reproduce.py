@@ -187,5 +187,6 @@ def test_every_bundled_table_can_be_composed() -> None:
     for name in names:
         table = load_table(name, installed())
         assert table.variants()
-        assert command.experiment_of(table)
-        assert card_module.Card(name, table, Path("nowhere")).text()
+        if not table.searches:  # those that compare searches are composed in test_comparison.py
+            assert command.experiment_of(table)
+            assert card_module.Card(name, table, Path("nowhere")).text()
