@@ -23,9 +23,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.running.environment import rows
 from understudy.setup.plugins import installed
-from understudy_gym.worlds import Worlds, columns, flattened
-
-_RENDER_MODES = ("rgb_array",)
+from understudy_gym.worlds import RENDER_MODES, Worlds, columns, flattened, known_render_mode
 
 
 def register_envs() -> None:
@@ -51,7 +49,7 @@ class UnderstudyEnv(gymnasium.Env):
         ConfigError: for a task, an override or a value that is not possible.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(_RENDER_MODES), "render_fps": 30}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}
 
     def __init__(
         self,
@@ -62,7 +60,7 @@ class UnderstudyEnv(gymnasium.Env):
         render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        self.render_mode = _known(render_mode)
+        self.render_mode = known_render_mode(render_mode)
         self.worlds = Worlds(task, 1, overrides, **settings)
         self.metadata = _metadata(self.worlds)
         self._flat = flat
@@ -131,7 +129,7 @@ class UnderstudyVectorEnv(VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **settings: Any,
     ) -> None:
-        self.render_mode = _known(render_mode)
+        self.render_mode = known_render_mode(render_mode)
         self._mode = _mode(autoreset_mode)
         self.worlds = Worlds(task, num_envs, overrides, **settings)
         self.num_envs, self._flat = num_envs, flat
@@ -230,14 +228,6 @@ class UnderstudyVectorEnv(VectorEnv):
         self.worlds.environment.close()
 
 
-def _known(render_mode: str | None) -> str | None:
-    if render_mode is not None and render_mode not in _RENDER_MODES:
-        raise ConfigError(
-            f"render_mode={render_mode!r} is not possible: there is {', '.join(_RENDER_MODES)}."
-        )
-    return render_mode
-
-
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:
     """By its name or value, in any case."""
     if isinstance(mode, AutoresetMode):
@@ -250,7 +240,7 @@ def _mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _metadata(worlds: Worlds) -> dict[str, Any]:
-    return {"render_modes": list(_RENDER_MODES), "render_fps": round(worlds.steps_per_second)}
+    return {"render_modes": list(RENDER_MODES), "render_fps": round(worlds.steps_per_second)}
 
 
 def _array(value: Tensor) -> np.ndarray:

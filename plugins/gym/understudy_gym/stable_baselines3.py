@@ -13,8 +13,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from understudy.errors import ConfigError
-from understudy_gym.worlds import Worlds, columns, flattened
+from understudy_gym.worlds import Worlds, columns, flattened, known_render_mode
 
 
 class UnderstudyVecEnv(VecEnv):
@@ -41,10 +40,8 @@ class UnderstudyVecEnv(VecEnv):
         render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ConfigError(f"render_mode={render_mode!r} is not possible: there is rgb_array.")
+        self._mode = known_render_mode(render_mode)
         self.worlds = Worlds(task, num_envs, overrides, **settings)
-        self._mode = render_mode
         space = self.worlds.action_space()
         super().__init__(num_envs, self.worlds.observation_space(flat=True), space)
 

@@ -18,6 +18,21 @@ from understudy.setup.composition import load_experiment
 from understudy.task import ActionSpace, Box
 
 Actions = Literal["scaled", "raw"]
+#: What ``render`` can give.
+RENDER_MODES = ("rgb_array",)
+
+
+def known_render_mode(mode: str | None) -> str | None:
+    """`mode`, one of :data:`RENDER_MODES` or None.
+
+    Raises:
+        ConfigError: if it is another one.
+    """
+    if mode is not None and mode not in RENDER_MODES:
+        raise ConfigError(
+            f"render_mode={mode!r} is not possible: there is {', '.join(RENDER_MODES)}."
+        )
+    return mode
 
 
 class ActionScale:
