@@ -59,7 +59,7 @@ MUTANTS = (
            "| parts.simulator.failed()", f"{F01} -k derived"),
     Mutant("a bad observation is none", ENVIRONMENT, "unsound = unsound | ~sound(value)", "pass",
            f"{F01} -k derived"),
-    Mutant("a bad reward is counted", ENVIRONMENT, "rewards = torch.where(unsound, 0.0, rewards)", "pass", F01),
+    Mutant("a bad reward is counted", ENVIRONMENT, "rewards = rewards.masked_fill(unsound, 0.0)", "pass", F01),
     Mutant("last observations are bad", ENVIRONMENT,
            "name: torch.where(rows(step.unsound, value), step.observations[name], value)", "name: value", F01),
     Mutant("first observations are bad", ENVIRONMENT,
