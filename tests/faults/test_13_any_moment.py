@@ -80,10 +80,17 @@ def wait_for(path: Path) -> float:
     return time.monotonic() - began
 
 
-@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.slow)])
-def test_any_moment(count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+#: How many signals, and the seed of their moments; the slow ones are a hundred together.
+SIGNALS = [(6, 0), *(pytest.param(25, seed, marks=pytest.mark.slow) for seed in range(1, 5))]
+
+
+@pytest.mark.parametrize(("count", "seed"), SIGNALS)
+@pytest.mark.timeout(1800)  # 25 trainings, most of them twice
+def test_any_moment(
+    count: int, seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ("train", *SMALL_STOP)
-    straight, moments, where = tmp_path / "straight", random.Random(count), {}
+    straight, moments, where = tmp_path / "straight", random.Random(seed), {}
     child = start(*command, f"run.dir={straight}")
     started = wait_for(straight / "run.json")
     began = time.monotonic()
