@@ -232,7 +232,8 @@ def address_space() -> int:
 
 def in_a_process(folder: Path, formats: tuple[str, ...], count: int, seed: int) -> dict[str, Any]:
     """What :func:`read_mutants` returns for each format, from one process of its own."""
-    environment = {**os.environ, "PYTHONPATH": os.fspath(TESTS), "OMP_NUM_THREADS": "1"}
+    path = os.pathsep.join((os.fspath(TESTS), os.environ.get("PYTHONPATH", "")))
+    environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, "-W", "error", __file__, str(count), str(seed), *formats],
         cwd=folder,

@@ -111,7 +111,8 @@ MUTANTS = (
     Mutant("NaN is loaded", f"{KERNEL}/running/warm_start.py", "if finite == [True, False]:",
            "if False:", FIELDS),
     Mutant("any moments are loaded", OPTIMISERS,
-           "if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():", "if False:", FIELDS),
+           "if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():", "if False:",
+           "tests/plugins/basics/test_optimisers.py -k moments"),
     # Resuming.
     Mutant("streams are not restored", ENVIRONMENT, 'self._streams.load_state_dict(state["streams"])', "pass", F10),
     Mutant("initial states are not restored", ENVIRONMENT,
@@ -207,7 +208,7 @@ MUTANTS = (
     Mutant("two sweeps share a folder", SWEEP, "if path.exists() and path.read_bytes() != mark:", "if False:", SWEEPS),
     Mutant("reports are told twice", SWEEP, "if report.final or (report.key, report.cost) not in self._told:", "if True:",
            f"{SWEEPS}/test_sweep.py"),
-    Mutant("early stops are forgotten", SWEEP, "if trial.key in self._stopped:", "if False:", f"{SWEEPS}/test_sweep.py"),
+    Mutant("early stops are forgotten", SWEEP, "self._stopped[report.key] = report.cost", "pass", f"{SWEEPS}/test_sweep.py -k early"),
     Mutant("trials take for ever", POOL, "if running.deadline is None or time.monotonic() < running.deadline:", "if True:",
            f"{SWEEPS}/test_executors.py"),
     Mutant("a killed trial is lost", POOL, "if running.tries < limit:", "if False:", f"{SWEEPS}/test_executors.py"),

@@ -93,6 +93,6 @@ def test_without_the_guard_a_test_fails(mutant: Mutant, tree: Path) -> None:
         file.write_text(text, encoding="utf-8")
     if mutant.survives and done.returncode == 0:
         pytest.xfail(mutant.survives)
-    assert done.returncode == 1, (
+    assert done.returncode == 1 or done.returncode < 0, (  # a signal may have ended the tests
         f"status {done.returncode}\n{done.stdout[-3000:]}{done.stderr[-1000:]}"
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import re
 import signal
 from collections.abc import Sequence
@@ -93,9 +94,6 @@ class _Talk:
                 self._number += 1
                 if self.loop.recall(event) and event.key not in self.journal.finished:
                     unfinished.append(event)
-        for trial in unfinished:
-            if trial.key in self._stopped:
-                note_stop(trial.key, self._stopped[trial.key], self._work)
         return unfinished
 
     def ask(self) -> Trial | None:
@@ -110,8 +108,8 @@ class _Talk:
         if report.final or (report.key, report.cost) not in self._told:
             self.journal.tell(report)
             self._tell(report)
-        if report.final or report.key not in self._stopped:
-            return False
+        if report.final or report.cost < self._stopped.get(report.key, math.inf):
+            return False  # of one that is made again, the loop had more to see
         note_stop(report.key, report.cost, self._work)
         return True
 

@@ -83,3 +83,25 @@ def test_a_parameter_that_the_loss_does_not_use_has_no_gradient() -> None:
     assert flat.tolist() == [3, 3, 0, 0, 0]
     assert unused.grad is not None
     assert unused.grad.data_ptr() == flat[2:].data_ptr()
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("step", torch.zeros(1)),
+        ("exp_avg", torch.zeros(7, 5, dtype=torch.float64)),
+        ("exp_avg", torch.zeros(5, 7)),
+        ("exp_avg_sq", torch.full((7, 5), torch.nan)),
+    ],
+)
+def test_moments_that_are_not_of_these_parameters_are_refused(name: str, wrong: Tensor) -> None:
+    parameters = list(network().parameters())
+    optimiser, flat = optimisers.adam(parameters, torch.tensor(RATE)), flat_of(parameters)
+    flat.fill_(1.0)
+    optimisers.step(optimiser, torch.zeros(()))
+    state = optimisers.state_of(optimiser)
+    optimisers.load_state(optimiser, state)
+    with pytest.raises(ValueError, match=f"'{name}' of parameter 0"):
+        optimisers.load_state(optimiser, {**state, "0": {**state["0"], name: wrong}})
+    with pytest.raises(ValueError, match="moments of 3 parameters, and there are 4"):
+        optimisers.load_state(optimiser, {k: v for k, v in state.items() if k != "0"})

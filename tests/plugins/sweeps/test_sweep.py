@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,10 +47,11 @@ class Killed(BaseException):
 
 
 class Scripted(OuterLoop):
-    """Asks for `trials`, one after another's end; answers `stop` to the reports of those in it."""
+    """Asks for `trials`, one after another's end; answers `stop` to the reports of those in `stopped`
+    from so many samples on."""
 
     trials: Sequence[Trial] = ()
-    stopped: Sequence[str] = ()
+    stopped: Mapping[str, float] = {}
     told: list[Report] = []
 
     def __init__(self, options: None, seed: int) -> None:
@@ -64,7 +66,7 @@ class Scripted(OuterLoop):
     def tell(self, report: Report) -> Literal["stop"] | None:
         self.told.append(report)
         self._reports[report.key] = report
-        return "stop" if report.key in self.stopped else None
+        return "stop" if report.cost >= self.stopped.get(report.key, math.inf) else None
 
     def summary(self) -> list[dict[str, Any]]:
         return [{"trial": r.key, "objective": r.objective} for r in self._reports.values()]
@@ -364,7 +366,7 @@ def test_a_defect_stops_the_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_stopping_a_trial_early(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(scripted, "trials", [Trial("a"), Trial("b")])
-    monkeypatch.setattr(scripted, "stopped", ["a"])
+    monkeypatch.setattr(scripted, "stopped", {"a": 8})
     script(tmp_path)
     assert events(tmp_path) == [*whole("a", 4), *whole("b", 4, 8, 12)]
     assert [(r.status, r.objective) for r in scripted.told[:2]] == [("running", 4), ("ok", 4)]
@@ -375,7 +377,7 @@ def test_stopping_a_trial_early(tmp_path: Path, scripted: Any, monkeypatch: Any)
 def test_an_early_stop_is_remembered(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
     """Killed when the loop had said stop and the trial did not know yet."""
     monkeypatch.setattr(scripted, "trials", [Trial("a"), Trial("b")])
-    monkeypatch.setattr(scripted, "stopped", ["a"])
+    monkeypatch.setattr(scripted, "stopped", {"a": 8})
 
     def killed(*arguments: Any) -> None:
         raise Killed
@@ -389,6 +391,26 @@ def test_an_early_stop_is_remembered(tmp_path: Path, scripted: Any, monkeypatch:
     assert events(tmp_path) == [*whole("a", 4), *whole("b", 4, 8, 12)]
     assert iterations(tmp_path, "a") == [1]
     assert rows(tmp_path)[2]["report"]["outcome"] == "stopped"
+
+
+def test_a_trial_that_began_anew_ends_where_the_loop_said(
+    tmp_path: Path, scripted: Any, monkeypatch: Any
+) -> None:
+    """Killed before its first checkpoint: its reports are made again, and the second was the last."""
+    monkeypatch.setattr(scripted, "trials", [Trial("a")])
+    monkeypatch.setattr(scripted, "stopped", {"a": 16})
+
+    def killed(*arguments: Any) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "note_stop", killed)
+        patch.setattr("understudy.running.training.Training.save", lambda *_: None)
+        with pytest.raises(Killed):
+            script(tmp_path)
+    script(tmp_path)
+    assert events(tmp_path) == whole("a", 4, 8)
+    assert rows(tmp_path)[-1]["report"]["outcome"] == "stopped"
 
 
 def test_a_report_that_was_lost_is_made_again(
