@@ -95,9 +95,8 @@ class FigureShadow:
         self._centre = model.geom_aabb[geoms, :3]
         self._along = np.eye(3)[longest] * np.maximum(half[:, 2] - self._radius, 0.0)[:, None]
         count = round(2 * _REACH / _CELL) + 1
-        line = np.linspace(-_REACH, _REACH, count, dtype=np.float32)
-        #: (2, C, C) m from the patch's middle, x first.
-        self._cells = np.stack(np.meshgrid(line, line, indexing="ij"))
+        #: (C,) m from the patch's middle, along either axis.
+        self._line = np.linspace(-_REACH, _REACH, count, dtype=np.float32)
 
     def cast(self, data: mujoco.MjData, plane: float = 0.0) -> Patch | None:
         """On the plane at this height; None if there is none."""
@@ -112,18 +111,23 @@ class FigureShadow:
         heights = np.maximum(ends[..., 2] - plane, 0.0)
         feet = _along_the_sun(ends, heights)
         origin = 0.5 * (feet.min(axis=(0, 1)) + feet.max(axis=(0, 1)))
-        light = np.ones(self._cells.shape[1:], np.float32)
-        x, y = self._cells
+        line = self._line
+        light = np.ones((len(line), len(line)), np.float32)
         for k, radius in enumerate(radii):
-            (ax, ay), (bx, by) = (feet[:, k] - origin).astype(np.float32)
+            (ax, ay), (bx, by) = foot = (feet[:, k] - origin).astype(np.float32)
             high, higher = heights[:, k].astype(np.float32)
+            reach = radius + 0.5 * (_BLUR + _BLUR_PER_METRE * max(high, higher))
+            first = np.searchsorted(line, foot.min(axis=0) - reach)
+            beyond = np.searchsorted(line, foot.max(axis=0) + reach)
+            rows, columns = map(slice, first, beyond)  # nothing is darker elsewhere
+            x, y = line[rows, None], line[None, columns]
             dx, dy = bx - ax, by - ay
             share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-6)
             share = np.clip(share, 0.0, 1.0)
             distance = np.hypot(x - ax - share * dx, y - ay - share * dy)
             blur = _BLUR + _BLUR_PER_METRE * (high + share * (higher - high))
             dark = _smooth(0.5 + (radius - distance) / blur)
-            light *= 1.0 - dark * np.minimum(1.0, 1.6 * radius / blur + 0.1)
+            light[rows, columns] *= 1.0 - dark * np.minimum(1.0, 1.6 * radius / blur + 0.1)
         dark = 1.0 - light
         rows, columns = (np.flatnonzero((dark > _UNSEEN).any(axis=1 - axis)) for axis in range(2))
         if not len(rows) or not len(columns):
