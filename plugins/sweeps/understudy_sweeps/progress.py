@@ -14,7 +14,7 @@ from understudy_sweeps.journal import Journal
 
 
 class Progress:
-    """Trials done, running and failed, the best so far, and the time left.
+    """Trials done, running and failed, a search's best so far, and the time left.
 
     The time left is from the speed of this process: the share of the outer loop that was done since
     it began.
@@ -64,11 +64,12 @@ def describe(journal: Journal, trials: int, running: int) -> str:
     parts = [f"{done} done", f"{running} running"]
     if failed:
         parts.append(f"{failed} failed")
-    levels = {trial.key: trial.fidelity or 0.0 for trial in journal.asked}
+    # Variants are not ranked: what is asked of them may be least where it is best.
+    levels = {trial.key: trial.fidelity or 0.0 for trial in journal.asked if not trial.variant}
     found = [
-        (levels.get(r.key, 0.0), r.objective, r.key)
+        (levels[r.key], r.objective, r.key)
         for r in finished.values()
-        if r.objective is not None
+        if r.objective is not None and r.key in levels
     ]
     if found:
         _, objective, key = max(found)  # of the greatest fidelity

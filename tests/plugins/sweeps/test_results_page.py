@@ -168,6 +168,11 @@ def test_progress_in_words(search: tuple[Path, Journal]) -> None:
     assert describe(other, 0, 0) == "1 done · 0 running"
 
 
+def test_no_variant_is_the_best(ablation: tuple[Path, Journal]) -> None:
+    """The one with the greatest objective may be the worst: how far the farthest particle is, say."""
+    assert describe(ablation[1], 6, 0) == "6 of 6 done · 0 running · 1 failed"
+
+
 def test_the_time_left() -> None:
     assert time_left(60.0, 0.2, 0.5) == pytest.approx(100.0)
     assert time_left(60.0, 0.5, 0.5) is None
