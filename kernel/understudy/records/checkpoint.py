@@ -8,6 +8,7 @@ mebibyte or more that become much smaller by it (worlds' lists with unused place
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import json
 import math
@@ -70,6 +71,9 @@ def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
     }
     write_atomically(path.with_suffix(".safetensors"), data)
     write_atomically(path.with_suffix(".json"), _sealed(content))
+    del tensors, data
+    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+        trim(0)  # copies as large as the state would leave more and more gaps in the heap
 
 
 def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -215,12 +215,6 @@ class Environment:
         chosen = self.parts.curriculum.decision() if self.parts.curriculum else None
         return chosen or self._context.decision
 
-    @property
-    def reads(self) -> set[str]:
-        """Every field that some part reads."""
-        found = {name for _, names in self._readers() for name in names}
-        return {n.removeprefix(_PREVIOUS) for n in found.union(self.parts.initial_states.reads)}
-
     def _resolve_fields(self, givers: Callable[[str], Sequence[str]]) -> None:
         """Check that every field that is read exists, leave out optional ones that do not, and make
         the ``previous_`` ones that are."""
@@ -237,7 +231,7 @@ class Environment:
             [resolved(term) for term in terms]
             for terms in (parts.rewards, parts.terminations, parts.measures)
         )
-        wanted = list(self._readers())
+        wanted = list(self.readers())
         previous = {
             name for _, names in wanted for name in names
             if name.startswith(_PREVIOUS) and name not in table.shapes and exists(name)
@@ -256,7 +250,7 @@ class Environment:
                     "Choose another curriculum (curriculum=…) or other initial states."
                 )
 
-    def _readers(self) -> Iterator[tuple[str, Sequence[str]]]:
+    def readers(self) -> Iterator[tuple[str, Sequence[str]]]:
         """Every part that reads fields, by its place in the configuration, and which ones."""
         parts = self.parts
         for part in (

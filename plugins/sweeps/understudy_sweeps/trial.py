@@ -184,7 +184,9 @@ def _check_difficulty(training: Training) -> None:
     more = curriculum is not None and (
         curriculum.decision() is not None or bool(set(curriculum.provides) - {"difficulty"})
     )
-    if not more and "difficulty" not in environment.reads:
+    read = {name for _, names in environment.readers() for name in names}
+    read.update(environment.parts.initial_states.reads)
+    if not more and read.isdisjoint(("difficulty", "previous_difficulty")):
         raise _Refused(
             "Nothing in this task reads `difficulty`, so trials at a low one would be neither easier "
             "nor cheaper, and tell nothing. Choose an experiment whose parts read it, a search of whole "
