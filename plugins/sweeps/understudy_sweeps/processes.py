@@ -45,9 +45,9 @@ class Processes:
     @dataclass(frozen=True)
     class Options:
         #: Trials at once; null is one for each of `gpus`, else one for each core on a CPU, and one on
-        #: a GPU, which one training fills.
+        #: a GPU. More than there are GPUs share them evenly, which is worth it under CUDA's MPS.
         workers: int | None = None
-        #: GPUs of this host, each worker with one of its own: how many, or their numbers among those
+        #: GPUs of this host, each worker with one of them: how many, or their numbers among those
         #: that the sweep may use (those of ``CUDA_VISIBLE_DEVICES``, where it is set). Null: all
         #: workers use what `device` says.
         gpus: int | tuple[int, ...] | None = None
@@ -60,13 +60,13 @@ class Processes:
             check_range(self, "workers", "threads", least=1)
             check_range(self, "retries", "grace", least=0)
             check_range(self, "seconds", above=0)
-            _check_gpus(self.gpus, self.workers)
+            _check_gpus(self.gpus)
 
     def __new__(cls, options: Options, work: Work) -> Executor:
         gpus = None if options.gpus is None else _Gpus(options.gpus, work.device)
         server = _server()
         if gpus is not None:
-            default = len(gpus.free)
+            default = gpus.count
         elif work.device.startswith("cuda"):
             default = 1
         else:
@@ -81,8 +81,8 @@ class Processes:
         return Pool(start, _await, workers, limits)
 
 
-def _check_gpus(gpus: int | tuple[int, ...] | None, workers: int | None) -> None:
-    """A ValueError that begins with an option's name, if the two cannot be had together."""
+def _check_gpus(gpus: int | tuple[int, ...] | None) -> None:
+    """A ValueError that begins with the option's name, if there can be no such GPUs."""
     if gpus is None:
         return
     numbers = tuple(range(gpus)) if isinstance(gpus, int) else gpus
@@ -91,15 +91,10 @@ def _check_gpus(gpus: int | tuple[int, ...] | None, workers: int | None) -> None
         raise ValueError(f"{given}give how many to use, or the numbers of one or more.")
     if min(numbers) < 0 or len(set(numbers)) < len(numbers):
         raise ValueError(f"{given}give numbers from 0 on, each once.")
-    if workers is not None and workers > len(numbers):
-        raise ValueError(
-            f"workers={workers} is not possible: each worker has a GPU of its own, and "
-            f"executor.gpus names {len(numbers)}. Give as many workers at most, or leave them out."
-        )
 
 
 class _Gpus:
-    """Those that no trial uses now, as values of ``CUDA_VISIBLE_DEVICES``."""
+    """Which of them how many trials use now, as values of ``CUDA_VISIBLE_DEVICES``."""
 
     def __init__(self, wanted: int | tuple[int, ...], device: str) -> None:
         numbers = tuple(range(wanted)) if isinstance(wanted, int) else wanted
@@ -120,14 +115,17 @@ class _Gpus:
                 f"here{'' if visible is None else f' ({_VISIBLE}={visible})'}. Give {there} at most, "
                 "or numbers below that."
             )
-        self._all = [str(n) if names is None else names[n] for n in numbers]
-        self.free = list(self._all)
+        self._trials = {str(n) if names is None else names[n]: 0 for n in numbers}
+        self.count = len(numbers)
 
     def take(self) -> str:
-        return self.free.pop(0)
+        """The one that the fewest trials use."""
+        gpu = min(self._trials, key=lambda name: self._trials[name])
+        self._trials[gpu] += 1
+        return gpu
 
     def give(self, gpu: str) -> None:
-        self.free = [name for name in self._all if name in self.free or name == gpu]
+        self._trials[gpu] -= 1
 
 
 def _server() -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,18 @@ def test_a_card_of_what_is_there_trains_nothing(
     assert main(["reproduce", "cmfbo/toy", "--card", f"run.dir={tmp_path}"]) == 0
     assert "0 of 15 searches are finished, 0 begun" in capsys.readouterr().out
     assert not list(tmp_path.rglob("journal.jsonl"))
+
+
+def test_a_card_needs_nothing_that_trains(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The searches of `docs/benchmarks` ran on GPUs; their journals are shown wherever they are."""
+    journals = Path(__file__).parents[3] / "docs" / "benchmarks" / "cmfbo_figure_6_5"
+    shutil.copytree(journals, tmp_path, dirs_exist_ok=True)
+    words = ["reproduce", "cmfbo/figure_6_5", "--card", "--seeds", "0", f"run.dir={tmp_path}"]
+    assert main([*words, "simulator=mujoco_warp"]) == 0
+    assert "5 begun" in capsys.readouterr().out
+    assert {row["column"] for row in lines(tmp_path / "card.csv")} >= {"cmfbo", "gp_ucb"}
 
 
 @pytest.mark.parametrize("name", ["cmfbo/toy", "cmfbo/figure_6_3", "cmfbo/figure_6_5"])

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,23 @@ def test_each_worker_has_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest.Mo
     assert {seeds[0], seeds[1]} == {4, 6} == set(seeds)
 
 
+def test_workers_share_gpus_evenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever trials end first."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,5")
+    executor: Any = built("processes", gpus=2, workers=4)(work(tmp_path, "budget.samples=1024"))
+    assert executor.free() == 4
+    most: Counter[str] = Counter()
+
+    def note(executor: Any, report: Report | None) -> None:
+        now = Counter(running.host._gpu for running in executor._running.values())
+        most.update({gpu: now[gpu] - most[gpu] for gpu in now if now[gpu] > most[gpu]})
+
+    trials = [Trial(key, (SEEN,)) for key in "abcdef"]
+    last = [r for r in executors.carry_out(executor, trials, meanwhile=note) if r.final]
+    assert [r.status for r in last] == ["ok"] * 6
+    assert most == {"4": 2, "5": 2}
+
+
 def test_a_killed_worker_leaves_its_gpu_to_the_next_try(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,7 +176,6 @@ def test_a_killed_worker_leaves_its_gpu_to_the_next_try(
         (["gpus=[]"], r"executor.gpus=\[\] is not possible: give how many"),
         (["gpus=[1,1]"], "give numbers from 0 on, each once"),
         (["gpus=[-1]"], "give numbers from 0 on, each once"),
-        (["gpus=2", "workers=3"], "executor.workers=3 is not possible: each worker has a GPU"),
     ],
 )
 def test_gpus_that_make_no_sense(options: list[str], error: str) -> None:
