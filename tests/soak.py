@@ -4,7 +4,8 @@ For the memory, threads and descriptors of the process, and for its speed, it pr
 much of it the straight line through all measurements rises or falls over them. The first quarter warms up
 and is not counted. Speed is samples a second of processor time (user and system, of all threads) and of the
 wall's clock. What else a machine does slows the latter and, by caches and cores that are shared, the former:
-a fixed piece of work, timed after each iteration, says by how much, and speed is given against it, too.
+a fixed piece of like work (physics and networks), timed after each iteration, says by how much, and speed is
+given against it, too.
 Ends with 1 if memory, threads, descriptors or the speed against the fixed work change by more than 5 %, in
 either direction, or if samples a second of processor time fall by more. ``--out`` appends the figures, with
 the hardware, as a line of JSON::
@@ -24,12 +25,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import understudy_mujoco  # isort: skip  # noqa: F401 - before torch, to tell its threads how to wait
+import mujoco
 import numpy as np
 import torch
 
 from understudy.records import runs
+from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
+from understudy_mujoco.simulator import MujocoSimulator
 
 LIMIT = 0.05
 #: What may not change, and what may not fall: it rises when the machine has less else to do.
@@ -49,14 +53,25 @@ def clocks() -> np.ndarray:
     return np.array([time.process_time(), time.monotonic()])
 
 
-def fixed_work() -> float:
-    """Matrix products and small operations of the size of a training's, in processor seconds."""
-    began, weights = time.process_time(), torch.ones(256, 256) / 256
-    for _ in range(40):
-        value = torch.ones(64, 256)
-        for _ in range(4):
-            value = torch.relu(value @ weights + 0.5 * value)
-    return time.process_time() - began
+class FixedWork:
+    """Physics, matrix products and small operations like a training's, the same each time."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._worlds = [mujoco.MjData(model) for _ in range(16)]
+        self._weights = torch.ones(256, 256) / 256
+
+    def __call__(self) -> float:
+        """Processor seconds that it took."""
+        began = time.process_time()
+        for world in self._worlds:
+            mujoco.mj_resetData(self._model, world)
+            mujoco.mj_step(self._model, world, nstep=55)
+        for _ in range(40):
+            value = torch.ones(64, 256)
+            for _ in range(4):
+                value = torch.relu(value @ self._weights + 0.5 * value)
+        return time.process_time() - began
 
 
 def held() -> dict[str, float]:
@@ -91,6 +106,11 @@ def soak(minutes: float, overrides: tuple[str, ...]) -> dict[str, dict[str, floa
         experiment = load_experiment(overrides)
         training = Training(experiment).prepare()
         training.attach(runs.create(experiment, overrides, training.job.sources()))
+        job = training.job
+        assert isinstance(job, Reinforcement)
+        simulator = job.environment.parts.simulator
+        assert isinstance(simulator, MujocoSimulator)
+        fixed_work = FixedWork(simulator.model)
         samples, before, fixed = 0.0, clocks(), []
         for row in training.rows():
             fixed.append(fixed_work())
