@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 import torch
-from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
-from understudy.errors import ConfigError
 from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout
@@ -23,6 +21,8 @@ from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_tran
 OVERSAMPLING = 4
 #: Half the time difference of the finite-difference velocities, in s.
 _EPSILON = 1.0 / 120.0
+#: A clip closes where its poses so many s before its end and after it differ by less, in m and rad.
+_INSTANT, _CLOSED = 1e-6, 1e-3
 #: s: a motion has ended when so little of it is left.
 _LAST = 1e-4
 
@@ -47,30 +47,14 @@ def difference_qvel(layout: Layout, nv: int, before: Tensor, after: Tensor, dt: 
     return result / dt
 
 
-def low_passed(qvel: Tensor, rate: float, cutoff: float) -> Tensor:
-    """`qvel` (F, nv), `rate` rows a second, without what is faster than `cutoff` Hz: a Butterworth filter
-    of second order, forwards and backwards, so that nothing lags.
-
-    Raises:
-        ConfigError: `cutoff` is not below half of `rate`.
-    """
-    if not cutoff < 0.5 * rate:
-        raise ConfigError(
-            f"motion.velocity_cutoff={cutoff:g} Hz is not below half the {rate:g} rows a second of the "
-            "reference motion. Give a lower one (DeepMimic's is 6), or null."
-        )
-    sections = butter(2, cutoff, fs=rate, output="sos")
-    padded = min(len(qvel) - 1, math.ceil(rate / cutoff))
-    return torch.from_numpy(sosfiltfilt(sections, qvel.numpy(), axis=0, padlen=padded).copy())
-
-
 class ReferenceMotion:
     """The character's reference at any time, from one table, on one device.
 
     The root is lowered or raised by a constant so that the character's lowest point over the clip
-    is on the floor (`ground`). Velocities are those of the poses, without what is faster than
-    `velocity_cutoff` Hz where that is given. Time runs on forever in a looping clip, whose root displacement and turn
-    accumulate cycle by cycle; another clip ends, and what is asked for later is its last pose.
+    is on the floor (`ground`). Velocities are those of the poses; where the ends of a looping clip are not
+    the same pose, they are those within a cycle, not of the jump to the next. Time runs on forever in a
+    looping clip, whose root displacement and turn accumulate cycle by cycle; another clip ends, and what is
+    asked for later is its last pose.
     Joint targets look ahead by as much as the character's servos lag, so that they put the joints on the
     reference.
     """
@@ -84,7 +68,6 @@ class ReferenceMotion:
         control_dt: float,
         device: torch.device | None = None,
         ground: bool = True,
-        velocity_cutoff: float | None = None,
     ) -> None:
         device = device or torch.device("cpu")
         self.clip, self.duration, self.loop = clip, clip.duration, clip.loop
@@ -92,7 +75,6 @@ class ReferenceMotion:
         self._root_dof = layout.root_dof
         rows = max(2, math.ceil(clip.duration / control_dt * OVERSAMPLING) + 1)
         times = torch.linspace(0.0, clip.duration, rows, dtype=torch.float64)
-        self._cutoff = velocity_cutoff
         fields = self._tabulate(character, layout, times, ground)
         self._shapes = {name: tuple(value.shape[1:]) for name, value in fields.items()}
         self._table = torch.cat([v.flatten(1) for v in fields.values()], dim=1).float().to(device)
@@ -114,14 +96,15 @@ class ReferenceMotion:
         for start in (at + 3, *layout.ball_qpos[:, 0].tolist()):
             qpos[:, start : start + 4] = align_signs(qpos[:, start : start + 4])
 
-        def qvel_at(when: Tensor) -> Tensor:
-            centre = when if self.loop else when.clamp(_EPSILON, self.duration - _EPSILON)
-            before, after = qpos_at(centre - _EPSILON), qpos_at(centre + _EPSILON)
-            return difference_qvel(layout, model.nv, before, after, 2 * _EPSILON)
+        def moved(when: Tensor, reach: float) -> Tensor:
+            """The displacement of the figure from `reach` s before `when` to as long after it."""
+            return difference_qvel(
+                layout, model.nv, qpos_at(when - reach), qpos_at(when + reach), 1.0
+            )
 
-        qvel = qvel_at(times)
-        if self._cutoff is not None:
-            qvel = self._filtered(qvel_at, times, self._cutoff)
+        seam = float(moved(times[-1:], _INSTANT).abs().max())
+        inside = times.clamp(_EPSILON, self.duration - _EPSILON)
+        qvel = moved(times if self.loop and seam < _CLOSED else inside, _EPSILON) / (2 * _EPSILON)
         poses = Poses(character, layout)
         self.height_offset = 0.0
         if ground:
@@ -142,15 +125,6 @@ class ReferenceMotion:
             "reference_link_clearances": state["link_clearances"],
             "reference_joint_targets": targets,
         }
-
-    def _filtered(
-        self, qvel_at: Callable[[Tensor], Tensor], times: Tensor, cutoff: float
-    ) -> Tensor:
-        """Velocities at `times`, low-passed; of a looping clip across its seam."""
-        rate = (len(times) - 1) / self.duration
-        more = math.ceil(2 * rate / cutoff) if self.loop else 0
-        rows = torch.arange(-more, len(times) + more, dtype=torch.float64)
-        return low_passed(qvel_at(rows / rate), rate, cutoff)[more : more + len(times)]
 
     def sample(self, time: Tensor) -> dict[str, Tensor]:
         """Reference fields at `time` (N,) s, float32: world-frame fields are where the motion has

@@ -209,6 +209,5 @@ def reference_motion(context: Context) -> ReferenceMotion:
             scene.layout,
             control_dt=context.control_dt,
             device=context.device,
-            velocity_cutoff=motion.velocity_cutoff,
         ),
     )

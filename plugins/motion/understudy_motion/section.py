@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from understudy.inputs import Inputs
-from understudy.options import check_range
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
@@ -25,12 +24,6 @@ class MotionOptions:
     skeleton: str | None = None  #: path of the ASF of an AMC file; None takes the one beside it
     loop: bool | None = None  #: whether a file's motion repeats; None takes the file's word
     rate: float | None = None  #: a file's frames per second, where its frames have no times
-    #: Hz above which the reference's velocities are filtered out; None takes them as they are. DeepMimic's
-    #: code takes 6: a captured cycle that does not quite close has a velocity of its own at the seam.
-    velocity_cutoff: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range(self, "velocity_cutoff", above=0)
 
 
 class Motion:
@@ -47,7 +40,6 @@ class Motion:
             file = str(
                 inputs.file(asked, lambda: library.files(name, options.file, registry, reading))
             )
-        self.velocity_cutoff = options.velocity_cutoff
         self.clip: Clip = library.load(name, file, registry, options.parameters, reading)
 
     def provenance(self) -> dict[str, Any]:

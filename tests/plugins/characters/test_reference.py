@@ -11,11 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, FileError
+from understudy.errors import FileError
 from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout, layout_of
-from understudy_characters.reference import ReferenceMotion, low_passed
+from understudy_characters.reference import ReferenceMotion
 from understudy_humanoid.character import build_spec
 from understudy_humanoid.clips import generated_walk
 from understudy_motion import library
@@ -214,29 +214,14 @@ def unclosed() -> Clip:
     return replace(clip, rotations=pose)
 
 
-def test_a_seam_that_does_not_close_loses_its_velocity_by_a_low_pass(
+def test_a_seam_that_does_not_close_has_no_velocity_of_its_own(
     character: Character, layout: Layout
 ) -> None:
-    def rolling(clip: Clip, cutoff: float | None) -> Tensor:
-        reference = ReferenceMotion(clip, character, layout, control_dt=DT, velocity_cutoff=cutoff)
-        start = reference.sample(torch.tensor([0.0, reference.duration - 1e-5]))
-        return start["reference_qvel"][:, 3].abs().max()
+    """Its first pose is not reached from its last one: 0.1 rad within 1/60 s would be 6 rad/s."""
 
-    closed = rolling(generated_walk(), None)
-    assert rolling(unclosed(), None) > closed + 2.5
-    assert rolling(unclosed(), 6.0) < closed + 1.5
-    assert rolling(generated_walk(), 6.0) == pytest.approx(float(closed), abs=0.1)
+    def rolling(clip: Clip) -> Tensor:
+        reference = ReferenceMotion(clip, character, layout, control_dt=DT)
+        start = reference.sample(torch.linspace(0.0, 0.02, 9))
+        return start["reference_qvel"][:, 3]
 
-
-def test_a_low_pass_leaves_slow_motion_and_takes_fast_one_away_without_lag() -> None:
-    time = torch.arange(480, dtype=torch.float64) / 120
-    slow, fast = torch.sin(2 * math.pi * time), torch.sin(2 * math.pi * 40 * time)
-    passed = low_passed((slow + fast)[:, None], 120.0, 6.0)[:, 0]
-    assert (passed - slow)[40:-40].abs().max() < 0.01
-
-
-def test_a_low_pass_above_what_the_table_holds_is_refused(
-    character: Character, layout: Layout
-) -> None:
-    with pytest.raises(ConfigError, match="velocity_cutoff=60 Hz is not below half"):
-        ReferenceMotion(generated_walk(), character, layout, control_dt=DT, velocity_cutoff=60.0)
+    assert (rolling(unclosed()) - rolling(generated_walk())).abs().max() < 0.05
