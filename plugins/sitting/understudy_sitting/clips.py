@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
@@ -45,7 +46,7 @@ def generated_whole(*, seat_height: float = 0.45, frame_rate: float = 60.0) -> C
     """
     parts = (
         generated_walk(frame_rate=frame_rate),
-        generated_turn_left(angle=3.1416, seconds=3.2, frame_rate=frame_rate),
+        generated_turn_left(angle=math.pi, seconds=3.2, frame_rate=frame_rate),
         generated_sit(seat_height=seat_height, frame_rate=frame_rate),
     )
     whole = _joined([replace(resample(part, frame_rate), loop=False) for part in parts], frame_rate)

@@ -91,10 +91,10 @@ def test_a_share_of_the_episodes_begins_in_the_first_frame() -> None:
     built = build("experiment=sitting/turn_left", "num_worlds=2", *span)
     states, streams = built.environment.parts.initial_states, WorldStreams(1, "first", 2, "cpu")
     starts = torch.cat([states.sample(streams)["motion_start"] for _ in range(1000)])
-    first = torch.isclose(starts, torch.tensor(0.2 * 4.6))
+    first = torch.isclose(starts, torch.tensor(0.2 * 9.0))
     assert float(first.float().mean()) == pytest.approx(0.25, abs=0.04)
-    assert float(starts.min()) == pytest.approx(0.2 * 4.6)
-    assert float(starts.max()) == pytest.approx(4.6, abs=0.05)
+    assert float(starts.min()) == pytest.approx(0.2 * 9.0)
+    assert float(starts.max()) == pytest.approx(9.0, abs=0.1)
 
 
 def test_a_bank_of_another_figure_is_refused(tmp_path: Path) -> None:
