@@ -64,10 +64,10 @@ class Clusters(Curriculum):
     """How many clusters episodes begin with, from ``start`` to ``most`` (section 4.1).
 
     Episodes that end are judged together, ``episodes`` or more at a time, by their mean return, or by
-    the share of them that end with the farthest particle ``within`` (m) of the goal. Where that
-    reaches ``threshold``, there is one cluster more, and only episodes that began with it count. The
-    paper judges single rollouts by a total reward that it does not give; of thousands of worlds a lucky one
-    would always be above it. In an evaluation there are ``most``.
+    the share of them whose last decision began with the farthest particle ``within`` (m) of the goal.
+    Where that reaches ``threshold``, there is one cluster more, and only episodes that began with it
+    count. The paper judges single rollouts by a total reward that it does not give; of thousands of
+    worlds a lucky one would always be above it. In an evaluation there are ``most``.
     """
 
     provides: Mapping[str, Shape] = {"clusters": (), "episode_limit": ()}

@@ -102,8 +102,9 @@ class MaterialMaps(Encoder):
         frame: Literal["tool", "world"] = "tool"
         grid: Grid = Grid()
         centre: tuple[float, float] = (0.0, 0.0)  #: m, of maps in the world's frame
-        #: By what eq. 2's sums are multiplied, so that a layer of particles is about 1. Of smaller
-        #: particles (``scene.resolution``) each counts less: the same material makes the same map.
+        #: By what eq. 2's sums are multiplied, so that a layer of particles is about 1 in cells of
+        #: 0.2 m. Of smaller particles (``scene.resolution``) each counts less: the same material makes
+        #: the same map.
         scale: float = 0.1
         height_scale: float = 1.0  #: 1/m, of heights
 
@@ -157,22 +158,34 @@ def draw_maps(
 
 
 class TableMap(Fields):
-    """How many cells of the table's map have material: ``occupied_cells`` ().
+    """How many cells of a map have material, D > 0: ``occupied_cells`` ().
 
-    These are the cells that eq. 7 and Table 4 count. The map is the world's, so that the tool's motion
-    changes no number.
+    The world's map covers the table; Table 4 counts its cells, and the tool's motion changes no number.
+    In the tool's frame it is "the observed height map", whose cells eq. 7 counts (section 4.6.2): it
+    moves, turns and tilts with the tool as :class:`MaterialMaps` do, and what leaves it counts no more.
     """
 
-    reads = ("particle_position",)
     provides = {"occupied_cells": ()}
 
     @dataclass(frozen=True)
     class Options:
         grid: Grid = Grid()
+        frame: Literal["tool", "world"] = "world"
 
     def __init__(self, options: Options, context: Context) -> None:
         self._grid = options.grid
+        self.reads = ("particle_position",)
+        if options.frame == "tool":
+            self.reads = (*self.reads, "tool_position", "tool_orientation")
 
-    def compute(self, particle_position: Tensor) -> dict[str, Tensor]:
-        occupied = density(particle_position, self._grid) > 0
+    def compute(
+        self,
+        particle_position: Tensor,
+        tool_position: Tensor | None = None,
+        tool_orientation: Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        seen = particle_position
+        if tool_position is not None and tool_orientation is not None:
+            seen = in_tool_frame(seen, tool_position, tool_orientation)
+        occupied = density(seen, self._grid) > 0
         return {"occupied_cells": occupied.float().sum(dim=(1, 2))}

@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def newly_occupied(occupied_cells: Tensor, previous_occupied_cells: Tensor) -> Tensor:
-    """r_hc (eq. 7): how many more cells of the table's map have material."""
+    """r_hc (eq. 7): how many more cells of a map have material."""
     return occupied_cells - previous_occupied_cells
 
 

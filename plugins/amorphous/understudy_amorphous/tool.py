@@ -63,9 +63,10 @@ class ToolTarget(Actuation):
     """Actions are targets for the tool, in its own frame (section 3.3.2); eq. 5 takes it there.
 
     An action's number, squashed by tanh, is the share of its ``reach`` that the target is away along
-    one axis. The frame is the tool's up to its tilt: z is up, x is where it faces. What the tool may
-    not leave stops it. The control is its pose at the end of the control period: position and rotation
-    vector.
+    one axis. The frame is the tool's up to its tilt: z is up, x is where it faces. In every control
+    period, eq. 5's Δt, the target is as far away again: it moves with the tool for as long as the
+    decision lasts. What the tool may not leave stops it. The control is its pose at the end of the
+    control period: position and rotation vector.
     """
 
     reads = ("tool_position", "tool_orientation", "tool_pose", "tool_rate")
@@ -162,7 +163,10 @@ class ToolTarget(Actuation):
 
 
 class ToolState(Encoder):
-    """O_tool = [x, cos r, sin r, ẋ, cos ṙ, sin ṙ] (section 3.3.1), of the axes that the task uses."""
+    """O_tool = [x, cos r, sin r, ẋ, cos ṙ, sin ṙ] (section 3.3.1), of the axes that the task uses.
+
+    Rates ṙ (rad/s) beyond ±π look like others within.
+    """
 
     @dataclass(frozen=True)
     class Options:

@@ -9,8 +9,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from understudy.task import Context
 from understudy_amorphous.maps import (
     Grid,
+    TableMap,
     density,
     density_and_height,
     in_tool_frame,
@@ -119,3 +121,30 @@ def test_the_pile_of_the_spreading_task_covers_a_hundred_cells() -> None:
     x, y = torch.meshgrid(line, line, indexing="ij")
     pile = torch.stack([x.flatten(), y.flatten(), torch.zeros(36)], dim=1).unsqueeze(0)
     assert int((density(pile, GRID) > 0).sum()) == 100
+
+
+def occupied(frame: str, points: torch.Tensor, x: float, yaw: float) -> float:
+    """Cells of the map in `frame` with `points` (1, P, 3), the tool at (x, 0) and leaning."""
+    context = Context(seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.1, substeps=1)
+    part = TableMap(TableMap.Options(GRID, frame), context)  # type: ignore[arg-type]
+    fields = {
+        "particle_position": points,
+        "tool_position": torch.tensor([[x, 0.0, 0.3]]),
+        "tool_orientation": orientation(torch.tensor([[0.0, 0.4, yaw]])),
+    }
+    return float(part.compute(**{name: fields[name] for name in part.reads})["occupied_cells"])
+
+
+def test_the_tools_motion_changes_no_cell_of_the_map_that_covers_the_table() -> None:
+    points = cloud(1, worlds=1, within=2.0)
+    expected = float((density(points, GRID) > 0).sum())
+    assert occupied("world", points, 0.0, 0.0) == occupied("world", points, 4.0, 1.0) == expected
+
+
+def test_the_observed_map_has_the_cells_that_the_policy_sees() -> None:
+    points = cloud(1, worlds=1, within=2.0)
+    pose = torch.tensor([[1.0, 0.0, 0.3]]), orientation(torch.tensor([[0.0, 0.4, 0.7]]))
+    seen = density(in_tool_frame(points, *pose), GRID)
+    assert occupied("tool", points, 1.0, 0.7) == float((seen > 0).sum())
+    assert 0 < occupied("tool", points, 4.5, 0.0) < occupied("tool", points, 0.0, 0.0)
+    assert occupied("tool", points, 9.0, 0.0) == 0.0, "what is off the map counts no more"

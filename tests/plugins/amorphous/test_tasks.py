@@ -20,6 +20,7 @@ from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.testing import check_plugin
+from understudy_amorphous.maps import in_tool_frame
 from understudy_amorphous.report import MapsSection, png
 from understudy_amorphous.tool import orientation
 
@@ -66,6 +67,18 @@ def test_no_block_begins_within_another() -> None:
     place = env.table["particle_position"]
     apart = torch.cdist(place, place) + 9.0 * torch.eye(200)
     assert float(apart.min()) > 0.19
+
+
+@pytest.mark.parametrize("evaluating", [False, True])
+def test_all_material_begins_on_the_map_and_the_goal_never_leaves_it(evaluating: bool) -> None:
+    env = environment("experiment=amorphous/gather", "num_worlds=500", evaluating=evaluating)
+    tool, turn = env.table["tool_position"], env.table["tool_orientation"]
+    effective: Any = load_experiment(["experiment=amorphous/gather"]).effective()
+    grid, limits = effective["encoder"]["image"]["grid"], effective["actuation"]["limits"]
+    reach = 0.5 * grid["cells"] * grid["width"]
+    away = in_tool_frame(env.table["particle_position"], tool, turn)[..., :2].abs().amax(dim=2)
+    assert float(away[env.table["active_particles"] > 0].max()) < reach
+    assert math.hypot(limits["x"][1], limits["y"][1]) < reach, "from a corner, however it is turned"
 
 
 def test_the_same_seed_begins_the_same_and_another_draw_does_not() -> None:
@@ -183,6 +196,27 @@ def test_a_scraper_through_a_pile_occupies_more_cells_and_is_rewarded() -> None:
     total = sum((env.advance(ahead).rewards for _ in range(25)), torch.zeros(2))
     assert bool((env.table["occupied_cells"] > before + 20).all())
     assert bool((total > 3.0).all())
+
+
+@pytest.mark.parametrize("frame", ["tool", "world"])
+def test_cells_are_rewarded_in_the_frame_that_is_chosen(frame: str) -> None:
+    """The scraper leaves the pile: the observed map loses it, the table's does not."""
+    env = environment(
+        "experiment=amorphous/spread", f"fields.observed_map.frame={frame}", "num_worlds=1",
+        "scene.material=granular",
+        *(f"~reward.terms.{name}" for name in ("movement", "lowered", "outliers")),
+    )  # fmt: skip
+    start = env.table["observed_cells"].clone(), env.table["occupied_cells"].clone()
+    total = 0.0
+    for _ in range(45):
+        total += float(env.advance(torch.tensor([[-9.0, 0.0, 0.0, 0.0]])).rewards)
+    gained = float(env.table["observed_cells"] - start[0])
+    assert total == pytest.approx(0.1 * gained, abs=1e-4)
+    assert float(env.measure()["occupied_cells"]) >= 100.0
+    if frame == "world":
+        assert gained == float(env.table["occupied_cells"] - start[1])
+    else:
+        assert gained < -20.0
 
 
 def test_a_toss_turns_the_disk_over() -> None:
