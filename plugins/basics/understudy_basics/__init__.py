@@ -17,6 +17,12 @@ def understudy_register(register: Registrar) -> None:
     add("policy", "cnn", "understudy_basics.policies:CNNPolicy", "image and flat observation")
     for kind in ("measure", "reward"):
         add(kind, "value", "understudy_basics.terms:value", "a field itself")
+    add(
+        "measure",
+        "value_where",
+        "understudy_basics.terms:value_where",
+        "a field where another is not 0",
+    )
     add("termination", "reached", "understudy_basics.terms:reached", "a field is small enough")
     add("termination", "beyond", "understudy_basics.terms:beyond", "a field is too large")
     memories = "understudy_basics.memories"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 
@@ -13,6 +14,14 @@ def _chosen(value: Tensor, index: int | None) -> Tensor:
 def value(value: Tensor, *, index: int | None = None) -> Tensor:
     """The field itself, (N,); of a vector its number `index`."""
     return _chosen(value, index).float()
+
+
+def value_where(value: Tensor, where: Tensor, *, index: int | None = None) -> Tensor:
+    """The field, or its number `index`, where the field ``where`` (N,) is not 0; else NaN, (N,).
+
+    An episode that ends with NaN has none, and means over episodes leave it out.
+    """
+    return torch.where(where != 0, _chosen(value, index).float(), torch.nan)
 
 
 def reached(value: Tensor, *, within: float, index: int | None = None) -> Tensor:

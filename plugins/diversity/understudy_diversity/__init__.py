@@ -21,6 +21,9 @@ _PARTS = {
         "diversity/novel_policies": ("NovelPolicies", "other policies from strategies found"),
     },
     ("novelty", "reward"): {"diversity/novelty": ("Novelty", "unlike the strategies known")},
+    ("count", "command"): {
+        "diversity count": ("Count", "how many different strategies searches found")
+    },
     ("gallery", "sweep_page"): {"diversity/gallery": ("Gallery", "the strategies of a search")},
     ("vault", "scene"): {"diversity/vault": ("VaultScene", "a jumper and a bar, in the plane")},
     ("vault", "simulator"): {"diversity/vault": ("Vault", "a body that tucks and turns in flight")},

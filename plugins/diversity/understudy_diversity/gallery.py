@@ -23,6 +23,7 @@ from understudy_diversity.strategies import (
     DiversityOptions,
     GalleryOptions,
     Strategy,
+    finished_trials,
     kinds,
 )
 from understudy_report import words
@@ -57,11 +58,11 @@ class Gallery(SweepPage):
         chosen = experiment.one("outer_loop")
         if chosen is None or not isinstance(chosen.options, Options):
             return None
-        options, reports = chosen.options, journal.finished
+        options = chosen.options
         known: list[Strategy] = []
         if isinstance(options, NovelPolicies.Options):
             known = known_strategies(options.search, options)
-        own = [(t, reports[t.key]) for t in journal.asked if t.key in reports]
+        own = finished_trials(journal)
         strategies = kinds([*((s.trial, s.report) for s in known), *own], options)
         exhibits = _exhibits(strategies, len(known), folder, options.gallery)
         content = "".join(

@@ -20,6 +20,7 @@ from understudy_diversity.strategies import (
     Strategy,
     check_features,
     feature_of,
+    finished_trials,
     kinds,
 )
 from understudy_sweeps.journal import Journal
@@ -145,6 +146,4 @@ def known_strategies(folder: str, options: NovelPolicies.Options) -> list[Strate
         raise ConfigError(
             f"outer_loop.search={folder} is no folder of a search (understudy sweep)."
         )
-    journal = Journal.read(path)
-    reports = journal.finished
-    return kinds([(t, reports[t.key]) for t in journal.asked if t.key in reports], options)
+    return kinds(finished_trials(Journal.read(path)), options)

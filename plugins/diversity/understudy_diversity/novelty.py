@@ -22,7 +22,7 @@ class Novelty:
     class Options:
         found: tuple[tuple[float, ...], ...]  #: f_i, the features of the strategies that are known
         threshold: float = 0.5 * pi  #: d_threshold
-        metric: Metric = "euclidean"  #: or ``rotation``: the angle between quaternions wxyz
+        metric: Metric = "euclidean"  #: or ``rotation``: the angle, of x axes and z axes
 
         def __post_init__(self) -> None:
             check_range(self, "threshold", above=0)

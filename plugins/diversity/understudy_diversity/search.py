@@ -68,8 +68,6 @@ def model_of(strategies: Strategies, seed: int, number: int) -> tuple[Surrogate,
         return None
     x, _ = strategies.book.places([s.trial for s in shown])
     f = torch.tensor([s.feature for s in shown], dtype=torch.float64)
-    if options.metric == "rotation":  # q and -q are the same: those near the first one
-        f = torch.where(f @ f[0] < 0, -1.0, 1.0)[:, None] * f
     model = Surrogate(
         x, f, list(options.features.values()), random.derive_seed(seed, f"diversity/fit/{number}")
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -13,12 +13,14 @@ import torch
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.space import Parameter, check_paths
+from understudy_sweeps.journal import Journal
 
 SUCCESS = "success_rate"
 Metric = Literal["euclidean", "rotation"]
@@ -63,6 +65,8 @@ class Stalled:
 
     figure: str  #: of the rows with which trials report: curriculum/difficulty, or a measure
     samples: float
+    #: A trial whose figure has come to this is never hopeless: a bar at its target cannot rise.
+    until: float | None = None
 
     def __post_init__(self) -> None:
         check_range(self, "samples", above=0)
@@ -98,6 +102,9 @@ class Patience:
         if value > best:
             self._best[report.key] = (value, report.cost)
             return False
+        until = self._stalled.until
+        if until is not None and best >= until:
+            return False
         return report.cost - since >= self._stalled.samples
 
 
@@ -110,8 +117,8 @@ class DiversityOptions:
     distinct: float  #: distance of features at which strategies are different ones
     trials: int
     initial: int = 2  #: trials at random points, before a model chooses
-    #: Distance of features: of vectors, or the angle in rad between two rotations, whose quaternions
-    #: (w, x, y, z) are four features.
+    #: Distance of features: of vectors, or the angle in rad between two rotations, whose x axes and
+    #: z axes are six features.
     metric: Metric = "euclidean"
     success: float = 0.5  #: success rate from which on a trial shows a strategy
     stalled: Stalled | None = None  #: when a trial is ended early; null is never
@@ -129,7 +136,7 @@ class Told(Protocol):
     """What it takes to tell strategies apart."""
 
     @property
-    def features(self) -> Mapping[str, Feature]: ...
+    def features(self) -> Collection[str]: ...  # by measure
     @property
     def distinct(self) -> float: ...
     @property
@@ -138,22 +145,47 @@ class Told(Protocol):
     def success(self) -> float: ...
 
 
-def check_features(features: Mapping[str, Feature], metric: Metric) -> None:
+def check_features(features: Collection[str], metric: Metric) -> None:
     """Raise a ValueError unless there are features, and as many as the metric takes."""
     if not features:
         raise ValueError("features must not be empty: name measures that tell strategies apart.")
-    if metric == "rotation" and len(features) != 4:
+    if metric == "rotation" and len(features) != 6:
         raise ValueError(
-            f"features has {len(features)} measures: metric=rotation takes a quaternion's four."
+            f"features has {len(features)} measures: metric=rotation takes six, of a rotation's x axis "
+            "and z axis."
         )
 
 
 def distances(a: Tensor, b: Tensor, metric: Metric) -> Tensor:
-    """(…, m, n): between features `a` (…, m, k) and `b` (…, n, k)."""
+    """(…, m, n): between features `a` (…, m, k) and `b` (…, n, k); angles of rotations in rad.
+
+    Two rotations an angle φ apart have matrices that are √8 sin(φ/2) apart.
+    """
     if metric == "euclidean":
         return torch.cdist(a, b)
-    a, b = torch.nn.functional.normalize(a, dim=-1), torch.nn.functional.normalize(b, dim=-1)
-    return 2 * torch.acos((a @ b.mT).abs().clamp(max=1.0))
+    exact = "donot_use_mm_for_euclid_dist"
+    apart = torch.cdist(_completed(a), _completed(b), compute_mode=exact)
+    return 2 * torch.asin((apart / 8**0.5).clamp(max=1.0))
+
+
+def _completed(axes: Tensor) -> Tensor:
+    """(…, 9): the matrices, column by column, of the rotations with the x axes and, as far as these are
+    not along them, the z axes `axes` (…, 6), by Gram and Schmidt."""
+    x, z = axes.split(3, dim=-1)
+    x = normalize(x, dim=-1)
+    z = normalize(z - (x * z).sum(-1, keepdim=True) * x, dim=-1)
+    return torch.cat([x, torch.linalg.cross(z, x), z], dim=-1)
+
+
+def nearest_rotation(axes: Sequence[float]) -> tuple[float, ...] | None:
+    """The x axis and z axis of the rotation nearest to `axes` (6), which are means of such over attempts;
+    None where these cancel out.
+
+    A mean of axes, unlike one of quaternions of whatever sign or of rotation vectors, is near to the
+    rotations of which it is one wherever these are.
+    """
+    left, sizes, right = np.linalg.svd(np.reshape(axes, (2, 3)), full_matrices=False)
+    return tuple((left @ right).ravel().tolist()) if sizes[-1] > 1e-6 else None
 
 
 def alike(features: Tensor, distinct: float, metric: Metric) -> list[int]:
@@ -276,12 +308,20 @@ def feature_of(report: Report, options: Told) -> tuple[float, ...] | None:
     for name in options.features:
         if name not in report.measures:
             raise ConfigError(
-                f"outer_loop.features names '{name}', which trial '{report.key}' did not measure."
+                f"The feature '{name}' is no measure of trial '{report.key}'."
                 f"{suggestion(name, report.measures)}"
             )
     shown = tuple(report.measures[name] for name in options.features)
     succeeded = report.measures.get(SUCCESS, 1.0) >= options.success
-    return shown if succeeded and all(map(math.isfinite, shown)) else None
+    if not succeeded or not all(map(math.isfinite, shown)):
+        return None
+    return nearest_rotation(shown) if options.metric == "rotation" else shown
+
+
+def finished_trials(journal: Journal) -> list[tuple[Trial, Report]]:
+    """In the order in which they were asked for."""
+    reports = journal.finished
+    return [(trial, reports[trial.key]) for trial in journal.asked if trial.key in reports]
 
 
 def kinds(found: Sequence[tuple[Trial, Report]], options: Told) -> list[Strategy]:

@@ -21,6 +21,8 @@ def understudy_register(register: Registrar) -> None:
 
     register.section("arena", f"{_HERE}.arena:ArenaOptions", f"{_HERE}.arena:Arena")
     add("character", "weak_leg", "athletes:build_weak_leg", "the jumper with a weak take-off leg")
+    add("character", "stiff_spine", "athletes:build_stiff_spine", "the jumper, never arched back")
+    add("character", "fixed_knee", "athletes:build_fixed_knee", "the jumper with a knee held bent")
     add("initial_states", "takeoff", "initial_states:Takeoffs", "at take-offs of given features")
     add("initial_states", "harvested", "initial_states:Harvested", "where run-ups ended")
     add("memory", "attempt", "attempt:Attempt", "what was touched and cleared")

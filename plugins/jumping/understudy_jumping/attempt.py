@@ -132,7 +132,7 @@ class Jump(Fields):
     """How the athlete is over the obstacle, and what of its movement counts.
 
     - ``root_orientation`` (3,) rad: the root's rotation in the world, as a rotation vector; and
-      ``root_quaternion`` (4,), of the two that with w >= 0
+      ``root_axes`` (6,), as where its x axis points, then its z axis
     - ``facing_up`` () rad, in [0, pi]: between where the root faces and up; 0 is on its back
     - ``crossing`` () bool: the centre of mass is past the middle of the obstacle
     - ``root_spin`` () rad/s, the size of the root's angular velocity
@@ -150,7 +150,7 @@ class Jump(Fields):
         "difficulty",
     )
     provides: Mapping[str, Shape] = {
-        "root_orientation": (3,), "root_quaternion": (4,), "facing_up": (), "crossing": (), "root_spin": (),
+        "root_orientation": (3,), "root_axes": (6,), "facing_up": (), "crossing": (), "root_spin": (),
         "target_offset": (), "offset_limit": (),
     }  # fmt: skip
 
@@ -179,7 +179,7 @@ class Jump(Fields):
         low, high = self._limit
         return {
             "root_orientation": rotations.to_exponential_map(rotation),
-            "root_quaternion": rotations.canonical(rotation),
+            "root_axes": rotations.tangent_normal(rotation),
             "facing_up": torch.acos(facing.clamp(-1.0, 1.0)),
             "crossing": (subtree_com[:, self._root, 0] >= 0.5 * obstacle_width).float(),
             "root_spin": torch.linalg.vector_norm(qvel[:, self._dof + 3 : self._dof + 6], dim=1),

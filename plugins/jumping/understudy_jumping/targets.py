@@ -12,8 +12,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, box
 from understudy_characters.scene import CharacterScene
-
-Range = tuple[float, float]
+from understudy_pose_vae.limits import Range, servo_axes, target_limits
 
 #: rad, of the right side: about the axes forward, left and up of the zero pose for balls. Ours, from
 #: tables of the ranges of motion of athletes; the left side mirrors the first and the last axis.
@@ -30,7 +29,7 @@ RANGES: dict[str, tuple[Range, ...]] = {
 
 class Targets(Actuation):
     """The action, from the pose `rest` on, is the target of every servo, cut to the joints' `ranges`
-    and `margin` beyond.
+    and `margin` beyond, and to the control ranges of the model's servos.
 
     Within the margin a servo still gives its whole torque at the end of the range. The rest is where
     exploration begins: a swing leg that is not bent there stamps on the ground at once.
@@ -50,34 +49,25 @@ class Targets(Actuation):
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "actuation 'jumping/targets'")
-        known = {
+        joints = scene.layout.joint_names
+        for name in options.rest:
+            if name not in joints:
+                raise ConfigError(
+                    f"actuation.rest: there is no joint '{name}'.{suggestion(name, joints)}"
+                )
+        known: dict[str, tuple[Range, ...]] = {
             name: tuple((low - options.margin, high + options.margin) for low, high in ranges)
             for name, ranges in (RANGES | _left(RANGES)).items()
+            if name in joints
         }
-        joints = scene.layout.joint_names
-        for option, names in (("ranges", options.ranges), ("rest", options.rest)):
-            for name in names:
-                if name not in joints:
-                    raise ConfigError(
-                        f"actuation.{option}: there is no joint '{name}'.{suggestion(name, joints)}"
-                    )
-        for name, ranges in options.ranges.items():
-            if any(low > high for low, high in ranges):
-                raise ConfigError(f"actuation.ranges.{name}={ranges}: the first is the lower one.")
-            known[name] = ranges
-        model, counted = scene.model, dict.fromkeys(joints, 0)
-        found: list[tuple[float, float, float]] = []
-        for actuator in range(model.nu):
-            body = int(model.jnt_bodyid[model.actuator_trnid[actuator, 0]])
-            name = model.body(body).name
-            ranges = known.get(name, ())
-            axis = counted[name]
-            counted[name] += 1
-            least, most = ranges[axis] if axis < len(ranges) else (-torch.pi, torch.pi)
-            rest = (*options.rest.get(name, ()), 0.0, 0.0, 0.0)[axis]
-            found.append((least, most, rest))
-        self._low, self._high, self._rest = torch.tensor(found, device=context.device).unbind(1)
-        self.action_space = box(model.nu)
+        ranges = {**known, **options.ranges}
+        self._low, self._high = target_limits(scene, ranges, context.device, torch.pi)
+        rest = [
+            (*options.rest.get(name, ()), 0.0, 0.0, 0.0)[axis]
+            for name, axis in servo_axes(scene.model)
+        ]
+        self._rest = torch.tensor(rest, device=context.device)
+        self.action_space = box(len(rest))
 
     def control(self, action: Tensor) -> Tensor:
         return (self._rest + action).clamp(self._low, self._high)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from understudy.task import ActionSpace, Actuation, Box, Context, Shape
 from understudy_characters.scene import CharacterScene
 from understudy_pose_vae.features import joint_rotations
 from understudy_pose_vae.job import trained_poses
+from understudy_pose_vae.limits import Range, target_limits
 from understudy_pose_vae.targets import ServoTargets
 
 
@@ -21,6 +22,7 @@ class PoseOffset(Actuation):
 
     a_latent = 0 is the mean code of the clips and a unit one standard deviation. Where the offsets' sum
     of absolute values is above ``offset_limit`` they are scaled down to it, as in the authors' release.
+    Targets are cut to the joints' ``ranges``, and to the control ranges of the model's servos.
 
     It keeps ``pose_offset`` (N, U), a_offset in rad, and ``offset_norm`` (N,), ‖a_offset‖₁ in rad.
     """
@@ -31,6 +33,8 @@ class PoseOffset(Actuation):
         latent_scale: float = 1.0  #: standard deviations of the codes, for one unit of the action
         offset_scale: float = 2.0  #: rad, for one unit of the action; the authors' release has 2
         offset_limit: float | None = None  #: rad, of ‖a_offset‖₁
+        #: rad, of targets, by joint: (least, most) of each axis; unlimited where it is not given.
+        ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:
             check_range(self, "latent_scale", "offset_scale", "offset_limit", above=0)
@@ -42,6 +46,7 @@ class PoseOffset(Actuation):
         self._options, self._network = options, trained.network
         self._joints = len(trained.joints)
         self._targets = ServoTargets(scene.character, trained.joints, source, context.device)
+        self._low, self._high = target_limits(scene, options.ranges, context.device)
         servos, latent = scene.layout.num_actuators, len(trained.network.code_mean)
         self.action_space = ActionSpace({"latent": Box(latent), "offset": Box(servos)})
         self.keeps: Mapping[str, Shape] = {"pose_offset": (servos,), "offset_norm": ()}
@@ -58,7 +63,8 @@ class PoseOffset(Actuation):
         network, latent = self._network, self.action_space.split(action)["latent"]
         code = network.code_mean + self._options.latent_scale * latent * network.code_std
         pose = joint_rotations(network.decoder(code), self._joints)
-        return self._targets(pose) + self._offset(action)
+        target = self._targets(pose) + self._offset(action)
+        return target.clamp(self._low, self._high)
 
     def _offset(self, action: Tensor) -> Tensor:
         offset = self._options.offset_scale * self.action_space.split(action)["offset"]

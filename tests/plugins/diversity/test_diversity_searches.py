@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from landscapes import OPTIONS, Told, carry_on, make, stairs, strategy
 
 from understudy.errors import ConfigError
@@ -18,12 +20,13 @@ from understudy.options import make_options
 from understudy.running.trials import Report, Trial
 from understudy.task import Context
 from understudy_basics import rotations
+from understudy_bayes.space import Parameter
 from understudy_diversity.acquisition import by_direct, by_gradient, expected_novelty, uncertainty
 from understudy_diversity.map_elites import MapElites
 from understudy_diversity.novel_policies import NovelPolicies
 from understudy_diversity.novelty import Novelty
 from understudy_diversity.search import DiversitySearch, RandomDiversity
-from understudy_diversity.strategies import Feature, alike, distances
+from understudy_diversity.strategies import Feature, alike, distances, feature_of
 from understudy_diversity.surrogate import Surrogate
 from understudy_sweeps.journal import Journal
 
@@ -146,6 +149,22 @@ def test_a_trial_that_makes_no_progress_is_ended_early() -> None:
             loops[0].tell(told)
 
 
+def test_a_trial_whose_bar_is_at_its_target_goes_on() -> None:
+    """It cannot rise any more, though the trial may still improve."""
+    loop = make(RandomDiversity, stalled={"figure": "bar", "samples": 2.0, "until": 0.5})
+    trial = loop.ask(0)
+    assert trial is not None
+
+    def told(key: str, bars: list[float]) -> list[str | None]:
+        return [
+            loop.tell(Report(key, "running", None, {"bar": bar}, float(cost)))
+            for cost, bar in enumerate(bars)
+        ]
+
+    assert told(trial.key, [0.4, 0.5, 0.5, 0.5, 0.3, 0.5]) == [None] * 6
+    assert told("lower", [0.4, 0.4, 0.4, 0.4]) == [None, None, "stop", "stop"]
+
+
 def test_a_search_that_only_fails_goes_on() -> None:
     told = carry_on(make(DiversitySearch), lambda trial: {"angle": 0.0, "success_rate": 0.0})
     assert len(set(points(told))) == 8
@@ -155,7 +174,7 @@ def test_a_feature_that_is_not_measured_is_one_sentence() -> None:
     loop = make(DiversitySearch)
     trial = loop.ask(0)
     assert trial is not None
-    with pytest.raises(ConfigError, match="names 'angle', which trial 'trial0' did not measure"):
+    with pytest.raises(ConfigError, match=r"'angle' is no measure of trial 'trial0'.*'angel'"):
         loop.tell(Report(trial.key, "ok", 0.0, {"angel": 1.0}, 10.0))
 
 
@@ -163,7 +182,7 @@ def test_a_feature_that_is_not_measured_is_one_sentence() -> None:
     ("change", "sentence"),
     [
         ({"features": {}}, "features must not be empty"),
-        ({"metric": "rotation"}, "takes a quaternion's four"),
+        ({"metric": "rotation"}, "has 1 measures: metric=rotation takes six"),
         ({"distinct": 0.0}, "distinct=0.0 is not possible"),
         ({"explore": 0, "exploit": 0}, "explore=0 is not possible with exploit=0"),
         ({"features": {"angle": {"low": 1.0, "high": 1.0}}}, "low=1 is not possible"),
@@ -189,13 +208,92 @@ def test_alike_are_those_near_to_all_others_of_their_kind() -> None:
     assert alike(torch.tensor([[0.0], [1.0]], dtype=torch.float64), 1.0, "euclidean") == [0, 1]
 
 
-def test_rotations_are_apart_by_their_angle() -> None:
-    q = rotations.from_axis_angle(
-        torch.tensor([0.0, 0.0, 1.0]), torch.tensor([0.0, 0.5, 3.0, math.pi])
-    ).double()
-    found = distances(q[:1], q, "rotation")
-    assert torch.allclose(found, torch.tensor([[0.0, 0.5, 3.0, math.pi]]).double(), atol=1e-3)
-    assert torch.allclose(distances(q[:1], -q, "rotation"), found)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def drawn(seed: int, count: int) -> torch.Tensor:
+    """Quaternions (count, 4) of rotations drawn uniformly."""
+    stream = torch.Generator().manual_seed(seed)
+    return rotations.normalize(torch.randn(count, 4, generator=stream))
+
+
+def turned(q: torch.Tensor, axis: torch.Tensor, angle: float | torch.Tensor) -> torch.Tensor:
+    return rotations.multiply(q, rotations.from_axis_angle(axis, torch.as_tensor(angle)))
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds, st.floats(0.0, math.pi))
+def test_rotations_are_apart_by_their_angle(seed: int, angle: float) -> None:
+    q, axis = drawn(seed, 1), rotations.normalize(drawn(seed + 1, 1)[:, 1:])
+    a, b = (rotations.tangent_normal(p) for p in (q, turned(q, axis, angle)))
+    assert distances(a, a, "rotation").item() == 0.0
+    assert distances(a, b, "rotation").item() == pytest.approx(angle, abs=2e-3)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds)
+def test_axes_are_completed_to_rotations(seed: int) -> None:
+    """Of any length, and the z axis with any part along the x axis."""
+    axes = rotations.tangent_normal(drawn(seed, 8)).double()
+    x, z = axes.split(3, dim=-1)
+    skewed = torch.cat([2.0 * x, 0.3 * z + 0.7 * x], dim=-1)
+    assert distances(skewed, axes, "rotation").diagonal().max() < 1e-6
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds)
+def test_the_mean_of_attempts_near_half_a_turn_is_near_to_them(seed: int) -> None:
+    """512 rotations by 0.99 π about any axis, with a noise of 0.15 rad about each axis."""
+    axis = rotations.normalize(drawn(seed, 1)[:, 1:])
+    q = turned(torch.tensor([[1.0, 0.0, 0.0, 0.0]]), axis, 0.99 * math.pi)
+    noise = 0.15 * torch.randn(512, 3, generator=torch.Generator().manual_seed(seed))
+    seen = rotations.tangent_normal(rotations.multiply(q, rotations.from_exponential_map(noise)))
+    found = shown_rotation(seen.mean(0).tolist())
+    assert found is not None
+    f = torch.tensor([found])
+    assert distances(f, rotations.tangent_normal(q), "rotation").item() < 0.05
+    assert torch.allclose(f.view(2, 3) @ f.view(2, 3).T, torch.eye(2), atol=1e-5)
+
+
+def shown_rotation(means: list[float]) -> tuple[float, ...] | None:
+    """The feature of a trial that measured these axes."""
+    options = DiversitySearch.Options(**rotation_options())
+    measures = {**dict(zip(AXES, means, strict=True)), "success_rate": 1.0}
+    return feature_of(Report("trial0", "ok", 1.0, measures), options)
+
+
+AXES = [f"{axis}{k}" for axis in "xz" for k in range(3)]
+
+
+def rotation_options() -> dict[str, Any]:
+    return {
+        "parameters": {"a.x": Parameter(0.0, 1.0)},
+        "features": {name: Feature(-1.0, 1.0) for name in AXES},
+        "distinct": 0.5,
+        "trials": 6,
+        "metric": "rotation",
+    }
+
+
+def test_axes_that_cancel_out_are_no_rotation() -> None:
+    assert shown_rotation([0.0] * 6) is None
+    assert shown_rotation([1.0, 0.0, 0.0, 0.5, 0.0, 0.0]) is None
+    assert shown_rotation([1.0, 0.0, math.nan, 0.0, 0.0, 1.0]) is None
+
+
+def test_a_search_of_rotations_finds_them() -> None:
+    """On both sides of half a turn about z."""
+
+    def shown(trial: Trial) -> dict[str, float]:
+        q = rotations.from_heading(
+            torch.tensor(math.pi + math.copysign(0.5, trial.point["a.x"] - 0.5))
+        )
+        axes = (0.9 * rotations.tangent_normal(q)).tolist()
+        return {**dict(zip(AXES, axes, strict=True)), "success_rate": 1.0}
+
+    loop = DiversitySearch(DiversitySearch.Options(**rotation_options()))
+    carry_on(loop, shown)
+    assert loop.summary()[-1]["different"] == 2
 
 
 # ---------------------------------------------------------------- the model
@@ -283,9 +381,11 @@ def test_novelty_is_equation_4_11() -> None:
     reward = Novelty(Novelty.Options(((0.0,), (2.0,)), threshold=1.0), context)
     found = reward(torch.tensor([0.0, 0.5, 1.0, 5.0]))
     assert torch.allclose(found, torch.tensor([0.01, 0.5, 1.0, 1.0]))
-    turned = Novelty(Novelty.Options(((1.0, 0.0, 0.0, 0.0),), metric="rotation"), context)
+    upright = ((1.0, 0.0, 0.0, 0.0, 0.0, 1.0),)
+    seen = Novelty(Novelty.Options(upright, metric="rotation"), context)
     q = rotations.from_axis_angle(torch.tensor([1.0, 0.0, 0.0]), torch.tensor([math.pi / 4]))
-    assert turned(-q).item() == pytest.approx(0.5, abs=1e-3)
+    assert seen(rotations.tangent_normal(q)).item() == pytest.approx(0.5, abs=1e-3)
+    assert seen(torch.zeros(1, 6)).isfinite().all()  # of an episode that has none yet
 
 
 def test_a_feature_of_other_numbers_is_one_sentence() -> None:

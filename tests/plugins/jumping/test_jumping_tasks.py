@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,8 +13,10 @@ import pytest
 import torch
 from worlds import SMALL, assert_same_state, make_training
 
+from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.running.environment import Environment
+from understudy.running.evaluation import Measured
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
@@ -150,7 +154,6 @@ def test_variations_are_what_they_say(plugins: Plugins) -> None:
         return built.scene, built.environment
 
     strong, env = scene_of("experiment=jumping/high")
-    wide = env.parts.actuation.part.control(torch.full((1, 28), -9.0))[0]
     env.close()
     weak, env = scene_of("experiment=jumping/weak_leg")
     env.close()
@@ -159,17 +162,6 @@ def test_variations_are_what_they_say(plugins: Plugins) -> None:
         share = 0.6 if name.startswith(("right_hip", "right_knee", "right_ankle")) else 1.0
         expected = share * strong.model.actuator_forcerange[i]
         np.testing.assert_allclose(weak.model.actuator_forcerange[i], expected)
-    _, env = scene_of("experiment=jumping/stiff_spine")
-    stiff = env.parts.actuation.part.control(torch.full((1, 28), -9.0))[0]
-    env.close()
-    changed = [names[i] for i in range(28) if wide[i] != stiff[i] and names[i] == "chest_y"]
-    assert changed == ["chest_y"]
-    assert float(stiff[names.index("chest_y")]) == 0.0
-    _, env = scene_of("experiment=jumping/fixed_knee")
-    for action in (-9.0, 9.0):
-        control = env.parts.actuation.part.control(torch.full((1, 28), action))[0]
-        assert float(control[names.index("left_knee")]) == pytest.approx(1.6)
-    env.close()
     mars, env = scene_of("experiment=jumping/mars")
     assert mars.model.opt.gravity[2] == -3.711
     env.close()
@@ -177,6 +169,109 @@ def test_variations_are_what_they_say(plugins: Plugins) -> None:
     (attempt,) = (c for c in experiment.many("memory") if c.name == "attempt")
     assert attempt.options.landing == "feet"
     assert experiment.need("initial_states").options.takeoff.omega_z == -0.26
+
+
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a small pose auto-encoder."""
+    folder = tmp_path_factory.mktemp("poses") / "run"
+    small = ["job.clips=[walk]", "job.latent=4", "job.hidden=[16,16]", "budget.samples=2000"]
+    quick = ["evaluation.episodes=8", "evaluation.final_episodes=8", f"run.dir={folder}"]
+    assert main(["train", "experiment=pose_vae/generated", *small, *quick]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("by", ["jumping/targets", "jumping/poses"])
+def test_a_stiff_spine_and_a_fixed_knee_hold_whatever_acts(
+    plugins: Plugins, poses: Path, by: str
+) -> None:
+    """Section 4.7.2; only the spine's bending backwards, or the swing leg's knee, differs."""
+    chosen = [] if by == "jumping/targets" else [f"actuation={by}", f"actuation.run={poses}"]
+
+    def reached(name: str) -> dict[str, tuple[float, float]]:
+        """By servo, the lowest and the highest target."""
+        env = environment(plugins, f"experiment=jumping/{name}", "num_worlds=1", *chosen)
+        model = env.parts.simulator.model  # type: ignore[attr-defined]
+        names = [model.actuator(i).name for i in range(model.nu)]
+        found = []
+        for far in (-9.0, 9.0):
+            action = torch.zeros(1, env.action_size)
+            action[:, -28:] = far  # of poses the offsets
+            found.append(env.parts.actuation.part.control(action)[0].tolist())
+        env.close()
+        return dict(zip(names, zip(*found, strict=True), strict=True))
+
+    free = reached("high")
+    stiff, fixed = reached("stiff_spine"), reached("fixed_knee")
+    assert free["chest_y"][0] < -0.5
+    assert stiff["chest_y"][0] == 0.0
+    assert stiff["chest_y"][1] == pytest.approx(min(free["chest_y"][1], np.pi))
+    assert fixed["left_knee"] == pytest.approx((1.6, 1.6), abs=0.002)
+    assert {n for n in free if stiff[n] != free[n]} == {"chest_y"}
+    assert {n for n in free if fixed[n] != free[n]} == {"left_knee"}
+
+
+def test_attempts_that_never_cross_show_no_strategy(plugins: Plugins) -> None:
+    """Means over attempts leave them out; before, they counted as lying on their backs."""
+    env = environment(
+        plugins, "task=jumping/high", "control.substeps=5", "initial_states.noise=0.0"
+    )
+    names = [name for name in env.measure() if name.startswith("strategy_")]
+    assert len(names) == 3 + 6 + 1
+    starts = env.parts.initial_states
+    begin = starts.sample
+
+    def moved(*given: Any, **fields: Any) -> dict[str, torch.Tensor]:
+        """The last two worlds begin behind the bar, high above it."""
+        states = begin(*given, **fields)
+        states["qpos"][2:, 0] += 3.0
+        states["qpos"][2:, 2] += 3.0
+        return states
+
+    starts.sample = moved  # type: ignore[method-assign]
+    env.reset(seed=0)
+    env.step(torch.zeros(4, env.action_size))
+    found = {name: value for name, value in env.measure().items() if name in names}
+    for value in found.values():
+        assert value[:2].isnan().all()
+        assert value[2:].isfinite().all()
+    angle = found["strategy_angle"]
+    assert float(angle[2]) > 1.0, "it stands upright"
+    assert Measured.of("last", angle).mean == pytest.approx(float(angle[2:].mean()))
+    # neither a step's rewards nor the statistics of episodes are made of measures
+    for _ in range(20):
+        step = env.step(torch.zeros(4, env.action_size))
+        assert step.rewards.isfinite().all()
+        assert not step.unsound.any()
+    assert all(np.isfinite(list(env.statistics.collect().values())))
+    env.close()
+
+
+def test_an_evaluation_in_which_nobody_crosses_is_written(plugins: Plugins) -> None:
+    training = make_training(
+        plugins, ["task=jumping/high", *SMALL, "num_worlds=4", "control.substeps=5",
+                  "learner.rollout_steps=4", "evaluation.episodes=4"],
+    )  # fmt: skip
+    row = training.job.evaluate("here", 4).as_json(0)
+    assert json.dumps(row, allow_nan=False), "of no attempt at all"
+    training.close()
+
+
+@pytest.mark.parametrize("name", ["high", "obstacle", "high_novel"])
+def test_searches_wait_where_a_bar_has_come_to_its_target(plugins: Plugins, name: str) -> None:
+    words = [f"search=jumping/{name}", "simulator=mujoco", "difficulty=0.2"]
+    if name == "high_novel":
+        words.append("outer_loop.search=runs/high")
+    experiment = load_experiment(words, plugins)
+    search = experiment.need("outer_loop").options
+    assert search.stalled.until == 0.2
+    assert set(search.features) <= {c.name for c in experiment.many("measure")}
+    if name == "high_novel":
+        bar = experiment.need("curriculum").options
+        learner = experiment.need("learner").options
+        samples = experiment.root.num_worlds * learner.rollout_steps
+        first = 4096 * bar.threshold / 0.01  # samples until the bar rises, of the highest reward
+        assert samples < first < search.stalled.samples
 
 
 def test_a_training_learns_and_resumes_exactly(plugins: Plugins) -> None:

@@ -157,6 +157,36 @@ def test_offsets_are_limited_together(run: Path) -> None:
     assert torch.allclose(kept["offset_norm"], torch.tensor([0.56, 3.0, 3.0, 3.0]), atol=1e-5)
 
 
+def test_targets_are_cut_to_ranges(run: Path) -> None:
+    ranges = "{chest: [[-0.1, 0.2], [0.0, 0.3]], left_knee: [[0.5, 0.5]]}"
+    job = in_task(run, f"+actuation.ranges={ranges}").job
+    assert isinstance(job, Reinforcement)
+    actuation = job.environment.parts.actuation.part
+    offsets = torch.full((4, 28), 5.0)
+    offsets[:2] *= -1.0
+    targets = actuation.control(torch.cat([torch.zeros(4, 4), offsets], dim=1))
+    scene = job.environment.parts.simulator
+    model = scene.model  # type: ignore[attr-defined]
+    column = {model.actuator(i).name: i for i in range(model.nu)}
+    for name, expected in {
+        "chest_x": (-0.1, 0.2), "chest_y": (0.0, 0.3), "left_knee": (0.5, 0.5),
+    }.items():  # fmt: skip
+        assert targets[[0, 2], column[name]].tolist() == pytest.approx(expected)
+    assert targets[2, column["chest_z"]] > 9, "not limited"
+
+
+@pytest.mark.parametrize(
+    ("ranges", "sentence"),
+    [
+        ("{tail: [[0.0, 1.0]]}", "there is no joint 'tail'"),
+        ("{left_knee: [[1.0, 0.0]]}", "the first is the lower one"),
+    ],
+)
+def test_ranges_that_cannot_be_are_one_sentence(run: Path, ranges: str, sentence: str) -> None:
+    with pytest.raises(UnderstudyError, match=sentence):
+        in_task(run, f"+actuation.ranges={ranges}")
+
+
 def test_naturalness_is_equation_4_3() -> None:
     norm = torch.tensor([0.0, 12.0, 24.0, 48.0, 100.0])
     assert torch.allclose(naturalness(norm), torch.tensor([1.0, 0.9375, 0.75, 0.0, 0.0]))

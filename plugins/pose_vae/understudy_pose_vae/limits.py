@@ -1,0 +1,62 @@
+"""How far the targets of a character's servos may go."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, suggestion
+from understudy_characters.scene import CharacterScene
+
+Range = tuple[float, float]
+
+
+def servo_axes(model: mujoco.MjModel) -> list[tuple[str, int]]:
+    """Of each servo the joint that it drives, by the name of its body, and about which of its axes."""
+    seen: Counter[str] = Counter()
+    found = []
+    for servo in range(model.nu):
+        name = model.body(int(model.jnt_bodyid[model.actuator_trnid[servo, 0]])).name
+        found.append((name, seen[name]))
+        seen[name] += 1
+    return found
+
+
+def target_limits(
+    scene: CharacterScene,
+    ranges: Mapping[str, Sequence[Range]],
+    device: torch.device,
+    otherwise: float = math.inf,
+) -> tuple[Tensor, Tensor]:
+    """Least and most target of each servo, each (U,) rad: by joint (least, most) of each axis, and
+    `otherwise` either way; nowhere beyond the control range that the model gives a servo.
+
+    Raises
+    ------
+    ConfigError
+        if `ranges`, the option of an actuation, names no joint of the character, or the first of a
+        range is the higher one.
+    """
+    joints, model = scene.layout.joint_names, scene.model
+    for name, axes in ranges.items():
+        if name not in joints:
+            raise ConfigError(
+                f"actuation.ranges: there is no joint '{name}'.{suggestion(name, joints)}"
+            )
+        if any(low > high for low, high in axes):
+            raise ConfigError(f"actuation.ranges.{name}={axes}: the first is the lower one.")
+    found = []
+    for servo, (name, axis) in enumerate(servo_axes(model)):
+        axes = ranges.get(name, ())
+        low, high = axes[axis] if axis < len(axes) else (-otherwise, otherwise)
+        if model.actuator_ctrllimited[servo]:
+            least, most = map(float, model.actuator_ctrlrange[servo])
+            low, high = max(low, least), min(high, most)
+        found.append((low, high))
+    low, high = torch.tensor(found, device=device).unbind(1)
+    return low, high
