@@ -331,8 +331,7 @@ class Evaluator:
         allowed: float = math.inf,
         on_step: Callable[[Tensor], None] | None = None,
     ) -> tuple[dict[str, Tensor], bool]:
-        """What was found of each of `count` episodes, and whether all of them were run: it is given up
-        when more than `allowed` are lost."""
+        """What `count` episodes gave, and whether all were run: not if more than `allowed` were lost."""
         environment = self.built.environment
         observations = environment.reset(self._seed, draw)
         self._running.fill_(True)
@@ -372,10 +371,11 @@ class Evaluator:
         return {name: value[:count].clone() for name, value in found.items()}, complete
 
     def _within(self, allowed: float, count: int) -> bool:
-        """Whether the success rate can still be reached; a measure is only known in the end."""
-        if self.success is None or self.success.measure is not None:
+        """Whether the success rate can still be reached: of episodes that are over, all is known."""
+        if self.success is None:
             return True
-        won = self.success.of(self._failed, self._fired, {})
+        measures = {name: reducer.result() for name, reducer in self._reducers.items()}
+        won = self.success.of(self._failed, self._fired, measures)
         return int((~self._running & ~won)[:count].sum()) <= allowed
 
     def close(self) -> None:

@@ -262,8 +262,9 @@ class Training:
 
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
         draw = f"{kind}/{self.progress.evaluations + 1}"
+        least = criterion if self.experiment.root.evaluation.give_up else None
         with StopRequest(at_once=True):  # it may take minutes, and can be made again
-            evaluation = self.job.evaluate(draw, episodes, give_up_below=criterion)
+            evaluation = self.job.evaluate(draw, episodes, give_up_below=least)
         self.reporter.message(
             f"{kind.capitalize()} at {self.progress.samples:,} samples: {evaluation.sentence()}"
         )

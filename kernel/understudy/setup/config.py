@@ -83,6 +83,7 @@ class EvaluationOptions:
     #: Success rate at which a training is done, on one draw of starts and then, confirmed, on a
     #: second; null trains to the budget.
     criterion: float | None = None
+    give_up: bool = True  #: once the criterion is out of reach; its measures are then not recorded
     #: An evaluation starts when training episodes would last this share of its seconds …
     gate: float = 0.3
     #: … and this many samples were consumed since the last one; null is 100 000 where there is a

@@ -44,7 +44,9 @@ class Controller(nn.Module):
             if there is no such run, or its checkpoint does not fit its configuration.
         """
         assert context.registry is not None
-        experiment = runs.open_run(run).experiment(context.registry)
+        source = runs.open_run(run)
+        config = {key: value for key, value in source.config.items() if key != "simulator"}
+        experiment = source.experiment(context.registry, config)  # it acts on this task's
         control = experiment.root.control
         if abs(1.0 / control.frequency - context.control_dt) > 1e-9 or control.decision != 1:
             raise ConfigError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -28,8 +28,8 @@ from understudy_basics import bank
 class Harvest(Job):
     """Runs a finished run's policy in its own task until enough episodes ended as they should.
 
-    The worlds' number, device and seed are those of this run; it leaves the bank ``bank`` in its
-    folder.
+    The worlds' number, device and seed are those of this run, and so is the simulator where it sets one
+    (``simulator=``); it leaves the bank ``bank`` in its folder.
     """
 
     @dataclass(frozen=True)
@@ -55,7 +55,12 @@ class Harvest(Job):
         self._source = runs.open_run(options.run)
         own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
         config = {**self._source.config, **own, "start": None}
-        self._experiment = self._source.experiment(experiment.registry, config)
+        simulator = experiment.choices["simulator"]
+        if simulator:  # it need not be the one that the policy learned with
+            del config["simulator"]
+        found = self._source.experiment(experiment.registry, config)
+        chosen = {**found.choices, "simulator": simulator or found.choices["simulator"]}
+        self._experiment = replace(found, choices=chosen)
         self._built: Built | None = None
         self._found: dict[str, Tensor] = {}
         self._barren = 0  #: iterations in a row that found nothing

@@ -183,6 +183,14 @@ class Book:
         """The fidelity of `trial` in [0, 1]."""
         return 1.0 if self.fidelity is None else self.fidelity.z(trial)
 
+    def whole(self, key: str) -> bool:
+        """Whether the trial `key` gave what it gives at full fidelity: at z = 1, or where the fidelity is a
+        budget, of which it had some left when it was done."""
+        option = "" if self.fidelity is None else self.fidelity.option
+        report = self.reports.get(key)
+        left = report is not None and report.outcome in ("criterion", "finished")
+        return self.z(self.trials[key]) >= 1 - 1e-9 or (option.startswith("budget.") and left)
+
     def data(self) -> Data:
         """The finished trials."""
         trials = [self.trials[key] for key in self.reports]
@@ -209,23 +217,22 @@ class Book:
         found = {
             key: y
             for key, report in self.reports.items()
-            if (y := self.y(report)) is not None
-            and (not whole or self.z(self.trials[key]) >= 1 - 1e-9)
+            if (y := self.y(report)) is not None and (not whole or self.whole(key))
         }
         return max(found, key=lambda key: found[key], default=None)
 
     def summary(self) -> list[dict[str, Any]]:
-        """A row for each trial. ``z`` is its fidelity of whatever kind, 1 for whole ones; ``best`` is the highest y of a whole trial up to it; ``found`` marks
-        the search's answer, and the highest y of all where that is another one (algorithm 4 as
-        printed, which compares values of different fidelities); the latter says when there is no
-        answer."""
+        """A row for each trial. ``z`` is its fidelity of whatever kind, ``whole`` as above; ``best`` is the
+        highest y of a whole trial up to it; ``found`` marks the search's answer, and the highest y of
+        all where that is another one (algorithm 4 as printed, which compares values of different
+        fidelities); the latter says when there is no answer."""
         answer, highest = self.best(), self.best(whole=False)
         of_all = "highest y" if answer else "highest y; no trial at full fidelity, so no answer"
         rows, best = [], None
         for key, trial in self.trials.items():
             report = self.reports.get(key)
             y = None if report is None else self.y(report)
-            if y is not None and self.z(trial) >= 1 - 1e-9:
+            if y is not None and self.whole(key):
                 best = y if best is None else max(best, y)
             rows.append(
                 {
@@ -233,6 +240,7 @@ class Book:
                     **trial.point,
                     "fidelity": trial.fidelity,
                     "z": self.z(trial),
+                    "whole": self.whole(key),
                     "start": (trial.start or {}).get("trial"),
                     "status": "running" if report is None else report.status.partition(":")[0],
                     "objective": None if report is None else report.objective,

@@ -27,7 +27,7 @@ class CMFBO(OuterLoop):
     """Easy tasks find where to look, and hard ones are asked about only there (algorithms 3 and 4).
 
     A trial is trained and judged at a difficulty; one above the least begins with the policy of the
-    nearest earlier trial. The answer is the highest y among the trials at full difficulty: algorithm
+    nearest easier trial. The answer is the highest y among the trials at full difficulty: algorithm
     4 returns the highest of all, but an easy task's value says nothing about the task's.
     """
 
@@ -45,6 +45,9 @@ class CMFBO(OuterLoop):
         reserve: float = 0.25
         #: Whether trials above z_min begin with the nearest earlier one's policy (section 6.3.3) …
         transfer: bool = True
+        #: … of an easier task alone: one that has learned this very task makes any point look good.
+        #: False lets any trial be begun from, as the section has it.
+        easier: bool = True
         #: … and with which parts of it.
         parts: tuple[Part, ...] = ("actor", "critic", "normaliser")
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
@@ -98,6 +101,8 @@ class CMFBO(OuterLoop):
         """The policy to begin with: that of the earlier trial most correlated with (x, z)."""
         book, options = self._book, self._options
         done = [book.trials[key] for key, r in book.reports.items() if r.status == "ok"]
+        if options.easier:
+            done = [trial for trial in done if book.z(trial) < z - 1e-9]
         if not options.transfer or z <= Z_MIN or not done:
             return None
         near = model.correlation(x, torch.tensor(z), *book.places(done)).argmax()

@@ -36,7 +36,8 @@ from understudy_sweeps.trial import written
 
 _NOTES = (
     "A search's best value is the highest y (the objective, scaled by eq. 6.5 where the search says so) "
-    "among its trials at full fidelity; before the first of those it has none.",
+    "among its trials at full fidelity; before the first of those it has none. Where the fidelity is a "
+    "budget, a trial that was done before it ended counts: more would not have changed it.",
     "Means over seeds [95 % interval of the mean, Student's t] (seeds with a value); one seed has no "
     "interval. Differences are taken seed by seed: an interval without 0 in it is one that these seeds show.",
     "Bold: the mean over seeds, where all of them have a value; band: its 95 % interval, or least to "
@@ -231,7 +232,7 @@ def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
         else:
             loop.recall(event)
     rows = {row.get("trial"): row for row in loop.summary()}
-    if not all({"y", "z"} <= row.keys() for row in rows.values()):
+    if not all({"y", "whole"} <= row.keys() for row in rows.values()):
         raise ConfigError(
             f"{type(loop).__name__} does not say what its trials are worth, so it cannot be compared "
             "with other searches. Choose one of `bayes` or `cmfbo`."
@@ -240,7 +241,7 @@ def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
     for key, report in journal.finished.items():  # in the order in which they ended
         row = rows[key]
         spent += report.cost
-        if row["z"] >= 1 - 1e-9:
+        if row["whole"]:
             whole += 1
             if row["y"] is not None:
                 best = np.fmax(best, row["y"])

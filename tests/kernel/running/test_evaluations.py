@@ -366,6 +366,43 @@ def test_a_success_term_that_may_still_come_is_not_out_of_reach() -> None:
     assert (found.complete, found.success_rate) == (False, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("limit", "criterion", "complete"),
+    [("at_most", 0.5, True), ("at_most", 0.75, False), ("at_least", 0.75, True)],
+)
+def test_what_a_measure_says_of_episodes_that_are_over_is_final(
+    limit: str, criterion: float, complete: bool
+) -> None:
+    """Two of four end at once with a large measure; that of the others, who go on, may still grow."""
+    made = evaluator(
+        far(6),
+        "evaluation.seconds=60",
+        "+measure.at={name: line/value}",
+        f"evaluation.success={{measure: at, {limit}: 1}}",
+    )
+    made.built.environment.parts.initial_states.sample = (  # type: ignore[method-assign]
+        lambda streams, **fields: {"x": torch.tensor([[0.0], [6.0], [0.0], [7.0]])}
+    )
+    found = made.run(policy(0), "a", 4, give_up_below=criterion)
+    assert (found.complete, found.success_rate) == (complete, 0.5)
+
+
+def test_evaluations_that_are_not_given_up_record_their_measures(tmp_path: Path) -> None:
+    """Two of four worlds fail at once, so that the criterion is out of reach."""
+    overrides = [*LINE_TASK, far(600), "evaluation.criterion=0.9", "evaluation.every_samples=0", "evaluation.gate=0", "evaluation.seconds=60", "evaluation.episodes=4", "budget.samples=16"]  # fmt: skip
+    for give_up in (True, False):
+        own = [*overrides, f"evaluation.give_up={give_up}"]
+        training = make_training(line_plugins(), own, tmp_path / str(give_up))
+        starts = training.job.evaluator.built.environment.parts.initial_states
+        starts.sample = lambda streams, **fields: {
+            "x": torch.tensor([[0.0], [600.0], [0.0], [700.0]])
+        }
+        training.train()
+        row = training.run.metrics()[0]
+        assert ("evaluation/success_rate_at_most" in row) is give_up
+        assert ("evaluation/return" in row) is not give_up
+
+
 def test_only_first_episodes_count() -> None:
     """Worlds 2 and 3 succeed early, and what they begin with next fails at once."""
     made = evaluator(far(5, "success", "there"), far(50), "+measure.at={name: line/value}")

@@ -131,6 +131,29 @@ def test_the_answer_is_a_whole_trial() -> None:
     assert rows[2]["a.x"] == 0.4
 
 
+@pytest.mark.parametrize(
+    ("option", "outcome", "whole"),
+    [
+        ("budget.samples", "criterion", True),
+        ("budget.samples", "budget", False),
+        ("budget.samples", "stopped", False),
+        ("learner.batch", "criterion", False),
+    ],
+)
+def test_a_trial_that_was_done_within_a_smaller_budget_is_whole(
+    option: str, outcome: str, whole: bool
+) -> None:
+    fidelity = Fidelity(option, low=100, high=1000, integer=True)
+    b = Book(SearchOptions(parameters=SPACE, trials=20), fidelity)
+    for number, z in enumerate([0.5, 1.0]):
+        b.ask(number, [0.5, 0.5], z)
+    tell(b, 0, 0.9, outcome=outcome)
+    tell(b, 1, 0.4, outcome="budget")
+    assert [row["whole"] for row in b.summary()] == [whole, True]
+    assert b.best() == ("trial0" if whole else "trial1")
+    assert b.data().z.tolist() == pytest.approx([0.5, 1.0])  # the model learns at which z it was
+
+
 def test_trials_of_another_search_are_refused() -> None:
     b = book()
     trial = b.ask(0, [0.5, 0.5], 0.0)

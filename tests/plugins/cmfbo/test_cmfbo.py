@@ -69,14 +69,21 @@ def test_a_stopped_search_ends_with_the_same_trials(told: Told, cut: int) -> Non
 
 
 def test_policies_are_handed_on(told: Told) -> None:
-    """From z_min upwards, each from an earlier finished trial, and one that is near."""
-    seen: list[str] = []
+    """From z_min upwards, each from an earlier finished trial of an easier task."""
+    seen: dict[str, float] = {}
     for trial in trials(told):
+        assert trial.fidelity is not None
         assert (trial.start is None) == (trial.fidelity == 0.0)
         if trial.start is not None:
-            assert trial.start["trial"] in seen
+            assert seen[trial.start["trial"]] < trial.fidelity
             assert trial.start["parts"] == ["actor", "critic", "normaliser"]
-        seen.append(trial.key)
+        seen[trial.key] = trial.fidelity
+
+
+def test_as_printed_a_whole_trial_may_begin_from_a_whole_one() -> None:
+    told = trials(carry_on(make(epsilon=10.0, trials=12, easier=False), valley))
+    whole = [t.key for t in told if t.fidelity == 1.0]
+    assert any((t.start or {}).get("trial") in whole for t in told)
 
 
 def test_the_nearest_trial_is_the_most_correlated_one() -> None:
@@ -93,6 +100,7 @@ def test_the_nearest_trial_is_the_most_correlated_one() -> None:
     here = torch.tensor([0.65, 2 / 3]).double()
     found = loop._nearest(model, here, 0.6)
     assert found == {"trial": "trial1", "parts": ["actor", "critic", "normaliser"]}
+    assert loop._nearest(model, here, 0.5) is None
     assert loop._nearest(model, here, 0.0) is None
 
 

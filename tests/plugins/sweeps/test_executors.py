@@ -204,6 +204,7 @@ def test_options_out_of_range(option: str) -> None:
 def test_on_a_gpu(gpus: str, tmp_path: Path) -> None:
     """In processes of their own; the sweep's own process never touches the device. With several
     GPUs, trials are on different ones at once."""
+    before = torch.cuda.is_initialized()  # by another test of this process
     given = Work((*SMALL_STOP, "device=cuda"), str(tmp_path), "cuda")
     wanted = torch.cuda.device_count() if gpus == "all" else gpus
     executor = make("processes", given, gpus=wanted)
@@ -211,7 +212,7 @@ def test_on_a_gpu(gpus: str, tmp_path: Path) -> None:
     reports = executors.carry_out(executor, executors.TRIALS)
     last = {r.key: r.status for r in reports if r.final}
     assert last == {"a": "ok", "b": "ok", "c": "ok"}
-    assert not torch.cuda.is_initialized()
+    assert torch.cuda.is_initialized() == before
 
 
 def test_children_end_with_their_sweep(tmp_path: Path) -> None:
