@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,34 @@ def test_each_world_is_moved_by_its_own_controller_towards_its_own_goal(built_on
     torch.testing.assert_close(seen[0], expected)
     assert not torch.equal(seen[0], seen[4]), "controls follow the state within a decision"
     assert environment.table["switch"].tolist() == [0.0, 1.0, 0.0, 1.0]
+
+
+def elsewhere(run: Path, folder: Path) -> Path:
+    """A copy of `run`, as if it had been trained on a simulator that is not installed here."""
+    shutil.copytree(run, folder)
+    info = json.loads((folder / "run.json").read_text())
+    info["config"]["simulator"] = {"name": "elsewhere"}
+    (folder / "run.json").write_text(json.dumps(info))
+    return folder
+
+
+def test_a_controller_acts_on_this_tasks_simulator(built_on: Path, tmp_path: Path) -> None:
+    runs = [elsewhere(built_on / name, tmp_path / name) for name in ("go", "stop")]
+    training = prepared(
+        *overrides_of("sitting", built_on), f"actuation.runs=[{runs[0]},{runs[1]}]", "num_worlds=2"
+    )
+    assert training.iterate()["reward"] != 0
+
+
+def test_a_harvest_may_be_on_another_simulator(built_on: Path, tmp_path: Path) -> None:
+    run = elsewhere(built_on / "sleeve", tmp_path / "sleeve")
+    given = [*overrides_of("sleeve_bank", built_on), f"job.run={run}", "num_worlds=64"]
+    with pytest.raises(ConfigError, match="elsewhere"):
+        prepared(*given)
+    own = json.loads((built_on / "sleeve" / "run.json").read_text())["config"]["simulator"]["name"]
+    training = prepared(*given, f"+simulator.name={own}")
+    training.iterate()
+    assert "states" in training.job.stage()
 
 
 def test_a_bank_has_states_that_ended_as_they_should(built_on: Path) -> None:
