@@ -262,7 +262,7 @@ class Training:
 
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
         draw = f"{kind}/{self.progress.evaluations + 1}"
-        least = criterion if self.experiment.root.evaluation.give_up else None
+        least = 0.0 if criterion and not self.experiment.root.evaluation.give_up else criterion
         with StopRequest(at_once=True):  # it may take minutes, and can be made again
             evaluation = self.job.evaluate(draw, episodes, give_up_below=least)
         self.reporter.message(

@@ -131,8 +131,7 @@ class Attempt(Memory):
 class Jump(Fields):
     """How the athlete is over the obstacle, and what of its movement counts.
 
-    - ``root_orientation`` (3,) rad: the root's rotation in the world, as a rotation vector; and
-      ``root_axes`` (6,), as where its x axis points, then its z axis
+    - ``root_axes`` (6,): where the root's x axis points in the world, then its z axis
     - ``facing_up`` () rad, in [0, pi]: between where the root faces and up; 0 is on its back
     - ``crossing`` () bool: the centre of mass is past the middle of the obstacle
     - ``root_spin`` () rad/s, the size of the root's angular velocity
@@ -150,7 +149,7 @@ class Jump(Fields):
         "difficulty",
     )
     provides: Mapping[str, Shape] = {
-        "root_orientation": (3,), "root_axes": (6,), "facing_up": (), "crossing": (), "root_spin": (),
+        "root_axes": (6,), "facing_up": (), "crossing": (), "root_spin": (),
         "target_offset": (), "offset_limit": (),
     }  # fmt: skip
 
@@ -178,7 +177,6 @@ class Jump(Fields):
         facing = rotations.to_matrix(rotation)[:, 2, 0]
         low, high = self._limit
         return {
-            "root_orientation": rotations.to_exponential_map(rotation),
             "root_axes": rotations.tangent_normal(rotation),
             "facing_up": torch.acos(facing.clamp(-1.0, 1.0)),
             "crossing": (subtree_com[:, self._root, 0] >= 0.5 * obstacle_width).float(),

@@ -217,7 +217,7 @@ def test_attempts_that_never_cross_show_no_strategy(plugins: Plugins) -> None:
         plugins, "task=jumping/high", "control.substeps=5", "initial_states.noise=0.0"
     )
     names = [name for name in env.measure() if name.startswith("strategy_")]
-    assert len(names) == 3 + 6 + 1
+    assert len(names) == 6 + 1
     starts = env.parts.initial_states
     begin = starts.sample
 
