@@ -157,13 +157,15 @@ class WhereOthersEnded(InitialStates):
     """Where episodes of other skills ended, turned and moved to where the reference begins.
 
     The second stage of training the skills (section 6); the clip begins with the episode. ``share`` of
-    the episodes begin so, the others in the clip's first frame.
+    the episodes begin so, the others in the clip's first frame. ``speed`` is what their velocities are
+    multiplied by, drawn uniformly: a figure that walks slower is easier to stop.
     """
 
     @dataclass(frozen=True)
     class Options:
         banks: tuple[str, ...]  #: banks of states, or the folders of runs that have one
         share: float = 1.0
+        speed: Range = (1.0, 1.0)
         metres: float = 0.0  #: these three as of ``sitting/from_reference``
         degrees: float = 0.0
         chairs: Chairs = Chairs()
@@ -171,6 +173,8 @@ class WhereOthersEnded(InitialStates):
         def __post_init__(self) -> None:
             check_range(self, "share", least=0, most=1)
             check_range(self, "metres", "degrees", least=0)
+            if not 0 <= self.speed[0] <= self.speed[1]:
+                raise ValueError(f"speed={self.speed} is not possible: give two numbers, rising.")
             if not self.banks:
                 raise ValueError("banks=() is not possible: name the folder of a harvest.")
 
@@ -198,18 +202,20 @@ class WhereOthersEnded(InitialStates):
         place = start["reference_root_position"][:, :2].expand(len(own), 2)
         self._qpos, self._qvel = moved(layout, self._qpos, self._qvel, heading - own, place)
         self._first = start["reference_qpos"], start["reference_qvel"]
-        self._share = options.share
+        self._share, self._speed = options.share, options.speed
         self._chair = _ChairBehind(context, options.metres, options.degrees, options.chairs)
         self.varies = self._chair.varies
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        drawn = streams.uniform(2)
+        drawn = streams.uniform(3)
         row = (drawn[:, 0] * len(self._qpos)).long().clamp(max=len(self._qpos) - 1)
         ended = (drawn[:, 1] < self._share)[:, None]
+        slow, fast = self._speed
+        speed = (slow + (fast - slow) * drawn[:, 2])[:, None]
         qpos, qvel = self._first
         return {
             "qpos": torch.where(ended, self._qpos[row], qpos),
-            "qvel": torch.where(ended, self._qvel[row], qvel),
+            "qvel": torch.where(ended, speed * self._qvel[row], qvel),
             "motion_start": torch.zeros_like(drawn[:, 0]),
             **self._chair.parameters(streams),
         }

@@ -86,6 +86,26 @@ def test_the_second_stage_begins_where_others_ended(states: Path) -> None:
     assert math.radians(15) >= float(rotations.heading(table["chair_rotation"]).abs().max()) > 0.05
 
 
+def test_the_second_stage_may_begin_slower(states: Path) -> None:
+    """Whole velocities are scaled, uniformly; they were 1 m/s."""
+    given = [f"initial_states.banks=['{states}']", "initial_states.share=1.0", "start.run=x"]
+    built = build(
+        "experiment=sitting/sit_tuned", "num_worlds=2", *given, "initial_states.speed=[0.2,0.6]"
+    )
+    part, streams = built.environment.parts.initial_states, WorldStreams(1, "speed", 2, "cpu")
+    speeds = torch.cat([part.sample(streams)["qvel"][:, :2].norm(dim=1) for _ in range(500)])
+    assert 0.2 <= float(speeds.min()) < 0.21
+    assert 0.59 < float(speeds.max()) <= 0.6
+    assert float(speeds.mean()) == pytest.approx(0.4, abs=0.015)
+
+
+@pytest.mark.parametrize("speed", ["[0.5,0.2]", "[-1,1]"])
+def test_speeds_that_are_none_are_refused(states: Path, speed: str) -> None:
+    given = [f"initial_states.banks=['{states}']", f"initial_states.speed={speed}", "start.run=x"]
+    with pytest.raises(ConfigError, match=r"initial_states.*speed=.* is not possible"):
+        build("experiment=sitting/sit_tuned", *given)
+
+
 def test_a_share_of_the_episodes_begins_in_the_first_frame() -> None:
     span = ["initial_states.span=[0.2,1.0]", "initial_states.first=0.25"]
     built = build("experiment=sitting/turn_left", "num_worlds=2", *span)
