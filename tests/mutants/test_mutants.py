@@ -82,6 +82,14 @@ def run(tree: Path, tests: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("tests", sorted({m.tests for m in MUTANTS}))
+def test_with_all_guards_they_pass(tests: str, tree: Path) -> None:
+    """Else they would notice whatever is done."""
+    done = run(tree, tests)
+    assert done.returncode == 0, f"{done.stdout[-3000:]}{done.stderr[-1000:]}"
+
+
+@pytest.mark.slow
 @BY_NAME
 def test_without_the_guard_a_test_fails(mutant: Mutant, tree: Path) -> None:
     file = tree / mutant.file

@@ -90,7 +90,7 @@ def test_a_card_needs_nothing_that_trains(
     shutil.copytree(journals, tmp_path, dirs_exist_ok=True)
     words = ["reproduce", "cmfbo/figure_6_5", "--card", "--seeds", "0", f"run.dir={tmp_path}"]
     assert main([*words, "simulator=mujoco_warp"]) == 0
-    assert "5 begun" in capsys.readouterr().out
+    assert "6 begun" in capsys.readouterr().out
     assert {row["column"] for row in lines(tmp_path / "card.csv")} >= {"cmfbo", "gp_ucb"}
 
 

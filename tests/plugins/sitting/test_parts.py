@@ -190,7 +190,7 @@ def test_the_whole_chain_composes() -> None:
     (chosen,) = load_experiment(["search=sitting/all"]).choices["outer_loop"]
     stages = dict(chosen.options.stages)
     assert list(stages)[-1] == "meta"
-    assert len(stages) == 13
+    assert len(stages) == 15
     for name in ("walk_ends", "sit_tuned", "meta"):
         overrides = [o.replace("{", "").replace("}", "") for o in stages[name]]
         load_experiment(["search=sitting/all", *overrides, "outer_loop=null", "executor=null"])
