@@ -35,6 +35,7 @@ CLOCKS = ("seconds", "samples_per_second", "collect_share")
 def start(*arguments: str, **more: Any) -> subprocess.Popen[str]:
     child = subprocess.Popen(
         [*COMMAND, *arguments], env=child_environment(), text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # these tests may run under nohup
         **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more},
     )  # fmt: skip
     if child.stdout is not None:
@@ -131,7 +132,6 @@ def test_a_closed_terminal(tmp_path: Path) -> None:
     child = start(
         "train", *SMALL_STOP, "budget.samples=100000000", f"run.dir={run}",
         stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # these tests may run under nohup
     )  # fmt: skip
     os.close(theirs)
     wait_for(run / "metrics.jsonl")
