@@ -27,7 +27,7 @@ from understudy.signals import StopRequest
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
-from understudy_sweeps.trial import REFUSED, folder_of, note_stop, overrides_of
+from understudy_sweeps.trial import JUDGED, REFUSED, folder_of, note_stop, overrides_of
 
 #: Overrides that are the sweep's own, not its trials'.
 _OWN = re.compile(r"[+~]*(run\.dir|outer_loop|executor)\b")
@@ -76,13 +76,14 @@ def sweep(overrides: Sequence[str]) -> int:
 
 class _Talk:
     """What an outer loop is asked and told, each thing once: a trial that is begun again after a
-    crash repeats reports, and is ended early again where it was before."""
+    crash, or since its run is gone, repeats reports, and is ended early again where it was before."""
 
     def __init__(self, loop: OuterLoop, journal: Journal, work: Work) -> None:
         self.loop, self.journal, self._work = loop, journal, work
         self._told: set[tuple[str, float]] = set()  #: intermediate reports: trial and samples
         self._stopped: dict[str, float] = {}  #: by trial: after how many samples
         self._number = 0
+        self.again: set[str] = set()  #: trials made again, of which the journal has all already
 
     def replay(self) -> list[Trial]:
         """Tell the loop what the journal knows; the trials to go on with."""
@@ -105,7 +106,8 @@ class _Talk:
 
     def digest(self, report: Report) -> bool:
         """Whether the trial is to end early."""
-        if report.final or (report.key, report.cost) not in self._told:
+        new = report.final or (report.key, report.cost) not in self._told
+        if new and report.key not in self.again:
             self.journal.tell(report)
             self._tell(report)
         if report.final or report.cost < self._stopped.get(report.key, math.inf):
@@ -131,7 +133,13 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
                 trial = waiting.pop(0) if waiting else talk.ask()
                 if trial is None:
                     break
-                executor.start(_placed(trial, journal, page.folder))
+                first = _first(trial, journal, page.folder)
+                if first is not trial:  # its policy is gone: that one is trained again before
+                    waiting.insert(0, trial)
+                    if first.key in talk.again:  # already
+                        break
+                    talk.again.add(first.key)
+                executor.start(_placed(first, journal, page.folder))
                 running += 1
             progress.show(journal, talk.loop.share, running)
             if running == 0:
@@ -142,6 +150,11 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
             if talk.digest(report):
                 executor.stop(report.key)
             if report.final:
+                if report.key in talk.again and report.status != "ok":
+                    raise RunError(
+                        f"The run of trial '{report.key}', with whose policy another begins, is gone, and it "
+                        f"could not be trained again: {report.status}"
+                    )
                 running -= 1
                 page.write(journal)
 
@@ -179,6 +192,15 @@ def _check(trials: Sequence[Trial | None], work: Work) -> None:
         except ConfigError as error:
             what = f"Variant '{trial.variant}'" if trial.variant else f"Trial '{trial.key}'"
             raise ConfigError(f"{what} cannot be run: {error}") from error
+
+
+def _first(trial: Trial, journal: Journal, folder: Path) -> Trial:
+    """The trial; or the finished one that has to be trained again before, since it begins with the
+    policy of a run that is gone, as where a journal alone was kept."""
+    earlier = (trial.start or {}).get("trial")
+    if earlier not in journal.finished or (folder_of(earlier, folder) / JUDGED).exists():
+        return trial
+    return _first(next(t for t in journal.asked if t.key == earlier), journal, folder)
 
 
 def _placed(trial: Trial, journal: Journal, folder: Path) -> Trial:

@@ -27,6 +27,8 @@ from understudy.setup.composition import load_experiment, replaced
 
 #: In a trial's folder: after how many samples the outer loop ended it early.
 _STOPPED = "stopped.json"
+#: In a trial's folder, once it is finished: what it was judged by.
+JUDGED = "evaluation.json"
 #: How the status begins of a trial which shows that the search makes no sense: the sweep ends.
 REFUSED = "refused: "
 #: Seconds to wait for whoever still holds the folder: a process whose sweep was killed saves first.
@@ -74,7 +76,7 @@ def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None,
         evaluation, recording = training.judge(root.run.video_seconds)
         if recording is not None and recording.tracks:
             recording.save(run.path / "recording.npz")
-        run.write_json("evaluation.json", evaluation.as_json(training.progress.samples))
+        run.write_json(JUDGED, evaluation.as_json(training.progress.samples))
         yield _result(trial, evaluation, training, "stopped" if stopped else training.outcome)
     except TrainingError as error:  # anything else is no finding: what carries it out says so
         samples = float(training.progress.samples)

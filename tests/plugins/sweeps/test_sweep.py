@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -470,6 +471,47 @@ def test_beginning_from_a_trial_that_is_not_there(
     monkeypatch.setattr(scripted, "trials", [Trial("b", start={"trial": "a"})])
     with pytest.raises(RunError, match=r"'b' begins from 'a', which is not finished"):
         script(tmp_path)
+
+
+def test_a_policy_that_is_gone_is_learned_again(
+    tmp_path: Path, scripted: Any, monkeypatch: Any
+) -> None:
+    """The journal alone was kept: `c` needs `b`, which needs `a`; `a` was stopped after 16 samples."""
+    first = [Trial("a"), Trial("b", start={"trial": "a"})]
+    monkeypatch.setattr(scripted, "stopped", {"a": 16})
+    monkeypatch.setattr(scripted, "trials", first)
+    script(tmp_path)
+    before = events(tmp_path)
+    assert before == [*whole("a", 4, 8)[:3], ("finished", "a", 8), *whole("b", 12, 16, 20)]
+    for name in "ab":
+        shutil.rmtree(tmp_path / name)
+    third = Trial("c", start={"trial": "b", "parts": ["actor"]})
+    monkeypatch.setattr(scripted, "trials", [*first, third])
+    script(tmp_path)
+    assert events(tmp_path) == [*before, *whole("c", 24, 28, 32)]
+    assert iterations(tmp_path, "a") == [1, 2]
+    assert iterations(tmp_path, "b") == [1, 2, 3]
+    assert (
+        len([r for r in scripted.told if r.key == "a" and r.final]) == 2
+    )  # each sweep is told once
+
+
+def test_a_policy_that_is_gone_and_cannot_be_learned_again(
+    tmp_path: Path, scripted: Any, monkeypatch: Any
+) -> None:
+    bank.save(tmp_path / "bank", {"x": torch.full((3, 1), 100.0)}, {})
+    first = Trial("a", initial_states=str(tmp_path / "bank"))
+    monkeypatch.setattr(scripted, "trials", [first])
+    script(tmp_path / "sweep")
+    shutil.rmtree(tmp_path / "sweep/a")
+    for file in tmp_path.glob("bank.*"):
+        file.unlink()
+    monkeypatch.setattr(scripted, "trials", [first, Trial("b", start={"trial": "a"})])
+    with pytest.raises(
+        RunError, match="'a', with whose policy another begins, is gone, and it could not"
+    ):
+        script(tmp_path / "sweep")
+    assert [event for event, key, _ in events(tmp_path / "sweep") if key == "a"][-1] == "finished"
 
 
 def test_beginning_in_a_bank(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
