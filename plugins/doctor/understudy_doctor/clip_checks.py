@@ -28,6 +28,9 @@ DUPLICATE = 1e-6
 MOVING = 0.2
 """rad/s, m/s: beside a repeated frame the motion goes on at more than this, or it merely rests."""
 
+HELD_SPEED = 1.0
+"""m/s with which a root that was held goes on in one frame: nobody gets under way like this."""
+
 SPIKE_SPEED, SPIKE_ANGLE = 8.0, 0.1
 """rad/s, rad: slower or smaller jumps are within what captured motion has anyway."""
 SPIKE_ANGLE_MAJOR = 0.3
@@ -94,6 +97,27 @@ def duplicates(clip: Clip) -> list[tuple[int, int]]:
     return found
 
 
+def held(clip: Clip) -> list[tuple[int, int]]:
+    """Runs (first, last) of frames whose root position was lost: it stays exactly where it was while
+    the joints go on, then jumps off, until it is where the way before and after it agree."""
+    t, place, found = clip.times.numpy(), clip.root_position.numpy(), []
+
+    def pace(a: int, b: int) -> np.ndarray:
+        return (place[b] - place[a]) / (t[b] - t[a])
+
+    step = np.linalg.norm(np.diff(place, axis=0), axis=-1)
+    turn = np.linalg.norm(speeds(clip), axis=-1).max(1)
+    for first, last in intervals((step < DUPLICATE) & (turn > MOVING)):
+        count, after = last - first + 1, last + 1
+        if count < 2 or after == len(step) or np.linalg.norm(pace(after, after + 1)) < HELD_SPEED:
+            continue
+        ends = range(after + 1, min(after + count, clip.num_frames - 1 - count) + 1)
+        jumps = {k: np.linalg.norm(pace(first, k) - pace(k, k + count)) for k in ends}
+        if jumps:
+            found.append((first + 1, min(jumps, key=lambda k: jumps[k]) - 1))
+    return found
+
+
 def _frames(places: Places) -> Iterator[Finding]:
     clip = places.clip
     dt = clip.times.diff().numpy()
@@ -123,6 +147,13 @@ def _frames(places: Places) -> Iterator[Finding]:
             "frames",
             "--fix OUT interpolates over it.",
         )
+    for first, last in held(clip):
+        yield places.finding(
+            "held_root", Severity.MAJOR,
+            f"the root stays in one place for {last - first + 1} frames while its joints go on, or "
+            "makes up for it", (first, last), float(last - first + 1), "frames",
+            "--fix OUT moves it steadily.", [clip.joint_names[0]],
+        )  # fmt: skip
     yield from _too_fast(places)
     error, joint, frames = _interpolation_error(clip)
     if error > INTERPOLATION:
@@ -223,6 +254,8 @@ def find_spikes(clip: Clip) -> list[Spike]:
     )
     for first, last in duplicates(clip):  # the jump out of a frozen frame belongs to it
         flags[first - 1 : last + 1] = False
+    for first, last in held(clip):
+        flags[first - 1 : last + 1, 0] = False
     found = []
     for column in range(flags.shape[1]):
         row, steps = column - 1, np.flatnonzero(flags[:, column]).tolist()

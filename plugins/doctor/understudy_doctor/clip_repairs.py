@@ -5,8 +5,12 @@ Each ``mend_…`` returns the repaired clip and what was done, in words.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import torch
+
 from understudy_basics import rotations
-from understudy_doctor.clip_checks import duplicates, find_spikes
+from understudy_doctor.clip_checks import duplicates, find_spikes, held
 from understudy_motion.clip import Clip
 from understudy_motion.editing import (
     BLEND_SECONDS,
@@ -30,7 +34,20 @@ def undamaged(clip: Clip) -> Clip:
     for first, last in duplicates(clip):
         for joint in clip.joint_names:
             clip = bridge(clip, joint, first, last)
-    return mend_spikes(clip)[0]
+    return mend_spikes(mend_held(clip)[0])[0]
+
+
+def mend_held(clip: Clip) -> tuple[Clip, list[str]]:
+    """Where its position was lost, the root moves steadily."""
+    position, done = clip.root_position.clone(), []
+    for first, last in held(clip):
+        before, after = clip.times[[first - 1, last + 1]]
+        share = (clip.times[first : last + 1] - before) / (after - before)
+        position[first : last + 1] = torch.lerp(
+            position[first - 1], position[last + 1], share[:, None]
+        )
+        done.append(f"moved the root steadily over frames {first}–{last}")
+    return replace(clip, root_position=position), done
 
 
 def mend_frames(clip: Clip) -> tuple[Clip, list[str]]:

@@ -23,7 +23,7 @@ from understudy.errors import ConfigError
 from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.character_checks import STANDS_ON
-from understudy_doctor.clip_repairs import mend_frames, mend_seam, mend_spikes
+from understudy_doctor.clip_repairs import mend_frames, mend_held, mend_seam, mend_spikes
 from understudy_doctor.examination import Examination, examine
 from understudy_doctor.findings import Severity, intervals
 from understudy_doctor.measurements import Measurements
@@ -391,6 +391,7 @@ def _on_clip(mend: Callable[[Clip], tuple[Clip, list[str]]]) -> Callable[[Examin
 
 _FIRST = (
     _Step(frozenset({"proportions"}), _mend_proportions, on_body=False),
+    _Step(frozenset({"held_root"}), _on_clip(mend_held), on_body=False),
     _Step(frozenset({"duplicate_frames", "uneven_frames"}), _on_clip(mend_frames), on_body=False),
     _Step(frozenset({"spike"}), _on_clip(mend_spikes), on_body=False),
     _Step(frozenset({"seam_pose", "seam_velocity"}), _on_clip(mend_seam), on_body=False),

@@ -71,6 +71,13 @@ def frozen(clip: Clip, first: int, last: int) -> Clip:
     return replace(clip, root_position=position, rotations=rotation)
 
 
+def held(clip: Clip, first: int, last: int) -> Clip:
+    """The root stays in frames `first` to `last` where it was before; the joints go on."""
+    position = clip.root_position.clone()
+    position[first : last + 1] = position[first - 1]
+    return replace(clip, root_position=position)
+
+
 def paused(clip: Clip, frame: int, count: int) -> Clip:
     """`count` copies of a frame are put in after it, and take their time."""
     index = torch.arange(clip.num_frames)

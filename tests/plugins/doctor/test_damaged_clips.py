@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import torch
-from damage import between, bump, frozen, paused, raised, slid, turned, walking
+from damage import between, bump, frozen, held, paused, raised, slid, turned, walking
 
 from understudy.errors import ConfigError
 from understudy_characters.character import Character
@@ -105,6 +105,9 @@ CASES = {
     ),
     "frozen": Case(
         lambda c: frozen(c, 60, 61), "duplicate_frames", "major", (0.984, 1.0), 2.0
+    ),
+    "held": Case(
+        lambda c: held(c, 60, 62), "held_root", "major", (0.984, 1.017), 3.0, ("root",)
     ),
     "lost frames": Case(
         lambda c: remove_frames(c, [60, 61]), "uneven_frames", "major", (0.968, 1.017), 2.0

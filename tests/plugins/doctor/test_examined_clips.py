@@ -30,7 +30,7 @@ humanoid3d_jump seam_pose=1 torque=1
 humanoid3d_kick joint_range=1 penetration=1
 humanoid3d_punch foot_skate=2 ground_offset=1
 humanoid3d_ready_to_walk_mirror foot_skate=1 penetration=3
-humanoid3d_roll foot_skate=3 penetration=2 seam_pose=1 torque=3 uneven_frames=1
+humanoid3d_roll foot_skate=3 held_root=1 penetration=2 seam_pose=1 torque=1 uneven_frames=1
 humanoid3d_run foot_skate=1 penetration=2 seam_pose=1
 humanoid3d_run_jump penetration=1 unsupported=1
 humanoid3d_spinkick joint_limit=1 seam_pose=1
@@ -128,7 +128,7 @@ humanoid3d_bridge joint_range=2
 humanoid3d_crawl penetration=6 seam_pose=1
 humanoid3d_dance_a seam_pose=1
 humanoid3d_dance_b float=1 foot_skate=3 penetration=1 seam_pose=1
-humanoid3d_roll foot_skate=4 penetration=2 seam_pose=1 torque=1
+humanoid3d_roll foot_skate=3 held_root=1 penetration=2 seam_pose=1 torque=1
 humanoid3d_run foot_skate=1 penetration=2 seam_pose=1
 humanoid3d_run_jump penetration=1 unsupported=1
 humanoid3d_run_roll foot_skate=1 penetration=5 seam_pose=1
