@@ -185,12 +185,14 @@ def test_a_chain_names_only_stages_before() -> None:
         Chain.Options({"sit": ("start.run={walk}",), "walk": ("x=1",)})
 
 
-def test_the_whole_chain_composes() -> None:
-    """Each stage of search=sitting/all is an experiment, whatever folders take the names' places."""
-    (chosen,) = load_experiment(["search=sitting/all"]).choices["outer_loop"]
+@pytest.mark.parametrize("search", ["all", "small"])
+def test_the_whole_chain_composes(search: str) -> None:
+    """Each stage is an experiment, whatever folders take the names' places."""
+    chain = f"search=sitting/{search}"
+    (chosen,) = load_experiment([chain]).choices["outer_loop"]
     stages = dict(chosen.options.stages)
     assert list(stages)[-1] == "meta"
     assert len(stages) == 15
-    for name in ("walk_ends", "sit_tuned", "meta"):
+    for name in ("walk", "turn_right", "walk_ends", "turn_left_tuned", "sit_tuned", "meta"):
         overrides = [o.replace("{", "").replace("}", "") for o in stages[name]]
-        load_experiment(["search=sitting/all", *overrides, "outer_loop=null", "executor=null"])
+        load_experiment([chain, *overrides, "outer_loop=null", "executor=null"])
