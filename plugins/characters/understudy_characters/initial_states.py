@@ -26,10 +26,15 @@ class ReferenceStates(InitialStates):
 
 
 def reference_states(reference: ReferenceMotion, time: Tensor) -> dict[str, Tensor]:
-    """What initial states return for episodes that begin at `time` (N,) s of the clip."""
+    """What initial states return for episodes that begin at `time` (N,) s of the clip: what is in the
+    floor there is raised out of it."""
     state = reference.sample(time)
+    qpos = state["reference_qpos"]
+    if reference.sinks:
+        depth = -state["reference_link_clearances"].amin(1)
+        qpos = reference.raised(qpos, depth.clamp(min=0.0))
     return {
-        "qpos": state["reference_qpos"],
+        "qpos": qpos,
         "qvel": state["reference_qvel"],
         "motion_start": time,
     }

@@ -16,6 +16,7 @@ from understudy_characters.layout import Layout
 from understudy_characters.servos import lags
 from understudy_characters.state import Poses
 from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
+from understudy_motion.section import Floor
 
 #: Table rows per control step. Between rows everything is interpolated linearly.
 OVERSAMPLING = 4
@@ -23,6 +24,8 @@ OVERSAMPLING = 4
 _EPSILON = 1.0 / 120.0
 #: A clip closes where its poses so many s before its end and after it differ by less, in m and rad.
 _INSTANT, _CLOSED = 1e-6, 1e-3
+#: m/s², s: a centre of mass that falls faster, over twice this time, is in flight.
+_FALLING, _WHILE = -0.5 * 9.81, 0.03
 #: s: a motion has ended when so little of it is left.
 _LAST = 1e-4
 
@@ -51,7 +54,8 @@ class ReferenceMotion:
     """The character's reference at any time, from one table, on one device.
 
     The root is lowered or raised by a constant so that the character's lowest point over the clip
-    is on the floor (`ground`). Velocities are those of the poses; where the ends of a looping clip are not
+    is on the floor, or (`floor="standing"`) the median of its lowest points while something carries it; some
+    poses are then within the floor. Velocities are those of the poses; where the ends of a looping clip are not
     the same pose, they are those within a cycle, not of the jump to the next. Time runs on forever in a
     looping clip, whose root displacement and turn accumulate cycle by cycle; another clip ends, and what is
     asked for later is its last pose.
@@ -67,7 +71,7 @@ class ReferenceMotion:
         *,
         control_dt: float,
         device: torch.device | None = None,
-        ground: bool = True,
+        floor: Floor = "lowest",
     ) -> None:
         device = device or torch.device("cpu")
         self.clip, self.duration, self.loop = clip, clip.duration, clip.loop
@@ -75,7 +79,8 @@ class ReferenceMotion:
         self._root_dof = layout.root_dof
         rows = max(2, math.ceil(clip.duration / control_dt * OVERSAMPLING) + 1)
         times = torch.linspace(0.0, clip.duration, rows, dtype=torch.float64)
-        fields = self._tabulate(character, layout, times, ground)
+        fields = self._tabulate(character, layout, times, floor)
+        self.sinks = float(fields["reference_link_clearances"].min()) < -1e-9  #: into the floor
         self._shapes = {name: tuple(value.shape[1:]) for name, value in fields.items()}
         self._table = torch.cat([v.flatten(1) for v in fields.values()], dim=1).float().to(device)
         self._rows, self._rate = rows, (rows - 1) / clip.duration
@@ -85,7 +90,7 @@ class ReferenceMotion:
         self._stride = torch.tensor([*self._cycle.displacement.tolist(), 0.0], device=device)
 
     def _tabulate(
-        self, character: Character, layout: Layout, times: Tensor, ground: bool
+        self, character: Character, layout: Layout, times: Tensor, floor: Floor
     ) -> dict[str, Tensor]:
         model, at = character.model, layout.root_address
 
@@ -106,10 +111,8 @@ class ReferenceMotion:
         inside = times.clamp(_EPSILON, self.duration - _EPSILON)
         qvel = moved(times if self.loop and seam < _CLOSED else inside, _EPSILON) / (2 * _EPSILON)
         poses = Poses(character, layout)
-        self.height_offset = 0.0
-        if ground:
-            self.height_offset = -float(poses.state(qpos)["link_clearances"].min())
-            qpos[:, at + 2] += self.height_offset
+        self.height_offset = -_floor(poses.state(qpos), times, floor)
+        qpos[:, at + 2] += self.height_offset
         state = poses.state(qpos)
         targets = torch.zeros(len(times), model.nu, dtype=torch.float64)
         ahead = np.round(lags(model), 3)
@@ -164,6 +167,13 @@ class ReferenceMotion:
             "motion_ended": ended,
         }
 
+    def raised(self, qpos: Tensor, height: Tensor) -> Tensor:
+        """`qpos` (N, nq), its figure higher by `height` (N,) m."""
+        at = self._root
+        return _replaced(
+            qpos, at, qpos[:, at : at + 3] + torch.nn.functional.pad(height[:, None], (2, 0))
+        )
+
     @staticmethod
     def _pose_columns(layout: Layout, fields: Mapping[str, Tensor]) -> Tensor:
         """(nq,) columns of the table for ``qpos``: balls are taken from the joints, which are normalised."""
@@ -212,6 +222,20 @@ class ReferenceMotion:
             _replaced(qvel, dof, linear),
             time - cycles * self.duration,
         )
+
+
+def _floor(state: Mapping[str, Tensor], times: Tensor, floor: Floor) -> float:
+    """m: the height of the floor that the figure in `state` (F, …) at `times` (F,) moves on."""
+    lowest, height = state["link_clearances"].amin(1), state["com_position"][:, 2]
+    step = float(times[1] - times[0])
+    reach = max(1, round(_WHILE / step))
+    if floor == "lowest" or len(times) <= 2 * reach:
+        return float(lowest.min())
+    fall = (height[2 * reach :] - 2 * height[reach:-reach] + height[: -2 * reach]) / (
+        reach * step
+    ) ** 2
+    carried = lowest[reach:-reach][fall > _FALLING]
+    return float(carried.median() if len(carried) else lowest.min())
 
 
 def _replaced(whole: Tensor, start: int, *parts: Tensor) -> Tensor:

@@ -209,5 +209,6 @@ def reference_motion(context: Context) -> ReferenceMotion:
             scene.layout,
             control_dt=context.control_dt,
             device=context.device,
+            floor=motion.floor,
         ),
     )

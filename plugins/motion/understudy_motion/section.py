@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from understudy.inputs import Inputs
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.reading import Axis, ReadOptions, Unit
+
+Floor = Literal["lowest", "standing"]
 
 
 @dataclass(frozen=True)
@@ -24,12 +26,16 @@ class MotionOptions:
     skeleton: str | None = None  #: path of the ASF of an AMC file; None takes the one beside it
     loop: bool | None = None  #: whether a file's motion repeats; None takes the file's word
     rate: float | None = None  #: a file's frames per second, where its frames have no times
+    #: What of the figure's motion is put on the floor: its lowest point, or the median of its lowest ones
+    #: while something carries it, so that one deep pose does not raise all others.
+    floor: Floor = "lowest"
 
 
 class Motion:
     """The chosen clip and where it came from."""
 
     def __init__(self, options: MotionOptions, registry: Registry, inputs: Inputs) -> None:
+        self.floor: Floor = options.floor
         skeleton = None
         if (given := options.skeleton) is not None:
             skeleton = inputs.file(f"motion.skeleton={given}", lambda: [Path(given)])

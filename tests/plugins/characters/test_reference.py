@@ -14,6 +14,7 @@ from torch import Tensor
 from understudy.errors import FileError
 from understudy_basics import rotations
 from understudy_characters.character import Character
+from understudy_characters.initial_states import reference_states
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
 from understudy_humanoid.character import build_spec
@@ -156,6 +157,29 @@ def test_grounding_puts_the_lowest_point_on_the_floor(character: Character, layo
     raised = replace(clip, root_position=clip.root_position + torch.tensor([0.0, 0.0, 0.3]))
     reference = ReferenceMotion(raised, character, layout, control_dt=DT)
     assert reference.height_offset == pytest.approx(-0.3, abs=0.002)
+
+
+def test_one_deep_pose_does_not_raise_what_stands(character: Character, layout: Layout) -> None:
+    """A walk of which a tenth of a second goes 10 cm into the floor."""
+    clip = generated_walk()
+    depth = torch.zeros_like(clip.root_position)
+    depth[:, 2] = -0.1 * torch.exp(-(((clip.times - 0.5) / 0.03) ** 2))
+    sunk = replace(clip, root_position=clip.root_position + depth)
+    walk = ReferenceMotion(clip, character, layout, control_dt=DT)
+    lowest = ReferenceMotion(sunk, character, layout, control_dt=DT)
+    standing = ReferenceMotion(sunk, character, layout, control_dt=DT, floor="standing")
+    assert lowest.height_offset > walk.height_offset + 0.08
+    assert standing.height_offset == pytest.approx(walk.height_offset, abs=0.01)
+    assert (walk.sinks, lowest.sinks, standing.sinks) == (False, False, True)
+
+    times = torch.linspace(0.0, 1.0, 21)
+    fields = standing.sample(times)
+    states = reference_states(standing, times)
+    moved = states["qpos"] - fields["reference_qpos"]
+    depth = -fields["reference_link_clearances"].amin(1)
+    torch.testing.assert_close(moved[:, 2], depth.clamp(min=0.0))
+    assert moved[:, 2].max() > 0.08
+    assert not moved[:, 3:].any()
 
 
 def test_missing_joint_is_named(character: Character, layout: Layout) -> None:
