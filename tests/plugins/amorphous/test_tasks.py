@@ -69,16 +69,16 @@ def test_no_block_begins_within_another() -> None:
     assert float(apart.min()) > 0.19
 
 
-@pytest.mark.parametrize("evaluating", [False, True])
-def test_all_material_begins_on_the_map_and_the_goal_never_leaves_it(evaluating: bool) -> None:
-    env = environment("experiment=amorphous/gather", "num_worlds=500", evaluating=evaluating)
+def test_maps_hold_the_table_from_its_middle_and_most_of_the_material_from_where_the_tool_begins() -> None:
+    env = environment("experiment=amorphous/gather", "num_worlds=500", evaluating=True)
     tool, turn = env.table["tool_position"], env.table["tool_orientation"]
     effective: Any = load_experiment(["experiment=amorphous/gather"]).effective()
     grid, limits = effective["encoder"]["image"]["grid"], effective["actuation"]["limits"]
     reach = 0.5 * grid["cells"] * grid["width"]
+    assert limits["x"][1] < reach, "absolute maps, figure 11"
     away = in_tool_frame(env.table["particle_position"], tool, turn)[..., :2].abs().amax(dim=2)
-    assert float(away[env.table["active_particles"] > 0].max()) < reach
-    assert math.hypot(limits["x"][1], limits["y"][1]) < reach, "from a corner, however it is turned"
+    seen = away[env.table["active_particles"] > 0] < reach
+    assert 0.5 < float(seen.float().mean()) < 1.0
 
 
 def test_the_same_seed_begins_the_same_and_another_draw_does_not() -> None:
