@@ -69,9 +69,7 @@ def test_no_block_begins_within_another() -> None:
     assert float(apart.min()) > 0.19
 
 
-def test_maps_hold_the_table_from_its_middle_and_most_of_the_material_from_where_the_tool_begins() -> (
-    None
-):
+def test_the_maps_hold_the_table_and_most_of_the_material() -> None:
     env = environment("experiment=amorphous/gather", "num_worlds=500", evaluating=True)
     tool, turn = env.table["tool_position"], env.table["tool_orientation"]
     effective: Any = load_experiment(["experiment=amorphous/gather"]).effective()
