@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -38,6 +38,8 @@ class Harvest(Job):
         count: int = 1024  #: how many states
         #: Which endings count: a termination term's name, or any of an outcome.
         ending: str = "success"
+        #: ``end``: the state in which it ended; ``anywhere``: one of all its states, each as likely.
+        moment: Literal["end", "anywhere"] = "end"
         fields: tuple[str, ...] = ()  #: kept beside the simulator's state
         deterministic: bool = False  #: act by the policy's mode instead of sampling
         decisions: int = 64  #: of every world, in an iteration
@@ -91,10 +93,12 @@ class Harvest(Job):
         self._streams = WorldStreams(
             self._root.seed, "harvest", environment.num_worlds, self.device
         )
-        self._decide = Recorded(self._ended_states, environment)
+        self._decide = Recorded(self._advance, environment)
+        self._age = torch.zeros(environment.num_worlds, device=self.device)
+        self._kept: dict[str, Tensor] = {}  # of each world's present episode
 
-    def _ended_states(self, action: Tensor) -> dict[str, Tensor]:
-        """One decision; the states reached, and whether each counts, under ``""``."""
+    def _advance(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+        """One decision; the states reached, which of them ended an episode that counts, and which any."""
         environment = self.environment
         step = environment.advance(action)
         which: dict[str, Tensor] = {
@@ -103,22 +107,39 @@ class Harvest(Job):
             "truncation": step.truncated,
             **step.endings,
         }
-        found = {name: environment.table[name].clone() for name in self._names}
-        found[""] = which[self.options.ending] & step.ended & ~step.unsound
+        reached = {name: environment.table[name].clone() for name in self._names}
+        counts, ended = which[self.options.ending] & step.ended & ~step.unsound, step.ended.clone()
         environment.begin(step.ended)
-        return found
+        return reached, counts, ended
+
+    def _chosen(self, reached: Mapping[str, Tensor], ended: Tensor) -> Mapping[str, Tensor]:
+        """Of each world, the state to keep if its episode ends now."""
+        if self.options.moment == "end":
+            return reached
+        self._age += (
+            1.0  # reservoir sampling: the k-th state takes the place of the one kept with 1/k
+        )
+        take = self._streams.uniform(1).squeeze(1) * self._age < 1.0
+        for name, value in reached.items():
+            kept = self._kept.get(name, value)
+            self._kept[name] = torch.where(take.view(-1, *[1] * (value.dim() - 1)), value, kept)
+        self._age *= ~ended
+        return self._kept
 
     @torch.no_grad()
     def iterate(self, samples: int) -> dict[str, Any]:
         environment, steps = self.environment, self.options.decisions
-        seen: dict[str, list[Tensor]] = {name: [] for name in (*self._names, "")}
+        seen: dict[str, list[Tensor]] = {name: [] for name in self._names}
+        which: list[Tensor] = []
         for _ in range(steps):
             distribution = self.policy.distribution(environment.observations)
             mode = self.options.deterministic
             action = distribution.mode() if mode else distribution.sample(self._streams)
-            for name, value in self._decide(action).items():
+            reached, counted, ended = self._decide(action)
+            which.append(counted.clone())
+            for name, value in self._chosen(reached, ended).items():
                 seen[name].append(value.clone())
-        counts = torch.cat(seen.pop(""))
+        counts = torch.cat(which)
         new = {name: torch.cat(values)[counts].cpu() for name, values in seen.items()}
         self._found = {
             name: torch.cat([self._found[name], value]) if self._found else value
@@ -159,7 +180,8 @@ class Harvest(Job):
         if not self._count:
             return
         states = {name: value[: self.options.count] for name, value in self._found.items()}
-        about = {"run": self.options.run, "ending": self.options.ending}
+        options = self.options
+        about = {"run": options.run, "ending": options.ending, "moment": options.moment}
         bank.save(run.path / bank.NAME, states, about)
 
     def sources(self) -> Mapping[str, Any]:
@@ -174,11 +196,15 @@ class Harvest(Job):
             "streams": self._streams.state_dict(),
             "found": dict(self._found),
             "barren": self._barren,
+            "age": self._age,
+            "kept": dict(self._kept),
         }
 
     def load_state_dict(self, state: State) -> None:
         self.environment.load_state_dict(state["environment"])
         self._streams.load_state_dict(state["streams"])
+        self._age = state["age"].to(self.device)
+        self._kept = {name: value.to(self.device) for name, value in state["kept"].items()}
         self.load_learned(state, 0)
 
     def load_learned(self, state: State, samples: int) -> None:

@@ -7,6 +7,7 @@ torso's heading.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
 from understudy.task import Context, Encoder, Fields, Shape
 from understudy_basics import rotations
 from understudy_characters.layout import Layout
@@ -234,44 +236,75 @@ class Seat(Fields):
     """The chair, and how the pelvis is to its seat.
 
     ``chair_state`` (N, 7): from the pelvis to the centre of the seat's surface (3), m, and the chair's
-    rotation (4) with w >= 0, both in the figure's frame. ``seat_distance`` (N,) m is D^sit, ``seated``
-    (N,) 1 or 0 is z_contact: the simulator has a contact of the pelvis with the seat.
+    rotation (4) with w >= 0, both in the figure's frame. ``seat_distance`` (N,) m is D^sit,
+    ``seat_contact`` (N,) 1 or 0 is z_contact: the simulator has a contact of the pelvis with the seat.
+    ``seated`` (N,) is 1 where that is sitting: the torso is upright and faces as the chair does.
     """
 
-    reads = ("xpos", "xquat", "geom_xpos", "torso_yaw", f"sensor_{SEATED}")
+    reads = ("xpos", "xquat", "geom_xpos", "torso_angles", f"sensor_{SEATED}")
     provides: Mapping[str, Shape] = {
         "chair_state": (7,),
         "chair_position": (3,),
         "chair_rotation": (4,),
         "seat_position": (3,),
         "seat_distance": (),
+        "seat_contact": (),
         SEATED: (),
     }
 
-    def __init__(self, options: None, context: Context) -> None:
+    @dataclass(frozen=True)
+    class Options:
+        upright: float | None = (
+            45.0  #: degrees from the vertical; null: lying across the seat counts
+        )
+        facing: float | None = (
+            60.0  #: degrees from where the chair faces; null: any direction counts
+        )
+
+        def __post_init__(self) -> None:
+            check_range(self, "upright", "facing", above=0, most=180)
+
+    def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "fields 'sitting/seat'")
+        self._options = options
         self._pelvis = scene.character.root
         self._chair, self._seat = chair_of(scene.model)
 
     def compute(
-        self, xpos: Tensor, xquat: Tensor, geom_xpos: Tensor, torso_yaw: Tensor, **contact: Tensor
+        self,
+        xpos: Tensor,
+        xquat: Tensor,
+        geom_xpos: Tensor,
+        torso_angles: Tensor,
+        **contact: Tensor,
     ) -> dict[str, Tensor]:
+        pitch, yaw, roll = torso_angles.unbind(-1)
         rotation = xquat[:, self._chair]
         seat = geom_xpos[:, self._seat]  # the middle of a slab
         lift = torch.zeros_like(seat)
         lift[:, 2] = 0.5 * THICKNESS
         seat = seat + lift
         away = seat - xpos[:, self._pelvis]
-        to_figure = rotations.from_heading(-torso_yaw)
+        to_figure = rotations.from_heading(-yaw)
         turned = rotations.canonical(rotations.multiply(to_figure, rotation))
         place = rotations.rotate(to_figure, away)
+        touching = contact[f"sensor_{SEATED}"][:, 0] > 0
+        sits = touching
+        if self._options.upright is not None:
+            sits = sits & (pitch.cos() * roll.cos() > math.cos(math.radians(self._options.upright)))
+        if self._options.facing is not None:
+            ahead = rotations.to_matrix(turned)[
+                :, 0, 0
+            ]  # of the chair's x axis, in the figure's frame
+            sits = sits & (ahead > math.cos(math.radians(self._options.facing)))
         return {
             "chair_state": torch.cat([place, turned], dim=1),
             "chair_position": xpos[:, self._chair],
             "chair_rotation": rotation,
             "seat_position": seat,
             "seat_distance": away.norm(dim=1),
-            SEATED: (contact[f"sensor_{SEATED}"][:, 0] > 0).float(),
+            "seat_contact": touching.float(),
+            SEATED: sits.float(),
         }
 
 

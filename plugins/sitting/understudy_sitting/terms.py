@@ -110,11 +110,11 @@ class Nearing:
 
 
 class SitDown:
-    """r^meta (eq. 8): 1 while the pelvis touches the seat, else 0.5 (-V^sit)."""
+    """r^meta (eq. 8): 1 while it sits (:class:`~understudy_sitting.state.Seat`), else 0.5 (-V^sit)."""
 
     @dataclass(frozen=True)
     class Options:
-        seated: float = 1.0  #: reward of a decision that ends in contact
+        seated: float = 1.0  #: reward of a decision that ends so
         nearing: float = 0.5  #: s/m
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -18,6 +18,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_basics import bank
 from understudy_basics.controller import Controller
+from understudy_basics.harvest import Harvest
 from understudy_miniature.cmfbo import RandomFidelity
 
 
@@ -84,6 +85,20 @@ def test_a_bank_has_states_that_ended_as_they_should(built_on: Path) -> None:
     assert (distance <= 0.2).all()
     assert states["drag"].min() >= 0.5
     assert states["drag"].std() > 0.1, "worlds differed"
+
+
+def test_a_harvest_from_anywhere_keeps_each_moment_of_an_episode_as_often(built_on: Path) -> None:
+    harvest = prepared(
+        *overrides_of("sleeve_bank", built_on), "job.moment=anywhere", "num_worlds=4000"
+    ).job
+    assert isinstance(harvest, Harvest)
+    for moment in range(10):
+        ended = torch.full((4000,), moment == 9)
+        kept = harvest._chosen({"at": torch.full((4000, 2), float(moment))}, ended)["at"]
+    times = torch.bincount(kept[:, 0].long(), minlength=10)
+    assert 320 < int(times.min()) <= int(times.max()) < 480, "400 each, to four standard deviations"
+    kept = harvest._chosen({"at": torch.full((4000, 2), 99.0)}, torch.zeros(4000).bool())["at"]
+    assert (kept == 99.0).all(), "the next episode has no other state yet"
 
 
 def test_dressing_begins_in_the_bank_with_what_was_learned(built_on: Path) -> None:

@@ -10,7 +10,7 @@ from sitting_tasks import build, follow_clip
 
 from understudy.setup.building import Built
 from understudy_basics import rotations
-from understudy_sitting.state import pitch_yaw_roll
+from understudy_sitting.state import Seat, pitch_yaw_roll
 
 
 def test_sizes_of_section_4(sit: Built) -> None:
@@ -83,6 +83,36 @@ def test_the_pelvis_is_felt_on_the_seat(sit: Built) -> None:
     environment = environment.environment
     environment.reset()
     follow_clip(environment, 30)
+    assert environment.table["seat_contact"].all()
     assert environment.table["seated"].all()
     assert float(environment.table["seat_distance"].max()) < 0.2
     assert float(environment.table["seated_seconds"].min()) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "about", "sits"),
+    [
+        (40.0, "y", True),
+        (50.0, "y", False),
+        (-50.0, "x", False),
+        (50.0, "z", True),
+        (70.0, "z", False),
+    ],
+)
+def test_who_lies_across_the_seat_or_faces_elsewhere_does_not_sit(
+    sit: Built, degrees: float, about: str, sits: bool
+) -> None:
+    """The same contact: the torso tilted by 45° or more, or turned by 60° or more from where the chair faces."""
+    tilt, turn = (degrees, 0.0) if about != "z" else (0.0, degrees)
+    pitch, roll = (tilt, 0.0) if about == "y" else (0.0, tilt)
+    angles = torch.deg2rad(torch.tensor([[pitch, turn, roll]]))
+    table = sit.environment.table
+    found = Seat(Seat.Options(), sit.context).compute(
+        xpos=table["xpos"][:1],
+        xquat=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand_as(table["xquat"][:1]),
+        geom_xpos=table["geom_xpos"][:1],
+        torso_angles=angles,
+        sensor_seated=torch.ones(1, 1),
+    )
+    assert float(found["seat_contact"]) == 1.0
+    assert bool(found["seated"]) is sits

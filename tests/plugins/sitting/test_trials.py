@@ -15,10 +15,11 @@ from understudy_sitting.kinematics import minimum_distances
 from understudy_sitting.trials import FILE, TransitionsSection, _figures
 
 
-def test_success_is_three_seconds_of_contact(tmp_path: Path) -> None:
+def test_success_is_three_seconds_of_sitting_and_contact_stands_beside_it(tmp_path: Path) -> None:
     found = {
         "zone": torch.tensor([1.0, 1.0, 2.0, 3.0]),
         "seated": torch.tensor([3.0, 2.9, 10.0, 0.0]),
+        "contact": torch.tensor([3.1, 3.0, 10.0, 0.0]),
         "distance": torch.tensor([0.1, 0.3, 0.2, 1.0]),
     }
     counts = torch.zeros(2, 4, 4)
@@ -26,6 +27,7 @@ def test_success_is_three_seconds_of_contact(tmp_path: Path) -> None:
     figures = _figures(found, counts)
     assert figures["all"]["success_rate"] == 0.5
     assert figures["zones"]["1"]["success_rate"] == 0.5
+    assert figures["all"]["contact_rate"] == 0.75
     assert figures["zones"]["1"]["distance_mean"] == pytest.approx(0.2)
     assert {zone: row["trials"] for zone, row in figures["zones"].items()} == {
         "1": 2,
