@@ -25,7 +25,7 @@ _EPSILON = 1.0 / 120.0
 #: A clip closes where its poses so many s before its end and after it differ by less, in m and rad.
 _INSTANT, _CLOSED = 1e-6, 1e-3
 #: m/s², s: a centre of mass that falls faster, over twice this time, is in flight.
-_FALLING, _WHILE = -0.5 * 9.81, 0.03
+_FALLING, _HALF_SPAN = -0.5 * 9.81, 0.03
 #: s: a motion has ended when so little of it is left.
 _LAST = 1e-4
 
@@ -228,7 +228,7 @@ def _floor(state: Mapping[str, Tensor], times: Tensor, floor: Floor) -> float:
     """m: the height of the floor that the figure in `state` (F, …) at `times` (F,) moves on."""
     lowest, height = state["link_clearances"].amin(1), state["com_position"][:, 2]
     step = float(times[1] - times[0])
-    reach = max(1, round(_WHILE / step))
+    reach = max(1, round(_HALF_SPAN / step))
     if floor == "lowest" or len(times) <= 2 * reach:
         return float(lowest.min())
     fall = (height[2 * reach :] - 2 * height[reach:-reach] + height[: -2 * reach]) / (

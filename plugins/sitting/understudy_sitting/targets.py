@@ -68,18 +68,22 @@ class TargetAhead(Memory):
 class TargetByChair(Fields):
     """The ``target`` (N, 2) that the controller above chose, m in the world.
 
-    Its a^target (N, 2) counts from the seat, in the chair's frame: x ahead of the chair, y to its left.
-    So "in front of the chair" is the same action wherever both are.
+    Its a^target (N, 2) counts from a place ``ahead`` m in front of the seat, in the chair's frame: x ahead
+    of the chair, y to its left. So "in front of the chair" is the same action wherever both are.
     """
 
     reads = ("goal", "chair_position", "chair_rotation")
     provides: Mapping[str, Shape] = {"target": (2,)}
 
-    def __init__(self, options: None, context: Context) -> None:
-        pass
+    @dataclass(frozen=True)
+    class Options:
+        ahead: float = 0.0  #: where a policy that has learned nothing walks to
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._origin = torch.tensor([options.ahead, 0.0], device=context.device)
 
     def compute(
         self, goal: Tensor, chair_position: Tensor, chair_rotation: Tensor
     ) -> dict[str, Tensor]:
         yaw = rotations.heading(chair_rotation)
-        return {"target": chair_position[:, :2] + flat_turn(yaw, goal)}
+        return {"target": chair_position[:, :2] + flat_turn(yaw, self._origin + goal)}

@@ -44,9 +44,10 @@ def test_targets_are_drawn_in_front_and_drawn_again() -> None:
 
 
 def test_a_target_by_the_chair_is_in_its_frame() -> None:
-    field = TargetByChair(None, Context(0, torch.device("cpu"), 1, 1 / 60, 4))
+    context = Context(0, torch.device("cpu"), 1, 1 / 60, 4)
+    field = TargetByChair(TargetByChair.Options(ahead=0.25), context)
     found = field.compute(
-        goal=torch.tensor([[1.0, 0.5]]),
+        goal=torch.tensor([[0.75, 0.5]]),
         chair_position=torch.tensor([[3.0, 2.0, 0.0]]),
         chair_rotation=rotations.from_heading(torch.tensor([math.pi / 2])),
     )
