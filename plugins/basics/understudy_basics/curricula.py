@@ -126,7 +126,7 @@ class Adaptive(Curriculum):
     """Difficulty rises by a step whenever recent episodes went well enough, to the task's.
 
     They are judged together, ``episodes`` or more at a time, by their mean return or the share that
-    succeeded; after a step only episodes that end later count.
+    succeeded; after a step only episodes that begin later count.
     """
 
     @dataclass(frozen=True)
@@ -148,6 +148,8 @@ class Adaptive(Curriculum):
         self._ended, self._total = 0, 0.0
         first = context.difficulty if context.evaluating else min(options.start, self._target)
         self._stage = _Stage(first, options.knots, context)
+        # Worlds whose present episode began before the last step.
+        self._older = torch.zeros(context.num_worlds, dtype=torch.bool, device=context.device)
         self.provides: Mapping[str, Shape] = self._stage.provides
 
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:
@@ -159,9 +161,13 @@ class Adaptive(Curriculum):
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self._options
         ended = rollout.terminated | rollout.truncated
+        first = ended & (ended.cumsum(0) == 1)
+        counted = ended & ~(first & self._older)
+        self._older &= ~ended.any(0)
         succeeded = (rollout.terminated & ~rollout.failed).float()
         score = succeeded if options.by == "success" else rollout.episode_returns
-        sums = torch.stack([ended.double().sum(), torch.where(ended, score, 0.0).double().sum()])
+        scores = torch.where(counted, score, 0.0)
+        sums = torch.stack([counted.double().sum(), scores.double().sum()])
         count, total = distributed.total(sums).tolist()
         self._ended, self._total = self._ended + int(count), self._total + total
         found: dict[str, float] = {"difficulty": self._stage.difficulty}
@@ -171,6 +177,7 @@ class Adaptive(Curriculum):
         self._ended, self._total = 0, 0.0
         if mean >= options.threshold and self._stage.difficulty < self._target:
             self._stage.move(min(self._target, self._stage.difficulty + options.step))
+            self._older.fill_(True)
             found |= {"difficulty": self._stage.difficulty, f"mark/{self._stage}": 1.0}
         return found
 
@@ -179,9 +186,15 @@ class Adaptive(Curriculum):
 
     def state_dict(self) -> State:
         return {
-            "difficulty": self._stage.difficulty, "ended": self._ended, "total": self._total
+            "difficulty": self._stage.difficulty, "ended": self._ended, "total": self._total,
+            "older": self._older.clone(),
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
         self._ended, self._total = state["ended"], state["total"]
         self._stage.move(state["difficulty"])
+        older = state.get("older")  # of as many worlds, else all begin anew
+        if older is not None and older.shape == self._older.shape:
+            self._older.copy_(older)
+        else:
+            self._older.zero_()

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from understudy.errors import ConfigError
 from understudy.options import make_options
@@ -56,12 +57,29 @@ def test_adaptive_rises_only_when_enough_episodes_went_well(by: Any, low: int, h
             curriculum.update(rollout(4, wins, returns))
         return bool((curriculum.begin(STREAMS)["difficulty"] > before).all())
 
+    def end_older() -> None:
+        curriculum.update(rollout(2, 0, 0.0))
+
     assert not rises(low, 4.0)
     assert rises(high, 6.0)
+    end_older()
     assert rises(high, 6.0)
+    end_older()
     assert rises(high, 6.0)
+    end_older()
     assert not rises(high, 6.0)  # it is the task's by now
     assert curriculum.begin(STREAMS)["difficulty"].tolist() == [1.0, 1.0]
+
+
+def test_episodes_that_began_before_a_step_do_not_count_after_it() -> None:
+    options = Adaptive.Options(threshold=0.5, by="return", step=0.25, episodes=2)
+    curriculum = Adaptive(options, context())
+    assert curriculum.update(rollout(2, 0, 1.0))["difficulty"] == 0.25
+    # One world each time: its episode of before, which went well, and none of the other's.
+    assert "return" not in curriculum.update(rollout(1, 0, 1.0))
+    found = curriculum.update(rollout(4, 0, 0.25))  # the other world's older one is among these
+    assert (found["return"], found["difficulty"]) == (0.25, 0.25)
+    assert curriculum.update(rollout(2, 0, 1.0))["difficulty"] == 0.5
 
 
 def test_knots_decide_rate_and_limit() -> None:
@@ -92,12 +110,15 @@ def test_state_continues_exactly_and_in_place() -> None:
     options = Adaptive.Options(threshold=0.5, episodes=6, step=0.3)
     one, two = Adaptive(options, context()), Adaptive(options, context())
     where = two.begin(STREAMS)["difficulty"].data_ptr()
-    for _ in range(3):
+    for _ in range(2):
         one.update(rollout(4, 3))
-    two.load_state_dict(one.state_dict())
+    one.update(rollout(1, 0))
+    state = one.state_dict()
+    assert state["older"].tolist() == [False, True]
+    two.load_state_dict(state)
     for _ in range(4):
         assert one.update(rollout(4, 3)) == two.update(rollout(4, 3))
-    assert one.state_dict() == two.state_dict()
+    assert_close(dict(one.state_dict()), dict(two.state_dict()), rtol=0, atol=0)
     assert two.begin(STREAMS)["difficulty"].data_ptr() == where
 
 
