@@ -36,18 +36,36 @@ def upper_bound(model: Surrogate, weight: float, z: float = 1.0, of: float = 1.0
     return value
 
 
-def climb(function: Acquisition, starts: Tensor, steps: int = 100) -> Tensor:
-    """Where L-BFGS from the best of `starts` (m, d) within the unit cube comes to: (d,)."""
+def climb(
+    function: Acquisition, starts: Tensor, steps: int = 100, within: float | None = None
+) -> Tensor:
+    """Where L-BFGS from the best of `starts` (m, d) within the unit cube comes to, (d,); in no
+    dimension farther than `within` from its start."""
+    if within is None:
+        found, values = _ascended(function, starts, 0.0, 1.0, steps)
+    else:  # BoTorch takes one box for all starts
+        low, high = (starts - within).clamp(min=0.0), (starts + within).clamp(max=1.0)
+        ends = [
+            _ascended(function, start.unsqueeze(0), low[i], high[i], steps)
+            for i, start in enumerate(starts)
+        ]
+        found, values = (torch.cat(part) for part in zip(*ends, strict=True))
+    return found[values.argmax()].squeeze(0).detach()
+
+
+def _ascended(
+    function: Acquisition, starts: Tensor, low: float | Tensor, high: float | Tensor, steps: int
+) -> tuple[Tensor, Tensor]:
+    """L-BFGS from each of `starts` (m, d) between `low` and `high`: points (m, 1, d), values (m,)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BotorchWarning)
-        found, values = gen_candidates_scipy(
+        return gen_candidates_scipy(
             starts.unsqueeze(1),
             lambda x: function(x.squeeze(1)),  # type: ignore[arg-type]
-            lower_bounds=0.0,
-            upper_bounds=1.0,
+            lower_bounds=low,
+            upper_bounds=high,
             options={"maxiter": steps},
         )
-    return found[values.argmax()].squeeze(0).detach()
 
 
 def highest(function: Acquisition, candidates: Tensor, count: int) -> Tensor:

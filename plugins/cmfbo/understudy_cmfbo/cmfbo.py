@@ -43,6 +43,9 @@ class CMFBO(OuterLoop):
         #: What share of the search's end is for full difficulty, whatever ε says: only trials there can
         #: be the answer. 0 is algorithm 4 as printed.
         reserve: float = 0.25
+        #: How far above z_min x_t may be from where its search begins, a share of each parameter's
+        #: range ("close to known high-utility regions", 6.3.2); null leaves it to L-BFGS.
+        close: float | None = 0.2
         #: Whether trials above z_min begin with the nearest earlier one's policy (section 6.3.3) …
         transfer: bool = True
         #: … of an easier task alone: one that has learned this very task makes any point look good.
@@ -54,7 +57,7 @@ class CMFBO(OuterLoop):
 
         def __post_init__(self) -> None:
             super().__post_init__()
-            check_range(self, "epsilon", above=0)
+            check_range(self, "epsilon", "close", above=0)
             check_range(self, "reserve", least=0, most=1)
             if self.transfer and not self.parts:
                 raise ValueError(
@@ -84,18 +87,19 @@ class CMFBO(OuterLoop):
         book, weight = self._book, beta(len(self._book.space), number + 1)
         enough = self._options.epsilon * _range(book.data().y) / model.scale
         enough = max(enough, model.noise / 2)  # what four trials there could tell
-        z = Z_MIN
+        z, close = Z_MIN, self._options.close
         x = maximise(upper_bound(model, weight, z, of=Z_MAX), book, self._seed, number)
         while z < Z_MAX and _deviation(model, x, z) < enough:
             z = min(z + model.fidelity_scale, Z_MAX)
-            x = climb(upper_bound(model, weight, z, of=Z_MAX), x.unsqueeze(0))
+            x = climb(upper_bound(model, weight, z, of=Z_MAX), x.unsqueeze(0), within=close)
         return x, z
 
     def _finish(self, model: Surrogate, number: int) -> tuple[Tensor, float]:
         """(x_t, z_max), x_t by L-BFGS from the trials that promise most there."""
         expected = upper_bound(model, 0.0, Z_MAX)
         bound = upper_bound(model, beta(len(self._book.space), number + 1), Z_MAX)
-        return climb(bound, highest(expected, self._book.data().x, 4)), Z_MAX
+        starts = highest(expected, self._book.data().x, 4)
+        return climb(bound, starts, within=self._options.close), Z_MAX
 
     def _nearest(self, model: Surrogate, x: Tensor, z: float) -> Mapping[str, Any] | None:
         """The policy to begin with: that of the earlier trial most correlated with (x, z)."""

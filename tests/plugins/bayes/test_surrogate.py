@@ -180,6 +180,14 @@ def test_a_climb_ends_at_the_top() -> None:
     assert edge.tolist() == [1.0, 0.0]
 
 
+def test_a_climb_stays_close_to_its_start_when_asked_to() -> None:
+    starts = torch.tensor([[0.2, 0.9], [0.7, 0.4]]).double()
+    found = climb(lambda x: x[:, 0] - x[:, 1], starts, within=0.15)
+    assert found.tolist() == pytest.approx([0.85, 0.25])  # of the better start
+    cube = climb(lambda x: x[:, 0] - x[:, 1], starts, within=0.5)
+    assert cube.tolist() == pytest.approx([1.0, 0.0])
+
+
 def test_the_bound_of_equation_6_3() -> None:
     """a(x, z) = μ(x, z) + β^½ σ(x, z_max)."""
     x = draws.many(0, 0, 2, 12)
