@@ -90,7 +90,8 @@ def _file(name: str | None, file: str | None, registry: Registry) -> Path:
         return known[name]
     raise FileError(
         f"No motion clip '{name}'.{suggestion(name, {*registry.names('clip'), *known})} Clip files "
-        f"are given as motion.file=PATH or looked for in ${DATA_VARIABLE}/motions."
+        f"are given as motion.file=PATH or looked for in ${DATA_VARIABLE}/motions, where `understudy "
+        "motion fetch` puts published ones."
     )
 
 

@@ -32,6 +32,7 @@ from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.fetch import cmu, command, download
+from understudy_motion.fetch import deepmimic as published
 from understudy_motion.readers import deepmimic
 from understudy_motion.readers.amc import AmcReader
 from understudy_motion.reading import (
@@ -216,6 +217,21 @@ def test_names_of_the_database(text: str, clips: list[str]) -> None:
     assert cmu.clips(text) == clips
 
 
+@pytest.mark.parametrize(
+    ("text", "clips"),
+    [
+        ("humanoid3d_dance_a", ["humanoid3d_dance_a"]),
+        ("deepmimic/humanoid3d_walk", ["humanoid3d_walk"]),
+        ("humanoid3d_", []),
+        ("humanoid3d_../walk", []),
+        ("humanoid3d_walk.txt", []),
+        ("02_01", []),
+    ],
+)
+def test_names_of_deepmimics_clips(text: str, clips: list[str]) -> None:
+    assert published.clips(text) == clips
+
+
 @pytest.mark.parametrize("text", ["02_05..02_01", "02_01..03_01", "00_01", "145_01"])
 def test_clips_that_cannot_be_are_refused(text: str) -> None:
     with pytest.raises(FileError, match=f"'{re.escape(text)}'"):
@@ -226,6 +242,10 @@ def test_official_addresses() -> None:
     skeleton, motion = command.wanted(["02_01"])
     assert skeleton.addresses[0] == "http://mocap.cs.cmu.edu/subjects/02/02.asf"
     assert motion.addresses[0] == "http://mocap.cs.cmu.edu/subjects/02/02_01.amc"
+    (walk,) = command.wanted(["humanoid3d_walk"])
+    assert walk.addresses[0] == (
+        "https://raw.githubusercontent.com/xbpeng/DeepMimic/master/data/motions/humanoid3d_walk.txt"
+    )
 
 
 def test_a_skeleton_is_fetched_once() -> None:
@@ -349,13 +369,29 @@ def test_without_a_data_folder_clips_go_below_the_working_folder(
     )
 
 
-def test_an_address_with_terms(site: Site, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def still() -> bytes:
+    """A clip of DeepMimic's format."""
     pose = [0.5, 0, 1, 0] + [
         x for _, n in deepmimic.JOINTS for x in ([1, 0, 0, 0] if n == 4 else [0])
     ]
-    site.files["/clips/still.json"] = content = json.dumps(
-        {"Loop": "none", "Frames": [pose, pose]}
-    ).encode()
+    return json.dumps({"Loop": "none", "Frames": [pose, pose]}).encode()
+
+
+@pytest.mark.parametrize("where", ["/data/motions/", "/"])
+def test_a_clip_of_deepmimic(
+    site: Site, data: Path, capsys: pytest.CaptureFixture[str], where: str
+) -> None:
+    site.files[f"{where}humanoid3d_still.txt"] = still()
+    fetched("humanoid3d_still", "--from", site.address)
+    path = data / "motions" / "deepmimic" / "humanoid3d_still.txt"
+    assert path.read_bytes() == still()
+    assert capsys.readouterr().out.splitlines()[-1] == "Use it with motion.name=humanoid3d_still"
+    motion = Motion(MotionOptions(name=path.stem), plugins.installed().registry, Inputs())
+    assert motion.provenance()["licence"] == "MIT License, copyright (c) 2018 Xue Bin Peng"
+
+
+def test_an_address_with_terms(site: Site, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    site.files["/clips/still.json"] = content = still()
     fetched(f"{site.address}/clips/still.json#top", "--licence", "CC BY 4.0")
     path = data / "motions" / "fetched" / "still.json"
     assert capsys.readouterr().out.splitlines() == [
@@ -768,7 +804,7 @@ def test_two_clips_of_one_stem_are_kept_apart(
         (["02_01", "--sha256", "12"], "it takes 64 hexadecimal digits"),
         (["02_01..02_02", "--sha256", "0" * 64], "the digest of one clip"),
         (["02_01", "--from", "no/such/folder"], "there is no such folder"),
-        (["http://example.org/walk.bvh", "--from", "."], "is for clips of the CMU database"),
+        (["http://example.org/walk.bvh", "--from", "."], "is for clips that are known by name"),
     ],
 )
 def test_wrong_arguments(

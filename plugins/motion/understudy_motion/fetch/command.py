@@ -29,7 +29,7 @@ from understudy.errors import ConfigError, FileError, RunError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
-from understudy_motion.fetch import cmu, download
+from understudy_motion.fetch import cmu, deepmimic, download
 from understudy_motion.library import DATA_VARIABLE
 from understudy_motion.reading import (
     RECORD_SUFFIX,
@@ -41,6 +41,8 @@ from understudy_motion.reading import (
     record_path,
 )
 
+PUBLISHERS = (cmu, deepmimic)
+"""Who publishes clips that are known by name."""
 SUMS = "SHA256SUMS"
 MAX_SUMS_BYTES = 2**24
 SKELETON = ".asf"
@@ -63,16 +65,17 @@ class Wanted:
     """What its digest must be."""
     licence: str | None = None
     attribution: str | None = None
-    published: bool = False
-    """Whether its name alone says what it is, wherever it is fetched from."""
+    publisher: str | None = None
+    """Whose name for it says what it is, wherever it is fetched from; their address."""
 
     def is_at(self, url: str) -> bool:
         """Whether `url` is an address of this file."""
-        return url in self.addresses or (self.published and url.endswith(f"/{self.path.name}"))
+        named = self.publisher is not None and url.endswith(f"/{self.path.name}")
+        return named or url in self.addresses
 
 
 class Fetch(Command):
-    """Downloads clips of the CMU database by name, and of any other place by address."""
+    """Downloads clips of the CMU database and of DeepMimic by name, and of any other place by address."""
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -80,20 +83,20 @@ class Fetch(Command):
             nargs="+",
             metavar="NAME_OR_URL",
             help="a clip of the CMU Graphics Lab Motion Capture Database (02_01), several of one "
-            "subject (02_01..02_05), or an http(s) address",
+            "subject (02_01..02_05), one of DeepMimic (humanoid3d_walk), or an http(s) address",
         )
         parser.add_argument(
             "--from",
             dest="mirror",
             metavar="MIRROR",
-            help="address or folder of a copy of the CMU database, instead of the official one",
+            help="address or folder of a copy of that collection, instead of the official one",
         )
         parser.add_argument(
             "--to",
             type=Path,
             metavar="FOLDER",
-            help=f"destination; by default motions/cmu, for addresses motions/fetched, in "
-            f"${DATA_VARIABLE} or else here",
+            help=f"destination; by default motions/cmu or motions/deepmimic, for addresses "
+            f"motions/fetched, in ${DATA_VARIABLE} or else here",
         )
         parser.add_argument(
             "--sha256", metavar="DIGEST", help="what the clip's digest must be (of one clip only)"
@@ -127,29 +130,30 @@ def wanted(
     if sha256 is not None and not re.fullmatch(r"[0-9A-Fa-f]{64}", sha256):
         raise ConfigError(f"--sha256={sha256} is not possible: it takes 64 hexadecimal digits.")
     digest = sha256.lower() if sha256 else None
-    base = cmu.OFFICIAL if mirror is None else _base(mirror)
+    base = None if mirror is None else _base(mirror)
     files = []
     for name in names:
-        if clips := cmu.clips(name):
-            files += [
-                Wanted(
-                    path=(folder or _default_folder("cmu")) / file,
-                    addresses=cmu.addresses(clip, file, base),
-                    sha256=None if file.endswith(SKELETON) else digest,
-                    licence=licence or cmu.LICENCE,
-                    attribution=cmu.ATTRIBUTION,
-                    published=True,
-                )
-                for clip in clips
-                for file in cmu.files(clip)
-            ]
+        known = [(by, clip) for by in PUBLISHERS for clip in by.clips(name)]
+        files += [
+            Wanted(
+                path=(folder or _default_folder(by.FOLDER)) / file,
+                addresses=by.addresses(clip, file, base or by.OFFICIAL),
+                sha256=None if file.endswith(SKELETON) else digest,
+                licence=licence or by.LICENCE,
+                attribution=by.ATTRIBUTION,
+                publisher=by.OFFICIAL,
+            )
+            for by, clip in known
+            for file in by.files(clip)
+        ]
+        if known:
             continue
         url = _address(name)
         path = (folder or _default_folder("fetched")) / _file_name(url)
         files.append(Wanted(path, (url,), digest, licence))
         if mirror is not None:
             raise ConfigError(
-                f"--from={mirror} is for clips of the CMU database, which '{name}' is not."
+                f"--from={mirror} is for clips that are known by name, which '{name}' is not."
             )
     found: dict[Path, Wanted] = {}
     for file in files:
@@ -185,7 +189,7 @@ def fetch(file: Wanted, registry: Registry) -> str:
 def usage(file: Wanted) -> str:
     """How to refer to a fetched file in a configuration."""
     path = file.path.resolve()
-    if not file.published or path.parent.parent.name != "motions":
+    if file.publisher is None or path.parent.parent.name != "motions":
         return f"Use it with {shlex.quote(f'motion.file={path}')}"
     root = path.parents[2]
     named = os.environ.get(DATA_VARIABLE)
@@ -244,8 +248,8 @@ def _download(file: Wanted, part: Path) -> str:
             except download.AbsentError as error:
                 absences.append(str(error))
     advice = (
-        f"Look the clip up at {cmu.OFFICIAL}, or give another --from."
-        if file.published
+        f"Look the clip up at {file.publisher}, or give another --from."
+        if file.publisher is not None
         else "Check the address in a browser; it must be of the file itself."
     )
     raise FileError(f"No {file.path.name}: {', and '.join(absences)}. {advice}")
@@ -387,8 +391,8 @@ def _is_address(text: str) -> bool:
 def _address(name: str) -> str:
     if not _is_address(name):
         raise FileError(
-            f"'{name}' is neither a clip of the CMU database, such as 02_01 or 02_01..02_05, nor an "
-            "http(s) address."
+            f"'{name}' is neither a clip of the CMU database, such as 02_01 or 02_01..02_05, nor one of "
+            "DeepMimic, such as humanoid3d_walk, nor an http(s) address."
         )
     return download.checked_address(name)
 
