@@ -13,7 +13,7 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy_play.player import Player, World
-from understudy_play.skill import Skill, names, open_skill, pack, rounded
+from understudy_play.skill import Skill, clip_of, names, open_skill, pack, rounded
 
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0
@@ -50,7 +50,10 @@ class Play(Command):
     def run(self, options: argparse.Namespace) -> int:
         if options.skill is None:
             for name in names():
-                print(f"{name}: {describe(open_skill(name))}")
+                skill = open_skill(name)
+                clip = clip_of(skill)
+                needs = f"; needs the clip {clip}" if clip else ""
+                print(f"{name}: {describe(skill)}{needs}")
             return 0
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:

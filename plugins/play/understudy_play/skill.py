@@ -53,6 +53,13 @@ class Skill:
         policy.schedule(self.samples)
 
 
+def clip_of(skill: Skill) -> str | None:
+    """The clip of the data folder that `skill` needs to be played; none where it is generated."""
+    name = (skill.card["config"].get("motion") or {}).get("name")
+    known = installed().registry.names("clip")
+    return name if isinstance(name, str) and name not in known else None
+
+
 def names() -> list[str]:
     """Of the skills that come with the package."""
     return sorted(str(p.relative_to(_HERE).with_suffix("")) for p in _HERE.rglob("*.json"))
@@ -122,6 +129,9 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
     """
     kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
     card = {**skill.card, "evaluation": dict(evaluation)}
+    if isinstance(source := (card.get("sources") or {}).get("motion", {}).get("source"), str):
+        motion = {**card["sources"]["motion"], "source": Path(source).name}  # of no one's folders
+        card["sources"] = {**card["sources"], "motion": motion}
     config = dict(card["config"])
     config["run"] = {**config.get("run", {}), "dir": None}
     path.parent.mkdir(parents=True, exist_ok=True)
