@@ -72,7 +72,7 @@ def draw(
         raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
     camera = mujoco.MjvCamera()
     camera.lookat[:] = centre
-    camera.distance, camera.elevation, camera.azimuth = 1.2 * size, -28.0, 130.0
+    camera.distance, camera.elevation, camera.azimuth = 0.95 * size, -28.0, 130.0
     camera.azimuth = camera.azimuth if azimuth is None else azimuth
     try:
         for frame, here in enumerate(positions):
