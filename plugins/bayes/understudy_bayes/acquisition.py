@@ -9,7 +9,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from understudy_bayes.libraries import BotorchWarning, gen_candidates_scipy
+from understudy_bayes.libraries import gen_candidates_scipy
 from understudy_bayes.surrogate import Surrogate
 
 #: Of points (m, d) of the unit cube, values (m,).
@@ -37,14 +37,19 @@ def upper_bound(model: Surrogate, weight: float, z: float = 1.0, of: float = 1.0
 
 
 def climb(
-    function: Acquisition, starts: Tensor, steps: int = 100, within: float | None = None
+    function: Acquisition,
+    starts: Tensor,
+    steps: int = 100,
+    within: float | None = None,
+    of: Tensor | None = None,
 ) -> Tensor:
     """Where L-BFGS from the best of `starts` (m, d) within the unit cube comes to, (d,); in no
-    dimension farther than `within` from its start."""
+    dimension farther than `within` from `of` (m, d), which are as near to the starts; by default the starts."""
     if within is None:
         found, values = _ascended(function, starts, 0.0, 1.0, steps)
     else:  # BoTorch takes one box for all starts
-        low, high = (starts - within).clamp(min=0.0), (starts + within).clamp(max=1.0)
+        centres = starts if of is None else of
+        low, high = (centres - within).clamp(min=0.0), (centres + within).clamp(max=1.0)
         ends = [
             _ascended(function, start.unsqueeze(0), low[i], high[i], steps)
             for i, start in enumerate(starts)
@@ -57,8 +62,8 @@ def _ascended(
     function: Acquisition, starts: Tensor, low: float | Tensor, high: float | Tensor, steps: int
 ) -> tuple[Tensor, Tensor]:
     """L-BFGS from each of `starts` (m, d) between `low` and `high`: points (m, 1, d), values (m,)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BotorchWarning)
+    # BoTorch shows warnings of a failed line search whatever the filter; at the edge of a whole number one fails.
+    with warnings.catch_warnings(record=True):
         return gen_candidates_scipy(
             starts.unsqueeze(1),
             lambda x: function(x.squeeze(1)),  # type: ignore[arg-type]

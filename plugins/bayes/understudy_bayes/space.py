@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import torch
+from torch import Tensor
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -89,6 +92,15 @@ class Space:
     def unit(self, point: Mapping[str, float]) -> list[float]:
         """Where `point`, which may name other options besides, lies in the unit cube."""
         return [parameter.unit(point[name]) for name, parameter in self._parameters.items()]
+
+    def rounded(self, x: Tensor) -> Tensor:
+        """`x` (m, d) of the unit cube with integer parameters at whole values; gradients are those of x
+        ("straight-through"), so that an ascent can still leave a value for the next."""
+        whole = [p.integer for p in self._parameters.values()]
+        if not any(whole):
+            return x
+        taken = [self.unit(self.point(row)) for row in x.detach().clamp(0.0, 1.0).tolist()]
+        return torch.where(torch.tensor(whole), x + (torch.tensor(taken).to(x) - x).detach(), x)
 
     def missing(self, point: Mapping[str, float]) -> bool:
         """Whether `point` lacks one of the options."""

@@ -29,6 +29,7 @@ from understudy_bayes.libraries import (
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
 )
+from understudy_bayes.space import Space
 
 
 @dataclass(frozen=True)
@@ -65,13 +66,16 @@ class Surrogate:
     Length scales of x are one per dimension. y is standardised to mean 0 and variance 1; all that is
     returned is in these units, in which the prior's variance is 1 (``scale`` is one such unit in
     units of y). Hyper-parameters are the most probable ones, found by L-BFGS from the priors' modes.
-    Whatever the fit draws depends on `seed` alone.
+    Whatever the fit draws depends on `seed` alone. With a `space`, a place between two values of an
+    integer parameter is the one that would be trained.
     """
 
-    def __init__(self, options: SurrogateOptions, data: Data, seed: int = 0) -> None:
+    def __init__(
+        self, options: SurrogateOptions, data: Data, seed: int = 0, space: Space | None = None
+    ) -> None:
         spread = data.y.std() if len(data.y) > 1 else torch.zeros(())
         self.scale = float(spread) if spread > 1e-12 * (1 + data.y.abs().max()) else 1.0
-        self._d = data.x.shape[1]
+        self._d, self._taken = data.x.shape[1], space.rounded if space else _as_is
         self._x, self._y = _joined(data.x, data.z), (data.y - data.y.mean()) / self.scale
         self._space = get_covar_module_with_dim_scaled_prior(
             self._d, use_rbf_kernel=options.kernel == "se", active_dims=tuple(range(self._d))
@@ -127,7 +131,7 @@ class Surrogate:
     def posterior(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Mean (m,) and standard deviation (m,) of the function, without noise, at `x` (m, d) and
         fidelities `z` (m,)."""
-        found = self._model.posterior(_joined(x, z))
+        found = self._model.posterior(_joined(self._taken(x), z))
         mean, variance = found.mean, found.variance
         assert isinstance(mean, Tensor)
         assert isinstance(variance, Tensor)
@@ -136,7 +140,7 @@ class Surrogate:
     def correlation(self, x: Tensor, z: Tensor, xs: Tensor, zs: Tensor) -> Tensor:
         """k((x, z), (x_i, z_i)) (n,) of one place `x` (d,), `z` () with `xs` (n, d), `zs` (n,)."""
         with torch.no_grad():
-            one = _joined(x.unsqueeze(0), z.reshape(1))
+            one = _joined(self._taken(x.unsqueeze(0)), z.reshape(1))
             return self._kernel(one, _joined(xs, zs)).to_dense()[0]
 
     @property
@@ -173,6 +177,10 @@ class _Line(Mean):
         return constant + self.slope * x[..., -1]
 
 
+def _as_is(x: Tensor) -> Tensor:
+    return x
+
+
 def _joined(x: Tensor, z: Tensor) -> Tensor:
     return torch.cat([x, z.to(x).reshape(-1, 1).expand(len(x), 1)], dim=1)
 
@@ -182,6 +190,6 @@ def fitted(book: Book, options: SurrogateOptions, seed: int) -> Surrogate | None
     first is finished."""
     if not book.reports:
         return None
-    model = Surrogate(options, book.data(), seed)
+    model = Surrogate(options, book.data(), seed, book.space)
     model.believe(*book.places(book.pending))
     return model

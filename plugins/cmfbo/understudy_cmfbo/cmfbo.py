@@ -43,8 +43,9 @@ class CMFBO(OuterLoop):
         #: What share of the search's end is for full difficulty, whatever ε says: only trials there can
         #: be the answer. 0 is algorithm 4 as printed.
         reserve: float = 0.25
-        #: How far above z_min x_t may be from where its search begins, a share of each parameter's
-        #: range ("close to known high-utility regions", 6.3.2); null leaves it to L-BFGS.
+        #: How far above z_min x_t may be from where its search begins (its place at z_min, and in the
+        #: last trials a trial's), a share of each parameter's range, of a logarithmic one's decades
+        #: ("close to known high-utility regions", 6.3.2); null leaves it to L-BFGS.
         close: float | None = 0.2
         #: Whether trials above z_min begin with the nearest earlier one's policy (section 6.3.3) …
         transfer: bool = True
@@ -89,9 +90,11 @@ class CMFBO(OuterLoop):
         enough = max(enough, model.noise / 2)  # what four trials there could tell
         z, close = Z_MIN, self._options.close
         x = maximise(upper_bound(model, weight, z, of=Z_MAX), book, self._seed, number)
+        easiest = x.unsqueeze(0)
         while z < Z_MAX and _deviation(model, x, z) < enough:
             z = min(z + model.fidelity_scale, Z_MAX)
-            x = climb(upper_bound(model, weight, z, of=Z_MAX), x.unsqueeze(0), within=close)
+            bound = upper_bound(model, weight, z, of=Z_MAX)
+            x = climb(bound, x.unsqueeze(0), within=close, of=easiest)
         return x, z
 
     def _finish(self, model: Surrogate, number: int) -> tuple[Tensor, float]:

@@ -47,7 +47,7 @@ def sweep(overrides: Sequence[str]) -> int:
     root, chosen = experiment.root, experiment.need("outer_loop")
     loop: OuterLoop = chosen.build(root.seed)
     identity = _identity(experiment, loop)
-    folder = Path(root.run.dir or Path("runs") / f"sweep-{identity}")
+    folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(tuple(o for o in overrides if not _OWN.match(o)), str(folder), root.device)
     _check(loop.plan or [chosen.build(root.seed).ask(0)], work)
     executor: Executor = experiment.need("executor").build(work)
@@ -225,11 +225,22 @@ def _identity(experiment: Experiment, loop: OuterLoop) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def _title(overrides: Sequence[str], folder: Path) -> str:
+def _named(overrides: Sequence[str]) -> str | None:
     """What the command line calls it."""
     words = [o.lstrip("+").partition("=") for o in overrides]
     named = [value for key, _, value in words if key in ("ablation", "search", "experiment")]
-    return named[0] if named else folder.name
+    return named[0] if named else None
+
+
+def _title(overrides: Sequence[str], folder: Path) -> str:
+    return _named(overrides) or folder.name
+
+
+def _slug(overrides: Sequence[str]) -> str:
+    """Its name as the beginning of a folder's: two ablations of one experiment, whose variants may be
+    added to, are not told apart by what they compare."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "-", _named(overrides) or "").strip("-")
+    return f"{name}-" if name else ""
 
 
 def _made(folder: Path) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +16,7 @@ from understudy_bayes.space import Parameter, Space, check_paths
 RATE = Parameter(1e-5, 1e-1, "log")
 EPOCHS = Parameter(1, 10, integer=True)
 CLIP = Parameter(0.02, 0.2)
+BATCH = Parameter(64, 512, "log", integer=True)
 
 
 def test_a_log_scale_has_equal_ratios() -> None:
@@ -93,3 +95,17 @@ def test_a_fidelity_read_back_is_the_same(z: float, low: float, high: float) -> 
     again = fidelity.z(Trial("a", fidelity=difficulty))
     assert again == pytest.approx(z, abs=1e-4)
     assert 0 <= (difficulty or 0) <= 1
+
+
+def test_between_two_whole_numbers_there_is_nothing() -> None:
+    """What is trained is what the model is asked about; the ascent does not notice the steps."""
+    space = Space({"a": Parameter(1, 3, integer=True), "b": Parameter(0, 2), "c": BATCH})
+    x = torch.tensor([[0.6, 0.6, 0.3], [0.8, 0.2, 1.0]], dtype=torch.double, requires_grad=True)
+    rounded = space.rounded(x)
+    assert rounded[:, :2].tolist() == [[0.5, 0.6], [1.0, 0.2]]
+    assert [space.point(row) for row in rounded.tolist()] == [
+        space.point(row) for row in x.tolist()
+    ]
+    (gradient,) = torch.autograd.grad((rounded * 3).sum(), x)
+    assert gradient.tolist() == [[3.0] * 3] * 2
+    assert Space({"b": Parameter(0, 2)}).rounded(x) is x

@@ -186,6 +186,8 @@ def test_a_climb_stays_close_to_its_start_when_asked_to() -> None:
     assert found.tolist() == pytest.approx([0.85, 0.25])  # of the better start
     cube = climb(lambda x: x[:, 0] - x[:, 1], starts, within=0.5)
     assert cube.tolist() == pytest.approx([1.0, 0.0])
+    found = climb(lambda x: x[:, 0] - x[:, 1], starts, within=0.15, of=starts - 0.1)
+    assert found.tolist() == pytest.approx([0.75, 0.15])
 
 
 def test_the_bound_of_equation_6_3() -> None:

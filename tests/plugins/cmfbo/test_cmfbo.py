@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -14,8 +15,10 @@ from understudy.errors import ConfigError
 from understudy.options import make_options
 from understudy.running.trials import Report, Trial
 from understudy_bayes import draws
+from understudy_bayes.acquisition import beta, upper_bound
 from understudy_bayes.book import Data
 from understudy_bayes.space import Parameter
+from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions
 from understudy_cmfbo.cmfbo import CMFBO
 
@@ -61,6 +64,43 @@ def test_it_finds_the_optimum(told: Told) -> None:
     assert highest["fidelity"] < 1.0
     assert highest["y"] > answer["y"]
     assert rows[-1]["best"] == answer["y"]
+
+
+def test_harder_tasks_are_asked_close_to_what_was_good() -> None:
+    """In the last trials close to an earlier trial; on the way up to where algorithm 3 began, in
+    however many steps of z."""
+    loop = make(close=0.05, trials=20)
+    told = carry_on(loop, valley)
+    space, seen = loop._book.space, torch.empty(0, 2)
+    for trial in trials(told):
+        x = torch.tensor([space.unit(trial.point)])
+        if trial.fidelity == 1.0 and len(seen) >= 15:
+            assert (x - seen).abs().amax(dim=1).min() < 0.05 + 1e-4
+        seen = torch.cat([seen, x])
+    data, options = loop._book.data(), SurrogateOptions(fidelity_scale=0.1)
+    model = Surrogate(options, data, space=space)
+    bound = upper_bound(model, beta(2, 21), 0.0, of=1.0)
+    begin = maximise(bound, loop._book, 0, 20)
+    loop._options = replace(loop._options, epsilon=100.0)
+    x, z = loop._progress(model, 20)
+    assert z == 1.0
+    assert model.fidelity_scale < 0.5  # several steps
+    assert 0 < (x - begin).abs().max() <= 0.05 + 1e-9
+
+
+def steps(trial: Trial) -> float:
+    """Highest at a = 3, b = 1; easier tasks have lower values."""
+    a, b = trial.point["a"], trial.point["b"]
+    return -((a - 3) ** 2) - 0.3 * (b - 1) ** 2 + 0.1 * (trial.fidelity or 0.0)
+
+
+def test_small_integers_are_not_asked_for_again_and_again() -> None:
+    """What is known of the point that would be trained counts, not of a place between two of them."""
+    space = {"a": Parameter(1, 3, integer=True), "b": Parameter(1, 3, integer=True)}
+    told = carry_on(make(parameters=space, trials=12, initial=4, reserve=0.0), steps)
+    asked = [(t.point["a"], t.point["b"], t.fidelity) for t in trials(told)]
+    assert all(asked.count(one) <= 2 for one in asked if one[2] == 0.0)
+    assert (3, 1, 1.0) in asked
 
 
 @pytest.mark.parametrize("cut", [3, 21, 30, 37])
