@@ -22,7 +22,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page
-from understudy_report.values import mapping
+from understudy_report.values import Row, mapping
 from understudy_sweeps import search, tables
 from understudy_sweeps.curves import learning_curves, legend, style_of
 from understudy_sweeps.film import Tile, columns_of, make_film
@@ -71,10 +71,10 @@ class Page:
     def path(self) -> Path:
         return self.folder / "page.html"
 
-    def write(self, journal: Journal, *, film: bool = False) -> None:
-        """All files, from what is known now; with `film`, the video too, which takes a while. What
+    def write(self, journal: Journal, summary: Sequence[Row] = (), *, film: bool = False) -> None:
+        """All files, from what is known now and the outer loop's rows; with `film`, the video too, which takes a while. What
         keeps it from being written is said, and the sweep goes on."""
-        results = self._results.of(journal)
+        results = self._results.of(journal, summary)
         try:
             if film and results:
                 self._draw(results)
@@ -99,9 +99,9 @@ class Page:
             found += [path] if path is not None else []
         return found
 
-    def table(self, journal: Journal) -> str:
+    def table(self, journal: Journal, summary: Sequence[Row] = ()) -> str:
         """The main table as text."""
-        results = self._results.of(journal)
+        results = self._results.of(journal, summary)
         return self._main(results, variants_of(results)).text() if results else "No trial yet."
 
     def _main(self, results: Sequence[Result], variants: Sequence[Variant]) -> Table:
@@ -263,9 +263,13 @@ def _headline(results: Sequence[Result], variants: Sequence[Variant]) -> str:
     if not variants and best is not None and best.report is not None:
         at = ", ".join(f"{name}={value:g}" for name, value in best.trial.point.items())
         value = tables.shown(best.report.objective, objective)
+        scaled = best.worth != best.report.objective
+        value += f" (y {tables.shown(best.worth)})" if scaled else ""
         parts.append(
             f"the best {objective.replace('_', ' ')} is {value}, of {best.trial.key} ({at})"
         )
+    elif not variants and any(r.worth is not None for r in results):
+        parts.append("none of them at full fidelity, so there is no answer")
     return "; ".join(parts) + "."
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -10,7 +12,9 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from understudy_report.progress import clock
+from understudy_report.values import Row
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.results import Result, best_of, said_of
 
 
 class Progress:
@@ -42,11 +46,13 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def show(self, journal: Journal, share: float | None, running: int) -> None:
+    def show(
+        self, journal: Journal, share: float | None, running: int, summary: Sequence[Row] = ()
+    ) -> None:
         now = time.monotonic()
         if self._began is None:
             self._began = (now, share)
-        text = describe(journal, self._trials, running)
+        text = describe(journal, self._trials, running, summary)
         left = time_left(now - self._began[0], self._began[1], share)
         note = text if left is None else f"{text} · about {clock(left)} left"
         if self._bar is not None:
@@ -56,8 +62,8 @@ class Progress:
         self._told = text
 
 
-def describe(journal: Journal, trials: int, running: int) -> str:
-    """Where the sweep stands, in words."""
+def describe(journal: Journal, trials: int, running: int, summary: Sequence[Row] = ()) -> str:
+    """Where the sweep stands, in words; `summary` are the outer loop's rows."""
     finished = journal.finished
     failed = sum(report.status != "ok" for report in finished.values())
     done = f"{len(finished)} of {trials}" if trials else str(len(finished))
@@ -65,15 +71,14 @@ def describe(journal: Journal, trials: int, running: int) -> str:
     if failed:
         parts.append(f"{failed} failed")
     # Variants are not ranked: what is asked of them may be least where it is best.
-    levels = {trial.key: trial.fidelity or 0.0 for trial in journal.asked if not trial.variant}
-    found = [
-        (levels[r.key], r.objective, r.key)
-        for r in finished.values()
-        if r.objective is not None and r.key in levels
+    said = said_of(summary)
+    results = [
+        Result(t, finished.get(t.key), Path(), said=said.get(t.key, {}))
+        for t in journal.asked
+        if not t.variant
     ]
-    if found:
-        _, objective, key = max(found)  # of the greatest fidelity
-        parts.append(f"best {objective:.3g} ({key})")
+    if (best := best_of(results)) is not None:
+        parts.append(f"best {best.worth:.3g} ({best.trial.key})")
     return " · ".join(parts)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from understudy.records.runs import Run
@@ -25,6 +25,9 @@ class Result:
     path: Path  #: its run folder
     rows: Sequence[Row] = ()  #: its metrics
     evaluation: Row = field(default_factory=dict)  #: its last one
+    #: The loop's own row of it. What the loop maximises may be another figure than the objective (``y``, such
+    #: as eq. 6.5's), only some trials can be its answer (``whole``), and it says which one is (``found``).
+    said: Row = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -42,6 +45,12 @@ class Result:
         """Of training, over all resumes."""
         return next((s for row in self.rows[::-1] if (s := number(row.get("seconds")))), None)
 
+    @property
+    def worth(self) -> float | None:
+        """What a search ranks it by; None where it failed."""
+        objective = self.figure(OBJECTIVE)
+        return objective if objective is None else number(self.said.get("y", objective))
+
     def figure(self, name: str) -> float | None:
         """``objective``, ``samples``, ``seconds``, or a measure; None where it has none."""
         if self.report is None or not self.ok:
@@ -57,9 +66,11 @@ class Results:
         self._folder = folder
         self._finished: dict[str, Result] = {}
 
-    def of(self, journal: Journal) -> list[Result]:
-        reports = journal.finished
-        return [self._one(trial, reports.get(trial.key)) for trial in journal.asked]
+    def of(self, journal: Journal, summary: Sequence[Row] = ()) -> list[Result]:
+        """In the order in which they were asked for; `summary` are the outer loop's rows."""
+        reports, said = journal.finished, said_of(summary)
+        found = [self._one(trial, reports.get(trial.key)) for trial in journal.asked]
+        return [replace(r, said=said.get(r.trial.key, {})) for r in found]
 
     def _one(self, trial: Trial, report: Report | None) -> Result:
         if trial.key in self._finished:
@@ -106,15 +117,21 @@ def objective_of(results: Sequence[Result]) -> str:
     return OBJECTIVE
 
 
-def final_fidelity(results: Sequence[Result]) -> float | None:
-    """The greatest fidelity of any finished trial, at which objectives are compared."""
-    return max(
-        (r.trial.fidelity for r in results if r.ok and r.trial.fidelity is not None), default=None
-    )
+def said_of(summary: Sequence[Row]) -> dict[str, Row]:
+    """The rows of an outer loop's `summary` by trial."""
+    return {str(row["trial"]): row for row in summary if "trial" in row}
+
+
+def compared_in(results: Sequence[Result]) -> list[Result]:
+    """The finished trials of a search whose worth can be compared: those that the loop calls whole, or
+    else those of the greatest fidelity."""
+    done = [r for r in results if r.worth is not None]
+    if any("whole" in r.said for r in results):
+        return [r for r in done if r.said.get("whole")]
+    top = max((r.trial.fidelity for r in done if r.trial.fidelity is not None), default=None)
+    return [r for r in done if r.trial.fidelity == top]
 
 
 def best_of(results: Sequence[Result]) -> Result | None:
-    """The finished trial of the greatest objective, among those of the greatest fidelity."""
-    fidelity = final_fidelity(results)
-    found = [r for r in results if r.trial.fidelity == fidelity and r.figure(OBJECTIVE) is not None]
-    return max(found, key=lambda r: r.figure(OBJECTIVE) or 0.0, default=None)
+    """The trial that is worth most, of those that can be compared; None before there is one."""
+    return max(compared_in(results), key=lambda r: r.worth or 0.0, default=None)

@@ -9,7 +9,7 @@ import numpy as np
 
 from understudy_report import words
 from understudy_report.charts import HEIGHT, WIDTH, Axes, grid, svg
-from understudy_sweeps.results import OBJECTIVE, SAMPLES, Result, best_of, final_fidelity
+from understudy_sweeps.results import OBJECTIVE, Result, best_of, compared_in
 
 #: Viridis, less its lightest end: its order is seen in grey and by colour-blind readers too.
 _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (189, 206, 38))
@@ -17,17 +17,18 @@ _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (189, 206
 
 def charts(results: Sequence[Result], objective: str) -> str:
     """Both pictures, and what they mean; nothing before a first trial is finished."""
-    done = [r for r in results if r.figure(OBJECTIVE) is not None]
+    done = [r for r in results if r.worth is not None]
     if not done:
         return "<p>No trial is finished yet.</p>"
-    name = objective.replace("_", " ")
+    scaled = any(r.worth != r.figure(OBJECTIVE) for r in done)
+    name = "y" if scaled else objective.replace("_", " ")
     cards = [_card(f"{name} of each trial against all samples spent", _history(results))]
     if done[0].trial.point:
         cards.append(_card("Where the trials were", _parallel(done, name)))
     levels = sorted({r.trial.fidelity for r in done if r.trial.fidelity is not None})
     notes = ["The line is the best so far"]
     if levels:
-        notes[0] += f" at fidelity {levels[-1]:g}, and the dots' colours are fidelities"
+        notes[0] += " of those that can be compared, and the dots' colours are fidelities"
     if any(r.trial.start for r in done):
         notes.append("dashes lead from a trial to those that began from it")
     key = "".join(
@@ -38,7 +39,7 @@ def charts(results: Sequence[Result], objective: str) -> str:
     return (
         (f'<p class="variants">{key}</p>' if key else "")
         + f'<div class="pair">{"".join(cards)}</div><p>{escape("; ".join(notes))}. In the second '
-        "picture a trial is a line through its values, light where the objective is high, the best one bold.</p>"
+        f"picture a trial is a line through its values, light where {escape(name)} is high, the best one bold.</p>"
     )
 
 
@@ -47,13 +48,13 @@ def _card(title: str, picture: str) -> str:
 
 
 def _history(results: Sequence[Result]) -> str:
-    """A dot for each trial, at the samples that had been spent when it was finished."""
-    top, spent = final_fidelity(results), 0.0
+    """A dot for each trial, at the samples that it and those asked for before it have spent."""
+    compared, spent = {r.trial.key for r in compared_in(results)}, 0.0
     levels = sorted({r.trial.fidelity for r in results if r.trial.fidelity is not None})
     dots: dict[str, tuple[float, float, Result]] = {}
     for result in results:
-        spent += result.figure(SAMPLES) or 0.0
-        value = result.figure(OBJECTIVE)
+        spent += result.report.cost if result.report else 0.0
+        value = result.worth
         if value is not None:
             dots[result.trial.key] = (spent, value, result)
     values = [value for _, value, _ in dots.values()]
@@ -62,7 +63,7 @@ def _history(results: Sequence[Result]) -> str:
     axes = Axes(low - pad, high + pad, 1.04 * spent)
     parts, best, line = [grid(axes)], -np.inf, []
     for x, value, result in dots.values():
-        if result.trial.fidelity == top and value > best:
+        if result.trial.key in compared and value > best:
             line += [(x, best), (x, value)] if line else [(x, value)]
             best = value
     if line:
@@ -86,10 +87,7 @@ def _history(results: Sequence[Result]) -> str:
 def _parallel(done: Sequence[Result], objective: str) -> str:
     """A line for each trial across one axis for each parameter, the objective last."""
     names = list(dict.fromkeys(name for r in done for name in r.trial.point))
-    rows = [
-        {**r.trial.point, "fidelity": r.trial.fidelity, objective: r.figure(OBJECTIVE)}
-        for r in done
-    ]
+    rows = [{**r.trial.point, "fidelity": r.trial.fidelity, objective: r.worth} for r in done]
     if any(r.trial.fidelity is not None for r in done):
         names.append("fidelity")
     found = [[row.get(name) for name in (*names, objective)] for row in rows]

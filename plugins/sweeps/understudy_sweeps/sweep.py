@@ -60,14 +60,14 @@ def sweep(overrides: Sequence[str]) -> int:
         with Progress(len(loop.plan)) as progress:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
         book.write_json("summary.json", loop.summary())
-        page.write(journal, film=True)
+        page.write(journal, loop.summary(), film=True)
         more = page.more(journal, experiment)
     except KeyboardInterrupt as stop:  # when no trial is under way
         raise _interrupted(f"Stopped by {stop}", folder) from None
     finally:
         executor.close()
         book.unlock()
-    print(page.table(journal))
+    print(page.table(journal, loop.summary()))
     for path in (page.path, *more):
         print(f"page: {path}")
     print(f"sweep: {folder}")
@@ -126,7 +126,7 @@ class _Talk:
 def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) -> None:
     """Go on with what is unfinished, then ask, run and tell until there is nothing to ask for."""
     journal, waiting, running = talk.journal, talk.replay(), 0
-    page.write(journal)
+    page.write(journal, talk.loop.summary())
     with StopRequest() as stop:
         while True:
             while executor.free() > 0:
@@ -141,7 +141,7 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
                     talk.again.add(first.key)
                 executor.start(_placed(first, journal, page.folder))
                 running += 1
-            progress.show(journal, talk.loop.share, running)
+            progress.show(journal, talk.loop.share, running, talk.loop.summary())
             if running == 0:
                 return
             report = _next(executor, stop, page.folder)
@@ -156,7 +156,7 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
                         f"could not be trained again: {report.status}"
                     )
                 running -= 1
-                page.write(journal)
+                page.write(journal, talk.loop.summary())
 
 
 def _next(executor: Executor, stop: StopRequest, folder: Path) -> Report:

@@ -21,7 +21,7 @@ from understudy_sweeps.results import (
     SUCCESS,
     Result,
     Variant,
-    final_fidelity,
+    compared_in,
     measures_of,
     objective_of,
 )
@@ -193,23 +193,23 @@ def trials(results: Sequence[Result]) -> Table:
     success = SUCCESS in measures_of(results)
     objective = objective_of(results)
     heads = ["trial", "ended by", *([] if objective == SUCCESS else [objective])]
+    scaled = any(r.worth != r.figure(OBJECTIVE) for r in results)
+    marked = any(r.said.get("found") for r in results)
+    heads += [*(["y"] if scaled else []), *(["found"] if marked else [])]
     heads += ["success"] if success else []
     heads += ["fidelity"] if levels else []
     heads += [*points, *(["began from"] if starts else []), "samples", "training"]
     if searched:
-        top = final_fidelity(results)
+        compared = {r.trial.key for r in compared_in(results)}
         results = sorted(
-            results,
-            key=lambda r: (
-                r.figure(OBJECTIVE) is None,
-                r.trial.fidelity != top,
-                -(r.figure(OBJECTIVE) or 0.0),
-            ),
+            results, key=lambda r: (r.worth is None, r.trial.key not in compared, -(r.worth or 0.0))
         )
     rows = []
     for r in results:
         row = [r.trial.key, r.state]
         row += [] if objective == SUCCESS else [shown(r.figure(OBJECTIVE))]
+        row += [shown(r.worth)] if scaled else []
+        row += [str(r.said.get("found") or "")] if marked else []
         row += [_episodes(r)] if success else []
         row += [shown(r.trial.fidelity)] if levels else []
         row += [shown(number(r.trial.point.get(name))) for name in points]
@@ -251,6 +251,7 @@ def trials_csv(results: Sequence[Result]) -> str:
                 "began_from": began_from(r.trial.start) if r.trial.start else "",
                 **{f"point/{name}": r.trial.point.get(name) for name in points},
                 **figures,
+                **{key: r.said[key] for key in ("y", "found") if key in r.said},
                 **measures,
                 "folder": r.path.name,
             }

@@ -159,6 +159,36 @@ def test_the_table_of_a_search(search: tuple[Path, Journal]) -> None:
     assert best.trial.key == "t2"
 
 
+def test_a_search_is_ranked_by_what_its_loop_maximises(search: tuple[Path, Journal]) -> None:
+    """y is not the objective where learning faster is better, and the loop says which trials count."""
+    folder, journal = search
+    summary = [
+        {"trial": "t0", "y": 0.8, "whole": False, "found": "highest y"},
+        {"trial": "t1", "y": 0.4, "whole": True, "found": "answer"},
+        {"trial": "t2", "y": 0.3, "whole": True, "found": ""},
+    ]
+    results = Results(folder).of(journal, summary)
+    table = tables.trials(results)
+    assert column(table, "trial") == ["t1", "t2", "t0", "t3"]
+    assert column(table, "y") == ["0.4", "0.3", "0.8", "–"]
+    assert column(table, "found") == ["answer", "", "highest y", ""]
+    assert ",0.4,answer," in tables.trials_csv(results)
+    assert describe(journal, 6, 2, summary).endswith("best 0.4 (t1)")
+    page = Page(folder, "x")
+    page.write(journal, summary)
+    text = (folder / "page.md").read_text()
+    assert "is 0.5 (y 0.4), of t1" in text
+    assert "<td>answer" in (folder / "page.html").read_text()
+
+
+def test_a_search_without_a_whole_trial_has_no_answer(search: tuple[Path, Journal]) -> None:
+    folder, journal = search
+    summary = [{"trial": f"t{i}", "y": 0.1, "whole": False} for i in range(3)]
+    assert "best" not in describe(journal, 6, 2, summary)
+    Page(folder, "x").write(journal, summary)
+    assert "so there is no answer" in (folder / "page.md").read_text()
+
+
 def test_progress_in_words(search: tuple[Path, Journal]) -> None:
     assert describe(search[1], 6, 2) == "4 of 6 done · 2 running · 1 failed · best 0.7 (t2)"
     other = Journal(search[0] / "other")
