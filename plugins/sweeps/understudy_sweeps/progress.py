@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,9 @@ class Progress:
     it began.
     """
 
-    def __init__(self, trials: int) -> None:
+    def __init__(self, plan: Collection[str]) -> None:
         self._console = Console(stderr=True, highlight=False)
-        self._trials = trials  #: in all; 0 if that is not known
+        self._plan = plan  #: keys of all trials; none if they are not known
         self._bar: Bar | None = None
         self._task: Any = None
         self._began: tuple[float, float | None] | None = None
@@ -52,7 +52,7 @@ class Progress:
         now = time.monotonic()
         if self._began is None:
             self._began = (now, share)
-        text = describe(journal, self._trials, running, summary)
+        text = describe(journal, self._plan, running, summary)
         left = time_left(now - self._began[0], self._began[1], share)
         note = text if left is None else f"{text} · about {clock(left)} left"
         if self._bar is not None:
@@ -62,11 +62,15 @@ class Progress:
         self._told = text
 
 
-def describe(journal: Journal, trials: int, running: int, summary: Sequence[Row] = ()) -> str:
-    """Where the sweep stands, in words; `summary` are the outer loop's rows."""
-    finished = journal.finished
+def describe(
+    journal: Journal, plan: Collection[str], running: int, summary: Sequence[Row] = ()
+) -> str:
+    """Where the sweep stands, in words; `summary` are the outer loop's rows.
+
+    Trials that are not of the `plan`, which earlier calls of the sweep asked for, do not count."""
+    finished = {k: report for k, report in journal.finished.items() if not plan or k in plan}
     failed = sum(report.status != "ok" for report in finished.values())
-    done = f"{len(finished)} of {trials}" if trials else str(len(finished))
+    done = f"{len(finished)} of {len(plan)}" if plan else str(len(finished))
     parts = [f"{done} done", f"{running} running"]
     if failed:
         parts.append(f"{failed} failed")

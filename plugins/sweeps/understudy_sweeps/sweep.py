@@ -57,7 +57,7 @@ def sweep(overrides: Sequence[str]) -> int:
         _refuse_another(folder / "sweep.json", identity)
         journal = Journal.open(folder / "journal.jsonl")
         page = Page(folder, _title(overrides, folder), chosen.effective().get("paper"))
-        with Progress(len(loop.plan)) as progress:
+        with Progress({trial.key for trial in loop.plan}) as progress:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
         book.write_json("summary.json", loop.summary())
         page.write(journal, loop.summary(), film=True)

@@ -224,8 +224,11 @@ def _episodes(result: Result) -> str:
     if rate is None:
         return _NOTHING
     bounds = interval(mapping(result.evaluation).get("success_rate_95"))
-    if bounds is None:
-        bounds = wilson_interval(rate, int(number(mapping(result.evaluation).get("episodes")) or 0))
+    episodes = int(number(mapping(result.evaluation).get("episodes")) or 0)
+    if bounds is None and episodes:
+        bounds = wilson_interval(rate, episodes)
+    if bounds is None:  # its run is gone: the journal has the rate alone
+        return words.share(rate)
     return f"{words.share(rate)} [{100 * bounds[0]:.0f}, {100 * bounds[1]:.0f}]"
 
 

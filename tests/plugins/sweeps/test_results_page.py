@@ -173,7 +173,7 @@ def test_a_search_is_ranked_by_what_its_loop_maximises(search: tuple[Path, Journ
     assert column(table, "y") == ["0.4", "0.3", "0.8", "–"]
     assert column(table, "found") == ["answer", "", "highest y", ""]
     assert ",0.4,answer," in tables.trials_csv(results)
-    assert describe(journal, 6, 2, summary).endswith("best 0.4 (t1)")
+    assert describe(journal, (), 2, summary).endswith("best 0.4 (t1)")
     page = Page(folder, "x")
     page.write(journal, summary)
     text = (folder / "page.md").read_text()
@@ -184,23 +184,41 @@ def test_a_search_is_ranked_by_what_its_loop_maximises(search: tuple[Path, Journ
 def test_a_search_without_a_whole_trial_has_no_answer(search: tuple[Path, Journal]) -> None:
     folder, journal = search
     summary = [{"trial": f"t{i}", "y": 0.1, "whole": False} for i in range(3)]
-    assert "best" not in describe(journal, 6, 2, summary)
+    assert "best" not in describe(journal, (), 2, summary)
     Page(folder, "x").write(journal, summary)
     assert "so there is no answer" in (folder / "page.md").read_text()
 
 
 def test_progress_in_words(search: tuple[Path, Journal]) -> None:
-    assert describe(search[1], 6, 2) == "4 of 6 done · 2 running · 1 failed · best 0.7 (t2)"
+    plan = [f"t{i}" for i in range(6)]
+    assert describe(search[1], plan, 2) == "4 of 6 done · 2 running · 1 failed · best 0.7 (t2)"
     other = Journal(search[0] / "other")
-    assert describe(other, 0, 1) == "0 done · 1 running"
+    assert describe(other, (), 1) == "0 done · 1 running"
     other.ask(Trial("harvest"))
     other.tell(Report("harvest", "ok"))  # a job without an objective has not failed
-    assert describe(other, 0, 0) == "1 done · 0 running"
+    assert describe(other, (), 0) == "1 done · 0 running"
 
 
 def test_no_variant_is_the_best(ablation: tuple[Path, Journal]) -> None:
     """The one with the greatest objective may be the worst: how far the farthest particle is, say."""
-    assert describe(ablation[1], 6, 0) == "6 of 6 done · 0 running · 1 failed"
+    plan = [f"{name}/seed{seed}" for name in ("full", EVIL) for seed in range(3)]
+    assert describe(ablation[1], plan, 0) == "6 of 6 done · 0 running · 1 failed"
+
+
+def test_trials_that_other_calls_asked_for_are_not_counted(
+    ablation: tuple[Path, Journal],
+) -> None:
+    plan = ["full/seed0", "full/seed1", "full/seed7"]
+    assert describe(ablation[1], plan, 1) == "2 of 3 done · 1 running"
+
+
+def test_a_rate_without_its_episodes_has_no_interval(ablation: tuple[Path, Journal]) -> None:
+    """The journal alone is left of a sweep whose runs were deleted."""
+    folder, journal = ablation
+    for found in folder.rglob("evaluation.json"):
+        found.unlink()
+    table = tables.trials(results_of((folder, journal)))
+    assert column(table, "success")[0] == "25 %"
 
 
 def test_the_time_left() -> None:
