@@ -153,6 +153,27 @@ class FromReference(InitialStates):
         }
 
 
+def _banked(
+    banks: tuple[str, ...], scene: CharacterScene, context: Context
+) -> tuple[Tensor, Tensor]:
+    """The states (M, nq), (M, nv) of all `banks`.
+
+    Raises:
+        ConfigError: if one is of another figure.
+    """
+    found = [bank.load(file) for file in banks]
+    for file, states in zip(banks, found, strict=True):
+        for name, size in (("qpos", scene.model.nq), ("qvel", scene.model.nv)):
+            shape = tuple(states[name].shape[1:]) if name in states else None
+            if shape != (size,):
+                raise ConfigError(
+                    f"initial_states: the bank {file} does not fit this figure: '{name}' is "
+                    f"{shape or 'missing'} there and {(size,)} here."
+                )
+    qpos, qvel = (torch.cat([states[name] for states in found]) for name in ("qpos", "qvel"))
+    return qpos.to(context.device), qvel.to(context.device)
+
+
 class WhereOthersEnded(InitialStates):
     """Where episodes of other skills ended, turned and moved to where the reference begins.
 
@@ -183,19 +204,7 @@ class WhereOthersEnded(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "initial_states 'sitting/where_others_ended'")
         self._layout = layout = scene.layout.to(context.device)
-        found = [bank.load(file) for file in options.banks]
-        for file, states in zip(options.banks, found, strict=True):
-            for name, size in (("qpos", scene.model.nq), ("qvel", scene.model.nv)):
-                shape = tuple(states[name].shape[1:]) if name in states else None
-                if shape != (size,):
-                    raise ConfigError(
-                        f"initial_states: the bank {file} does not fit this figure: '{name}' is "
-                        f"{shape or 'missing'} there and {(size,)} here."
-                    )
-        self._qpos, self._qvel = (
-            torch.cat([states[name] for states in found]).to(context.device)
-            for name in ("qpos", "qvel")
-        )
+        self._qpos, self._qvel = _banked(options.banks, scene, context)
         start = reference_motion(context).sample(torch.zeros(1, device=context.device))
         heading = start["reference_root_heading"]
         own = rotations.heading(self._qpos[:, layout.root_address + 3 : layout.root_address + 7])
@@ -226,14 +235,40 @@ class WhereOthersEnded(InitialStates):
 ZONES = (90.0, 135.0, 180.0)
 
 
+@dataclass(frozen=True)
+class AtChair:
+    """Training episodes that begin before the chair, in any direction, where turns ended or were.
+
+    Ours: the paper's controller must find a walk, a turn of seconds and a sit in one episode by chance
+    before eq. 8 rewards any of it. From here first the sit is found, then the turn, then the way.
+    """
+
+    banks: tuple[
+        str, ...
+    ] = ()  #: banks of states, or the folders of runs that have one; none: no such episodes
+    share: float = 0.25  #: of the training episodes; evaluations have none
+    ahead: Range = (
+        0.4,
+        0.9,
+    )  #: m before the seat's middle; the clip of sitting begins 0.45 m from it
+    aside: float = 0.2  #: m, to each side
+    degrees: float = 180.0  #: off the direction in which the chair faces, to each side
+
+    def __post_init__(self) -> None:
+        check_range(self, "share", least=0, most=1)
+        check_range(self, "aside", "degrees", least=0)
+        if not 0 <= self.ahead[0] <= self.ahead[1]:
+            raise ValueError(f"ahead={self.ahead} is not possible: give two numbers, rising.")
+
+
 class AroundChair(InitialStates):
     """Standing some metres from the chair and roughly facing it, in one of the zones of figure 4.
 
     With the difficulty d the zone rises: 1 below 1/2, 2 below 1, then 3. ``zone`` fixes it. Earlier
-    zones remain among the starts for a share ``keep`` of the episodes.
+    zones remain among the starts for a share ``keep`` of the episodes; some may begin ``at_chair``.
 
     The pose is the first of the task's clip, which begins with the episode. The field ``zone`` (N,) is 1,
-    2 or 3; ``side`` (N,) is 1 where the figure begins on the chair's left.
+    2 or 3, or 0 ``at_chair``; ``side`` (N,) is 1 where the figure begins on the chair's left.
     """
 
     reads = ("difficulty",)
@@ -247,6 +282,7 @@ class AroundChair(InitialStates):
         spread: float = 0.2  #: m, more or less
         degrees: float = 30.0  #: off the direction to the chair, to each side
         chairs: Chairs = Chairs()  #: of other sizes
+        at_chair: AtChair = AtChair()
 
         def __post_init__(self) -> None:
             check_range(self, "zone", least=1, most=len(ZONES))
@@ -266,6 +302,9 @@ class AroundChair(InitialStates):
         self._heading = standing["reference_root_heading"]
         ends = torch.tensor((0.0, *ZONES), device=context.device).deg2rad()
         self._begin, self._width = ends[:-1].clone(), ends.diff()
+        self._at_chair = None
+        if options.at_chair.banks and not context.evaluating:
+            self._at_chair = _banked(options.at_chair.banks, scene, context)
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         options, difficulty = self._options, fields["difficulty"]
@@ -288,6 +327,11 @@ class AroundChair(InitialStates):
         off = math.radians(options.degrees) * (2 * drawn[:, 3] - 1)
         qpos, qvel = (value.expand(len(zone), -1) for value in (self._qpos, self._qvel))
         qpos, qvel = moved(self._layout, qpos, qvel, angle + math.pi + off - self._heading, place)
+        if self._at_chair is not None:
+            there = (streams.uniform(1) < options.at_chair.share).expand(-1, 1)
+            near_qpos, near_qvel = self._before_chair(streams, *self._at_chair)
+            qpos, qvel = torch.where(there, near_qpos, qpos), torch.where(there, near_qvel, qvel)
+            zone = zone.masked_fill(there[:, 0], 0)
         chair = torch.zeros(len(zone), 3, device=zone.device)
         _, sizes = self._sizes.draw(streams)
         return {
@@ -300,3 +344,17 @@ class AroundChair(InitialStates):
             TURN: rotations.from_heading(chair[:, 0]),
             **sizes,
         }
+
+    def _before_chair(
+        self, streams: WorldStreams, qpos: Tensor, qvel: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """States (N, nq), (N, nv) of those banked, each in a direction and at a place of its own."""
+        options, drawn = self._options.at_chair, streams.uniform(4)
+        row = (drawn[:, 0] * len(qpos)).long().clamp(max=len(qpos) - 1)
+        qpos, qvel = qpos[row], qvel[row]
+        near, far = options.ahead
+        ahead, aside = near + (far - near) * drawn[:, 1], options.aside * (2 * drawn[:, 2] - 1)
+        heading = math.radians(options.degrees) * (2 * drawn[:, 3] - 1)
+        at = self._layout.root_address
+        own = rotations.heading(qpos[:, at + 3 : at + 7])
+        return moved(self._layout, qpos, qvel, heading - own, torch.stack([ahead, aside], dim=1))

@@ -12,6 +12,7 @@ from sitting_tasks import build
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.running.trials import Report, Trial
+from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
 from understudy_basics import bank, rotations
@@ -155,6 +156,33 @@ def test_zones_of_figure_4() -> None:
         assert float((off - math.pi).abs().max().rad2deg()) < 32
         assert not drawn[PLACE].any()
         assert float(rotations.heading(drawn[TURN]).abs().max()) == 0.0
+
+
+def test_some_training_episodes_begin_before_the_chair(states: Path) -> None:
+    given = [
+        "experiment=sitting/sit", "num_worlds=2000", "initial_states=sitting/around_chair",
+        "++motion={name: walk, parameters: {}}", "~fields.reference", "~fields.reference_body",
+        "~reward.terms.pose", "~reward.terms.velocity", "~measure.pose",
+        "actuation=joint_targets", f"initial_states.at_chair.banks=['{states}']",
+    ]  # fmt: skip
+    built, easy = build(*given), torch.zeros(2000)
+    drawn = built.environment.parts.initial_states.sample(
+        WorldStreams(3, "near", 2000, "cpu"), difficulty=easy
+    )
+    near = drawn["zone"] == 0
+    assert float(near.float().mean()) == pytest.approx(0.25, abs=0.04)
+    assert set(drawn["zone"][~near].tolist()) == {1.0}
+    place, height = drawn["qpos"][near, :2], drawn["qpos"][near, 2]
+    assert 0.4 <= float(place[:, 0].min()) < 0.45 < 0.85 < float(place[:, 0].max()) <= 0.9
+    assert float(place[:, 1].abs().max()) <= 0.2
+    assert set(height.tolist()) <= set(bank.load(str(states))["qpos"][:, 2].tolist())
+    quarter = torch.histc(rotations.heading(drawn["qpos"][near, 3:7]), 4, -math.pi, math.pi)
+    assert float(quarter.min()) > 0.15 * len(place)
+    evaluated = build_environment(load_experiment(given), evaluating=True)
+    judged = evaluated.environment.parts.initial_states.sample(
+        WorldStreams(3, "near", 2000, "cpu"), difficulty=easy
+    )
+    assert set(judged["zone"].tolist()) == {1.0}
 
 
 def test_a_chain_trains_what_others_build_on_first() -> None:
