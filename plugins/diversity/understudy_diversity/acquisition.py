@@ -52,7 +52,8 @@ def by_direct(function: Acquisition, d: int) -> Tensor:
             return -float(function(torch.from_numpy(u).reshape(1, d)))
 
     bounds = [(0.0, 1.0)] * d
-    return torch.from_numpy(direct(loss, bounds, maxfun=LOOKS, vol_tol=0.0, len_tol=1e-3).x)
+    found = direct(loss, bounds, maxfun=LOOKS, vol_tol=0.0, len_tol=1e-3, locally_biased=False)
+    return torch.from_numpy(found.x)
 
 
 def by_gradient(function: Acquisition, d: int, seed: int, number: int) -> Tensor:

@@ -19,7 +19,7 @@ from understudy.task import Context, Fields, Memory, Shape
 from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import arena_of
-from understudy_jumping.body import FEET, HEAD, TRUNK, body_of, lowest_between
+from understudy_jumping.body import FEET, HEAD, TRUNK, body_of, lowest_surface
 
 
 class Attempt(Memory):
@@ -31,7 +31,9 @@ class Attempt(Memory):
     - ``head_first`` () 1 once the head has touched the mat
     - ``lowest_pass`` () m: the least height at which any part of the body passed over the obstacle, the
       height of the highest bar that the same movement had cleared; infinite before
-    - ``cleared`` () m: this of an attempt that has landed, else 0
+    - ``narrowest_pass`` () m: the least x behind the obstacle's front at which any part was lower than the
+      obstacle, the width of the widest box that the same movement had cleared; infinite before
+    - ``cleared``, ``cleared_width`` () m: these of an attempt that has landed, else 0
     - ``body_ends`` (S, 2, 2): where the ends of the body's segments were, x and z
     """
 
@@ -59,15 +61,15 @@ class Attempt(Memory):
         segments = len(self._widths)
         self.keeps: Mapping[str, Shape] = {
             "crashed": (), "landed": (), "beyond": (), "head_first": (), "lowest_pass": (),
-            "cleared": (), "body_ends": (segments, 2, 2),
+            "narrowest_pass": (), "cleared": (), "cleared_width": (), "body_ends": (segments, 2, 2),
         }  # fmt: skip
 
     def begin(self, geom_xpos: Tensor, geom_xmat: Tensor, **fields: Tensor) -> dict[str, Tensor]:
         nothing = torch.zeros_like(fields["mat_height"])
         ends = self._body.ends(geom_xpos, geom_xmat)[..., ::2]
-        names = ("crashed", "landed", "beyond", "head_first", "cleared")
-        flags = dict.fromkeys(names, nothing)
-        return {**flags, "lowest_pass": nothing + torch.inf, "body_ends": ends}
+        flags = dict.fromkeys(self.keeps, nothing)
+        passes = dict.fromkeys(("lowest_pass", "narrowest_pass"), nothing + torch.inf)
+        return {**flags, **passes, "body_ends": ends}
 
     def advance(
         self,
@@ -80,13 +82,16 @@ class Attempt(Memory):
     ) -> dict[str, Tensor]:
         body, before = self._body, kept["body_ends"]
         ends = body.ends(geom_xpos, geom_xmat)[..., ::2]
-        width = obstacle_width.unsqueeze(1)
-        # lines of the body as it is, and lines along which its ends came here
-        along = lowest_between(ends[:, :, 0], ends[:, :, 1], 0.0, width)
-        came = lowest_between(before, ends, 0.0, width.unsqueeze(2)).amin(dim=2)
-        passed = (torch.minimum(along, came) - self._widths).amin(dim=1)
-        corner = self._from_edge(ends, obstacle_height, width)
-        struck = (passed < obstacle_height) | (corner < self._widths).any(dim=1)
+        # the body as it is, and the ways along which its ends came here: (N, 3 S, 2), (x, z) in m
+        begin = torch.cat([ends[:, :, 0], before[:, :, 0], before[:, :, 1]], dim=1)
+        end = torch.cat([ends[:, :, 1], ends[:, :, 0], ends[:, :, 1]], dim=1)
+        radius, width = self._widths.repeat(3), obstacle_width.unsqueeze(1)
+        passed = lowest_surface(begin, end, radius, 0.0, width).amin(dim=1)
+        struck = passed < obstacle_height
+        # the same with x and z exchanged; what is before the obstacle does not count
+        top = obstacle_height.unsqueeze(1)
+        under = lowest_surface(begin.flip(-1), end.flip(-1), radius, -torch.inf, top)
+        under = torch.where(under > 0, under, torch.inf).amin(dim=1)
 
         centre = geom_xpos[:, body.geoms]
         on_mat = self._arena.on_mat(centre[..., 0], centre[..., 1], width)
@@ -102,22 +107,18 @@ class Attempt(Memory):
         head = (kept["head_first"] != 0) | (mat & self._head).any(dim=1)
         landed = (kept["landed"] != 0) | (landed & beyond & ~crashed)
         lowest = torch.minimum(kept["lowest_pass"], passed)
+        narrowest = torch.minimum(kept["narrowest_pass"], under)
         return {
             "crashed": crashed.float(),
             "landed": landed.float(),
             "beyond": beyond.float(),
             "head_first": head.float(),
             "lowest_pass": lowest,
+            "narrowest_pass": narrowest,
             "cleared": torch.where(landed, lowest, 0.0),
+            "cleared_width": torch.where(landed, narrowest, 0.0),
             "body_ends": ends,
         }
-
-    def _from_edge(self, ends: Tensor, height: Tensor, width: Tensor) -> Tensor:
-        """(N, S) m: how far the nearer end of each segment is from the obstacle."""
-        x, z = ends.unbind(-1)
-        beside = torch.maximum(-x, x - width.unsqueeze(2)).clamp(min=0.0)
-        above = (z - height.view(-1, 1, 1)).clamp(min=0.0)
-        return torch.hypot(beside, above).amin(dim=2)
 
     def _landing(self, mat: Tensor) -> tuple[Tensor, Tensor]:
         """(N,) bool: whether the links (N, G) that touch the mat are a landing; a wrong one."""

@@ -98,15 +98,17 @@ def _body(scene: CharacterScene, device: torch.device) -> Body:
     )
 
 
-def lowest_between(start: Tensor, end: Tensor, low: Tensor | float, high: Tensor) -> Tensor:
-    """(…,) m: the least z of the straight line from `start` to `end` (…, 2), each (x, z), where
-    `low` <= x <= `high`; infinite where it does not come there."""
-    x, across = start[..., 0], end[..., 0] - start[..., 0]
-    upright = across.abs() < 1e-6
-    first, second = ((edge - x) / torch.where(upright, 1.0, across) for edge in (low, high))
-    whole = torch.where((x >= low) & (x <= high), 1.0, -1.0)  # of an upright line all or nothing
-    begin = torch.where(upright, 0.0, torch.minimum(first, second).clamp(min=0.0))
-    finish = torch.where(upright, whole, torch.maximum(first, second).clamp(max=1.0))
-    slope = end[..., 1] - start[..., 1]
-    least = start[..., 1] + torch.minimum(begin * slope, finish * slope)
-    return torch.where(begin <= finish, least, torch.inf)
+def lowest_surface(start: Tensor, end: Tensor, radius: Tensor, low: float, high: Tensor) -> Tensor:
+    """(…,) m: the least height where `low` <= x <= `high` of straight lines from `start` to `end`
+    (…, 2), each (x, z), that are rounded by `radius`; infinite where they do not come there."""
+    turned = (end[..., :1] < start[..., :1]).expand_as(start)
+    (x, z), last = (torch.where(turned, a, b).unbind(-1) for a, b in ((end, start), (start, end)))
+    across, up = (last[0] - x).clamp(min=1e-9), last[1] - z
+    # the lower side is convex, so it is least as near to the lower end as it may be
+    at = torch.where(up > 0, x, last[0])
+    at = torch.minimum(at.clamp(min=low), high)
+    # the point of the line whose rounding ends there
+    along = ((at - x - radius * up / torch.hypot(across, up)) / across).clamp(0.0, 1.0)
+    aside = at - (x + along * across)
+    below = (radius.square() - aside.square()).clamp(min=0.0).sqrt()
+    return torch.where(aside.abs() <= radius, z + along * up - below, torch.inf)

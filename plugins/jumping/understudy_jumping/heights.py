@@ -12,7 +12,7 @@ from understudy.records import runs
 from understudy.running.evaluation import Evaluation, wilson_interval
 from understudy.running.warm_start import newest_state
 from understudy_inspect.judging import load
-from understudy_jumping.arena import Arena, ArenaOptions
+from understudy_jumping.arena import ArenaOptions
 
 #: In the run folder: what was found.
 FILE = "heights.json"
@@ -21,6 +21,7 @@ FILE = "heights.json"
 class Heights(Command):
     """Judges a run at the obstacle that its training came to, and at ever easier ones until enough
     attempts succeed; an evaluation judges at the target alone, which a training may not have reached.
+    ``--from`` begins elsewhere, above the target too.
 
     Prints what it tries, and leaves the evaluation of the highest in ``heights.json`` of the run folder.
     """
@@ -28,9 +29,7 @@ class Heights(Command):
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.usage = (
-            "understudy jumping heights RUN [--success SHARE] [--step METRES] [KEY=VALUE …]"
-        )
+        parser.usage = "understudy jumping heights RUN [--success SHARE] [--step METRES] [--from METRES] [KEY=VALUE …]"
         parser.add_argument("run", help="run folder")
         parser.add_argument(
             "--success", type=float, default=0.5, help="share of attempts (default: 0.5)"
@@ -38,30 +37,33 @@ class Heights(Command):
         parser.add_argument(
             "--step", type=float, default=0.05, help="m, lower or narrower (default: 0.05)"
         )
+        parser.add_argument(
+            "--from",
+            type=float,
+            dest="first",
+            metavar="METRES",
+            help="height of the bar, or width of the box, that is tried first",
+        )
 
     def run(self, options: argparse.Namespace) -> int:
+        reached, arena = _trained(options.run)
+        first = reached if options.first is None else options.first
         tried: list[tuple[float, float]] = []
-        for difficulty, arena in _ladder(options.run, options.step, options.overrides):
-            found, samples = _judged(
-                options.run, difficulty, options.success, list(options.overrides)
-            )
-            size = f"{arena.height(difficulty):.2f} m high"
-            if arena.options.width[0] != arena.options.width[1]:
-                size += f", {arena.width(difficulty):.2f} m wide"
-            print(f"{size}: {found.sentence()}", flush=True)
+        for size in _ladder(first, options.step, arena):
+            words = [*options.overrides, *_words(size, arena)]
+            found, samples = _judged(options.run, options.success, words)
+            name = f"{size:.2f} m {_ADJECTIVES[_grows(arena)]}"
+            print(f"{name}: {found.sentence()}", flush=True)
             rate = found.success_rate or 0.0
-            tried.append((difficulty, rate))
+            tried.append((size, rate))
             if found.complete and rate >= options.success:
                 low, high = wilson_interval(rate, found.episodes)
-                highest: dict[str, Any] = {
-                    "difficulty": difficulty,
-                    "height": arena.height(difficulty),
-                    "width": arena.width(difficulty),
-                    "evaluation": found.as_json(samples),
-                }
+                highest = {_grows(arena): size, "evaluation": found.as_json(samples)}
                 result = {"wanted": options.success, "highest": highest, "tried": tried}
                 runs.open_run(options.run).write_json(FILE, result)
-                print(f"It clears {size} in {rate:.0%} [{low:.0%}, {high:.0%}] of its attempts.")
+                print(f"It clears {name} in {rate:.0%} [{low:.0%}, {high:.0%}] of its attempts.")
+                if len(tried) == 1:
+                    print(f"Nothing above was tried: --from {size + 0.5:.2f} does so.")
                 return 0
         raise RunError(
             f"{options.run} clears nothing in {options.success:.0%} of its attempts. Train it longer, "
@@ -69,33 +71,62 @@ class Heights(Command):
         )
 
 
-def _ladder(path: str, step: float, overrides: list[str]) -> Iterator[tuple[float, Arena]]:
-    """Difficulties from the one that the training of the run came to down to 0, and the arena."""
+#: How the obstacle grows, and the word for it.
+_ADJECTIVES = {"height": "high", "width": "wide"}
+
+
+def _trained(path: str) -> tuple[float, ArenaOptions]:
+    """m: the obstacle that the training of the run came to; and its arena."""
     curriculum = newest_state(path).get("environment", {}).get("curriculum", {})
     reached = curriculum.get("difficulty")
     experiment = runs.open_run(path).config
     if not reached or "arena" not in experiment:
         raise RunError(f"{path} is no run of a jump whose bar rises (task=jumping/high).")
-    arena = Arena(ArenaOptions(**{k: _pair(v) for k, v in experiment["arena"].items()}))
-    spans = (arena.options.height, arena.options.width)
-    span = max(high - low for low, high in spans)
-    difficulty, down = max(reached), step / span if span > 0 else 1.0
-    while difficulty > 0:
-        yield difficulty, arena
-        difficulty -= down
-    yield 0.0, arena
+    arena = ArenaOptions(**{k: _pair(v) for k, v in experiment["arena"].items()})
+    low, high = getattr(arena, _grows(arena))
+    if low == high:
+        raise RunError(
+            f"{path}: its obstacle has one size, {low} m. Judge it by understudy evaluate."
+        )
+    return low + max(reached) * (high - low), arena
 
 
 def _pair(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _judged(
-    path: str, difficulty: float, wanted: float, words: list[str]
-) -> tuple[Evaluation, int]:
-    """The final evaluation at `difficulty`, given up where `wanted` is out of reach; and the samples
-    of the training."""
-    training, _, _, _ = load(path, [*words, f"difficulty={difficulty!r}"], {})
+def _grows(arena: ArenaOptions) -> str:
+    """What of the obstacle follows the difficulty."""
+    return "width" if arena.width[0] < arena.width[1] else "height"
+
+
+def _ladder(first: float, step: float, arena: ArenaOptions) -> Iterator[float]:
+    """m: from `first` down to the least of the arena."""
+    least = getattr(arena, _grows(arena))[0]
+    size = first
+    while size > least + 1e-6:
+        yield size
+        size -= step
+    yield least
+
+
+def _words(size: float, arena: ArenaOptions) -> list[str]:
+    """What puts an obstacle of so many m there. Above the target the arena is made greater, with the ρ
+    of the target."""
+    low, high = getattr(arena, _grows(arena))
+    if size <= high:
+        return [f"difficulty={(size - low) / (high - low)!r}"]
+    begin, end = ((high - low) / (size - low) * edge for edge in arena.schedule)
+    return [
+        f"arena.{_grows(arena)}=[{low!r},{size!r}]",
+        f"arena.schedule=[{begin!r},{end!r}]",
+        "difficulty=1.0",
+    ]
+
+
+def _judged(path: str, wanted: float, words: list[str]) -> tuple[Evaluation, int]:
+    """The final evaluation, given up where `wanted` is out of reach; and the samples of the training."""
+    training, _, _, _ = load(path, words, {})
     try:
         episodes = training.experiment.root.evaluation.final_episodes
         found = training.job.evaluate("heights", episodes, give_up_below=wanted)

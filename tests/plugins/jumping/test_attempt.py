@@ -154,6 +154,20 @@ def test_a_box_is_touched_in_its_middle() -> None:
     assert follow(context, poses, 0.5)["crashed"] == 1.0
 
 
+def test_how_wide_a_box_it_had_cleared() -> None:
+    """Lying across and coming down steeply behind: what is lower than 0.5 m first, of 5 and 58 cm."""
+    context = arena_context(height=(0.5, 0.5), width=(0.05, 2.5))
+    found = {}
+    for x in (0.6, 1.4):
+        above = [pose(context, at, 1.2, pitch=-math.pi / 2) for at in np.linspace(-2, x, 40)]
+        down = [pose(context, x, z, pitch=-math.pi / 2) for z in np.linspace(1.2, 0.18, 20)]
+        found[x] = follow(context, [*above, *down])
+        assert found[x]["landed"] == (x > 1.0)
+    assert found[0.6]["cleared_width"] == 0.0
+    crown = 1.4 - 0.735  # upside down it is as far below the root
+    assert found[1.4]["cleared_width"] == pytest.approx(crown, abs=0.02)
+
+
 def test_strategy_features(context: Context) -> None:
     """Facing up on its back, down on its belly; crossing is the centre of mass's."""
     scene = context.scene

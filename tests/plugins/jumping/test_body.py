@@ -2,47 +2,58 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import pytest
 import torch
 from arena_worlds import arena_context, fields_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from understudy_characters.scene import CharacterScene
-from understudy_jumping.body import body_of, lowest_between
+from understudy_jumping.body import body_of, lowest_surface
 
 numbers = st.integers(-2000, 2000).map(lambda millimetres: millimetres / 1000)
 
 
-def between(a: tuple[float, float], b: tuple[float, float], low: float, high: float) -> float:
-    return float(
-        lowest_between(torch.tensor([a]), torch.tensor([b]), low, torch.tensor([high])).item()
+def lowest(
+    a: tuple[float, float], b: tuple[float, float], radius: float, low: float, high: float
+) -> float:
+    ends = (torch.tensor([end], dtype=torch.float64) for end in (a, b))
+    return float(lowest_surface(*ends, torch.tensor(radius), low, torch.tensor([high])))
+
+
+def test_rounded_lines_over_an_interval() -> None:
+    half = math.sqrt(0.5)
+    assert lowest((-1, 1), (1, 1), 0.1, 0.0, 0.5) == pytest.approx(0.9)
+    assert lowest((-1, 0), (1, 2), 0.1, 0.0, 0.5) == pytest.approx(1 - 0.1 / half), (
+        "its side, at 45°"
     )
-
-
-def test_lines_over_an_interval() -> None:
-    assert between((-1, 0), (1, 2), 0.0, 0.5) == 1.0
-    assert between((1, 2), (-1, 0), 0.0, 0.5) == 1.0
-    assert between((-1, 0), (-0.5, 2), 0.0, 0.5) == np.inf
-    assert between((0.2, 0.7), (0.3, 0.4), 0.0, 0.5) == np.float32(0.4)
-    assert between((0.2, 0.7), (0.2, 0.3), 0.0, 0.5) == np.float32(0.3), "straight down"
-    assert between((0.6, 0.7), (0.6, 0.3), 0.0, 0.5) == np.inf
+    assert lowest((1, 2), (-1, 0), 0.1, 0.0, 0.5) == pytest.approx(1 - 0.1 / half)
+    assert lowest((-1, 0), (-0.5, 2), 0.1, 0.0, 0.5) == np.inf
+    assert lowest((0.2, 0.7), (0.3, 0.4), 0.1, 0.0, 0.5) == pytest.approx(0.3), "its lower end"
+    assert lowest((0.2, 0.7), (0.2, 0.4), 0.1, 0.0, 0.5) == pytest.approx(0.3), "straight down"
+    assert lowest((0.2, 0.4), (0.2, 0.4), 0.1, 0.0, 0.5) == pytest.approx(0.3), "a ball"
+    assert lowest((-0.06, 0.4), (-0.06, 0.7), 0.1, 0.0, 0.5) == pytest.approx(0.32), "beside it"
+    assert lowest((0.7, 0.7), (0.7, 0.4), 0.1, 0.0, 0.5) == np.inf
 
 
 @settings(max_examples=60, deadline=None)
-@given(numbers, numbers, numbers, numbers, st.floats(0.02, 1.0))
-def test_no_point_of_the_line_is_lower(
-    x0: float, z0: float, x1: float, z1: float, w: float
+@given(numbers, numbers, numbers, numbers, st.floats(0.02, 1.0), st.floats(0.01, 0.2))
+def test_an_obstacle_of_that_height_is_just_touched(
+    x0: float, z0: float, x1: float, z1: float, w: float, radius: float
 ) -> None:
-    t = np.linspace(0, 1, 400)
+    """The line is `radius` away from a box so high, or from one without an end."""
+    t = np.linspace(0, 1, 4000)
     x, z = x0 + t * (x1 - x0), z0 + t * (z1 - z0)
-    inside = z[(x >= 0) & (x <= w)]
-    found = between((x0, z0), (x1, z1), 0.0, w)
-    if len(inside):
-        assert found <= inside.min() + 1e-4
-        assert found >= inside.min() - 4.5 / 399
-    elif np.isfinite(found):  # the interval lies between two of the samples
-        assert min(abs(x0), abs(x0 - w), *np.abs(x), *np.abs(x - w)) < 4.1 / 399
+    beside = np.maximum(np.maximum(-x, x - w), 0.0)
+    found = lowest((x0, z0), (x1, z1), radius, 0.0, w)
+    if np.isfinite(found):
+        away = np.hypot(beside, np.maximum(z - found, 0.0)).min()
+        assert away == pytest.approx(radius, abs=1e-3)
+    else:
+        assert beside.min() > radius - 1e-3
 
 
 def test_lowest_points_are_the_characters() -> None:

@@ -41,9 +41,9 @@ def test_a_run_that_clears_nothing_is_said_so(
 def test_the_highest_bar_is_the_first_at_which_enough_succeed(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def judged(path: str, difficulty: float, wanted: float, words: list[str]) -> tuple:
-        assert (path, wanted, words) == (str(run), 0.6, ["num_worlds=2"])
-        rate = 0.75 if difficulty < 0.44 else 0.55
+    def judged(path: str, wanted: float, words: list[str]) -> tuple:
+        assert (path, wanted, words[0]) == (str(run), 0.6, "num_worlds=2")
+        rate = 0.75 if float(words[1].removeprefix("difficulty=")) < 0.44 else 0.55
         return Evaluation(episodes=100, success="landed", success_rate=rate), 32
 
     monkeypatch.setattr(heights, "_judged", judged)
@@ -53,7 +53,21 @@ def test_the_highest_bar_is_the_first_at_which_enough_succeed(
     assert found["highest"]["height"] == pytest.approx(1.15)
     assert [rate for _, rate in found["tried"]] == [0.55, 0.55, 0.75]
     assert found["highest"]["evaluation"]["success_rate"] == 0.75
-    assert "1.15 m high in 75% [66%, 82%]" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "1.15 m high in 75% [66%, 82%]" in said
+    assert "--from" not in said
+
+
+def test_bars_above_the_target(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The arena of a run up to 2 m is made greater; all attempts of so short a training fail."""
+    words = ["--from", "2.3", "--step", "2", "--success", "0"]
+    assert main(["jumping", "heights", str(run), *words]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("2.30 m high: ")
+    assert "Nothing above was tried: --from 2.80 does so." in said
+    found = json.loads((run / heights.FILE).read_text())["highest"]
+    assert found["height"] == 2.3
+    assert found["evaluation"]["measures"]["obstacle_height"]["mean"] == pytest.approx(2.3)
 
 
 def test_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
