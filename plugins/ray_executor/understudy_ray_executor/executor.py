@@ -36,7 +36,9 @@ class RayExecutor:
     @dataclass(frozen=True)
     class Options:
         address: str | None = None  #: of a cluster (``auto``, ``ray://…``); null starts one here
-        workers: int | None = None  #: trials at once; null is as many as there are resources for
+        workers: int | None = (
+            None  #: trials at once; null is as many as there is room for. Of more some wait, until the cluster grows
+        )
         num_cpus: float = 1.0  #: of a trial
         num_gpus: float | None = None  #: of a trial; null is one where device=cuda, else none
         threads: int = 1  #: of torch, in each trial
@@ -87,6 +89,11 @@ def _connect(address: str | None) -> None:
         ray.init(address or "local", log_to_driver=False, logging_level=logging.ERROR, **own)
     except (ConnectionError, ValueError, RuntimeError, OSError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        if address is None:
+            raise UnderstudyError(
+                f"No Ray cluster starts on this machine: {reason.rstrip('.')}. Stop others (ray stop), "
+                "give executor.address of one, or choose executor=processes."
+            ) from error
         raise UnderstudyError(
             f"There is no Ray cluster at executor.address={address}: {reason.rstrip('.')}. Start one "
             "(ray start --head), or leave the address out to use this machine."

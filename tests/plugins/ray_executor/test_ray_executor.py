@@ -146,3 +146,12 @@ def test_no_cluster_at_the_address() -> None:
         UnderstudyError, match=r"no Ray cluster at executor\.address=127\.0\.0\.1:1: "
     ):
         _connect("127.0.0.1:1")
+
+
+def test_no_cluster_starts_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise RuntimeError("no space left on device\nand more")
+
+    monkeypatch.setattr(ray, "init", full)
+    with pytest.raises(UnderstudyError, match=r"on this machine: no space left on device\. Stop"):
+        _connect(None)
