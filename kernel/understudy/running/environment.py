@@ -198,6 +198,8 @@ class Environment:
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
         #: Called once, at the first numbers that went wrong.
         self.on_quarantine: Callable[[Fault], None] | None = None
+        #: Called before each control period.
+        self.on_period: Callable[[], None] | None = None
         self._controls: list[Tensor] = []
         self.recorded_step = Recorded(self._step, self)
 
@@ -367,6 +369,8 @@ class Environment:
         length = 1 if actuation.every == "substep" else None
         control = applied = None
         for _ in range(self.decision):
+            if self.on_period is not None:
+                self.on_period()
             for _ in range(pieces):
                 if control is None or applied is None or actuation.every != "decision":
                     control = self._control()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import torch
@@ -268,13 +269,14 @@ class Evaluator:
         episodes: int,
         *,
         give_up_below: float | None = None,
-        on_step: Callable[[Tensor], None] | None = None,
+        on_period: Callable[[Tensor], None] | None = None,
     ) -> Evaluation:
         """Run `episodes`, as many at once as there are worlds; each world counts until its first ending.
 
         Starts are drawn from the random streams named `draw`, which no training uses: the same
         policy and draw give the same result every time. With `give_up_below`, stops as soon as that
-        success rate is out of reach. Before each step, `on_step` is told which worlds (N,) count.
+        success rate is out of reach. Before each control period, `on_period` is told which worlds
+        (N,) count, unless it has put an end to that (``environment.on_period = None``).
         Each of ``evaluation.starts`` is judged beside it, on as many episodes as there are worlds.
         """
         begun: dict[str, Measured] = {}
@@ -290,12 +292,12 @@ class Evaluator:
             count = min(self.built.environment.num_worlds, episodes - done)
             allowed = math.inf if give_up_below is None else episodes * (1 - give_up_below) - lost
             batch, complete = self._batch(
-                policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_step
+                policy, f"{draw}/{len(found)}", count, allowed + 1e-9, on_period
             )
             lost += count - int(batch["success"].sum()) if self.success else 0
             done = done + count if complete else episodes  # those that are left could all succeed
             found.append(batch)
-            on_step = None
+            on_period = None
         joined = {name: torch.cat([batch[name] for batch in found]) for name in found[0]}
         rate = None if self.success is None else (done - lost) / done
 
@@ -329,7 +331,7 @@ class Evaluator:
         draw: str,
         count: int,
         allowed: float = math.inf,
-        on_step: Callable[[Tensor], None] | None = None,
+        on_period: Callable[[Tensor], None] | None = None,
     ) -> tuple[dict[str, Tensor], bool]:
         """What `count` episodes gave, and whether all were run: not if more than `allowed` were lost."""
         environment = self.built.environment
@@ -344,39 +346,34 @@ class Evaluator:
             reducer.start()
         decision_seconds = environment.decision * environment.control_dt
         steps = max(1, math.ceil(self.options.seconds / decision_seconds - 1e-6))
+        environment.on_period = partial(on_period, self._running) if on_period else None
         complete = True
         for step in range(steps):
-            if on_step is not None:
-                on_step(self._running)
             action = policy.distribution(observations).mode()
             observations = self._step(action).observations
-            if step % 30 == 29 and on_step is None and not bool(self._running.any()):
+            if step % 30 == 29 and on_period is None and not bool(self._running.any()):
                 break  # all are over, and nobody watches the next ones
             if step % 30 == 29 and allowed < count and not self._within(allowed, count):
                 complete = False
                 break
-        measures = {name: r.result() for name, r in self._reducers.items()}
-        success = (
-            self.success.of(self._failed, self._fired, measures)
-            if self.success
-            else torch.ones_like(self._failed)
-        )
-        success = success if complete else success | self._running
         found = {
-            "success": success,
+            "success": self._won() if complete else self._won() | self._running,
             "seconds": self._seconds,
-            **{f"measure/{name}": value for name, value in measures.items()},
+            **{f"measure/{name}": r.result() for name, r in self._reducers.items()},
             **{f"fired/{name}": fired for name, fired in self._fired.items()},
         }
         return {name: value[:count].clone() for name, value in found.items()}, complete
 
     def _within(self, allowed: float, count: int) -> bool:
         """Whether the success rate can still be reached: of episodes that are over, all is known."""
+        return int((~self._running & ~self._won())[:count].sum()) <= allowed
+
+    def _won(self) -> Tensor:
+        """(N,) bool: which worlds' first episodes succeeded, as far as they are."""
         if self.success is None:
-            return True
+            return torch.ones_like(self._failed)
         measures = {name: reducer.result() for name, reducer in self._reducers.items()}
-        won = self.success.of(self._failed, self._fired, measures)
-        return int((~self._running & ~won)[:count].sum()) <= allowed
+        return self.success.of(self._failed, self._fired, measures)
 
     def close(self) -> None:
         self.built.environment.close()

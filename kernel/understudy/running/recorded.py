@@ -56,7 +56,7 @@ class Recorded(Generic[T]):
 
     def __call__(self, action: Tensor) -> T:
         environment = self._environment
-        if not self._on or environment.on_quarantine is not None:
+        if not self._on or environment.on_quarantine or environment.on_period:
             return self._work(action)
         kind = environment.decision
         if kind in self._graphs:

@@ -139,18 +139,20 @@ class Reinforcement(Job):
     ) -> tuple[Evaluation, Recording | None]:
         built = self.evaluator.built
         environment, scene = built.environment, built.scene
-        dt = environment.decision * environment.control_dt
+        dt = environment.control_dt
         names = [name for name in scene.recorded if name in environment.table.shapes]
         frames: dict[str, list[Tensor]] = {name: [] for name in names}
         counted: list[Tensor] = []
 
         def see(running: Tensor) -> None:
-            if names and len(counted) < round(seconds / dt):
-                for name in names:
-                    frames[name].append(environment.table[name][_SHOWN].clone())
-                counted.append(running[_SHOWN].clone())
+            for name in names:
+                frames[name].append(environment.table[name][_SHOWN].clone())
+            counted.append(running[_SHOWN].clone())
+            if len(counted) >= round(seconds / dt):
+                environment.on_period = None
 
-        evaluation = self.evaluator.run(self.policy, draw, episodes, on_step=see)
+        watch = see if names and seconds > 0 else None
+        evaluation = self.evaluator.run(self.policy, draw, episodes, on_period=watch)
         if not counted:
             return evaluation, None
         tracks = {k: torch.stack(v).cpu().numpy() for k, v in frames.items()}

@@ -16,6 +16,7 @@ from understudy.command import workflow
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run
+from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import hookimpl, load
 from understudy_inspect import judging
@@ -93,3 +94,25 @@ def test_observers_are_told_after_training_and_render(
         with np.load(path / "recording.npz") as arrays:
             np.testing.assert_array_equal(arrays[field], second.tracks[field])
             assert int(arrays["first_episode"]) == second.first_episode
+
+
+def test_every_control_period_of_a_decision_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """0.1 s of 50 a second, in decisions of three, from the first state on; then nobody watches."""
+    plugins = load(only=["mujoco", "basics", "ppo"], extra=[("test", sys.modules[worlds.__name__])])
+    monkeypatch.setattr(PaddleScene, "recorded", ("qpos", "action"))
+    given = [*QUICK, "control.decision=3", "num_worlds=4"]
+    training = Training(load_experiment(given, plugins)).prepare()
+    _, recording = training.judge(0.1)
+    environment = training.job.evaluator.built.environment  # type: ignore[attr-defined]
+    assert recording is not None
+    assert recording.control_dt == pytest.approx(0.02)
+    assert recording.tracks["qpos"].shape == (5, 8)
+    steps = np.abs(np.diff(recording.tracks["qpos"], axis=0)).max(axis=1)
+    assert (steps > 0).all(), "no state twice"
+    actions = recording.tracks["action"]
+    np.testing.assert_array_equal(actions[[1, 2]], actions[[0, 0]])
+    assert (actions[3] != actions[2]).any(), "the next decision"
+    assert environment.on_period is None
+    _, nothing = training.judge(0.0)
+    assert nothing is None
+    training.close()

@@ -141,7 +141,7 @@ def test_rewards_can_be_measured() -> None:
 def test_an_evaluation_is_over_when_all_episodes_are(watched: bool, steps: int) -> None:
     """The last world falls in its sixth second; who watches sees what comes then."""
     made, seen = evaluator(far(6), "evaluation.seconds=100"), []
-    found = made.run(policy(), "a", 4, on_step=seen.append if watched else None)
+    found = made.run(policy(), "a", 4, on_period=seen.append if watched else None)
     assert len(made.built.environment.parts.simulator.calls) == steps
     assert len(seen) == (steps if watched else 0)
     assert found.mean_episode_seconds == (6 + 5 + 4 + 3) / 4
@@ -436,7 +436,7 @@ def test_what_a_world_measures_when_its_numbers_go_wrong_does_not_count(value: f
         if len(steps) == 3:
             made.built.environment.parts.simulator.read("x")[1] = value
 
-    found = made.run(policy(), "a", 4, on_step=harm)
+    found = made.run(policy(), "a", 4, on_period=harm)
     assert found.success_rate == 0.75
     assert found.measures["at"].mean == (4 + 3 + 6 + 7) / 4
     assert found.measures["high"].mean == (4 + 3 + 6 + 7) / 4
