@@ -136,6 +136,7 @@ class Adaptive(Curriculum):
         start: float = 0.0
         step: float = 0.1
         episodes: int = 64  #: how many ended episodes are judged together at least
+        counts: str | None = None  #: field (N,): only episodes where it is not 0 count; null, all
         knots: Knots = Knots()
 
         def __post_init__(self) -> None:
@@ -145,6 +146,7 @@ class Adaptive(Curriculum):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._target = options, context.difficulty
+        self.records = (options.counts,) if options.counts else ()
         self._ended, self._total = 0, 0.0
         first = context.difficulty if context.evaluating else min(options.start, self._target)
         self._stage = _Stage(first, options.knots, context)
@@ -163,6 +165,8 @@ class Adaptive(Curriculum):
         ended = rollout.terminated | rollout.truncated
         first = ended & (ended.cumsum(0) == 1)
         counted = ended & ~(first & self._older)
+        if options.counts:
+            counted &= rollout.records[options.counts] != 0
         self._older &= ~ended.any(0)
         succeeded = (rollout.terminated & ~rollout.failed).float()
         score = succeeded if options.by == "success" else rollout.episode_returns

@@ -268,11 +268,14 @@ class AroundChair(InitialStates):
     zones remain among the starts for a share ``keep`` of the episodes; some may begin ``at_chair``.
 
     The pose is the first of the task's clip, which begins with the episode. The field ``zone`` (N,) is 1,
-    2 or 3, or 0 ``at_chair``; ``side`` (N,) is 1 where the figure begins on the chair's left.
+    2 or 3, or 0 ``at_chair``; ``newest`` (N,) is 1 where it is the last one that the difficulty allows, which
+    a curriculum may judge; ``side`` (N,) is 1 where the figure begins on the chair's left.
     """
 
     reads = ("difficulty",)
-    episode_fields: Mapping[str, Shape] = {"zone": (), "side": (), "motion_start": ()}
+    episode_fields: Mapping[str, Shape] = {
+        "zone": (), "newest": (), "side": (), "motion_start": (),
+    }  # fmt: skip
 
     @dataclass(frozen=True)
     class Options:
@@ -338,6 +341,7 @@ class AroundChair(InitialStates):
             "qpos": qpos,
             "qvel": qvel,
             "zone": zone,
+            "newest": (zone == hardest).float(),
             "side": (side > 0).float(),
             "motion_start": torch.zeros_like(side),
             PLACE: chair,

@@ -82,6 +82,21 @@ def test_episodes_that_began_before_a_step_do_not_count_after_it() -> None:
     assert curriculum.update(rollout(2, 0, 1.0))["difficulty"] == 0.5
 
 
+def test_only_episodes_that_a_field_names_count() -> None:
+    """World 0 is asked for the newest lesson and fails, world 1 repeats an old one."""
+    options = Adaptive.Options(threshold=0.5, by="return", step=0.25, episodes=2, counts="newest")
+    curriculum = Adaptive(options, context())
+    assert curriculum.records == ("newest",)
+    both = rollout(4, 0, 1.0)
+    returns = both.episode_returns
+    returns[:, 0] = 0.0
+    both.records["newest"] = torch.tensor([1.0, 0.0]).expand_as(returns)
+    found = curriculum.update(both)
+    assert (found["return"], found["difficulty"]) == (0.0, 0.0)
+    both.records["newest"] = torch.tensor([0.0, 1.0]).expand_as(returns)
+    assert curriculum.update(both)["difficulty"] == 0.25
+
+
 def test_knots_decide_rate_and_limit() -> None:
     knots = Knots(decision=((0.0, 8), (0.5, 4), (1.0, 1)), episode_limit=((0.0, 2.0), (1.0, 6.0)))
     curriculum = Linear(Linear.Options(samples=100, knots=knots), context())

@@ -140,7 +140,8 @@ def test_zones_of_figure_4() -> None:
     for difficulty, zones in ((0.0, {1.0}), (0.5, {1.0, 2.0}), (1.0, {1.0, 2.0, 3.0})):
         drawn = states.sample(streams, difficulty=torch.full((512,), difficulty))
         assert set(drawn["zone"].tolist()) == zones
-        share = float((drawn["zone"] == max(zones)).float().mean())
+        share = float(drawn["newest"].mean())
+        assert ((drawn["zone"] == max(zones)) == (drawn["newest"] == 1)).all()
         assert share == pytest.approx(0.5 + 0.5 / len(zones), abs=0.08)
         place = drawn["qpos"][:, :2]
         assert 1.8 <= float(place.norm(dim=1).min()) < float(place.norm(dim=1).max()) <= 2.2
@@ -172,6 +173,7 @@ def test_some_training_episodes_begin_before_the_chair(states: Path) -> None:
     near = drawn["zone"] == 0
     assert float(near.float().mean()) == pytest.approx(0.25, abs=0.04)
     assert set(drawn["zone"][~near].tolist()) == {1.0}
+    assert (drawn["newest"] != near.float()).all()
     place, height = drawn["qpos"][near, :2], drawn["qpos"][near, 2]
     assert 0.4 <= float(place[:, 0].min()) < 0.45 < 0.85 < float(place[:, 0].max()) <= 0.9
     assert float(place[:, 1].abs().max()) <= 0.2
