@@ -17,7 +17,7 @@ class Chain(OuterLoop):
     """Stages, each a run of the given overrides, in which ``{NAME}`` is the run folder of the stage NAME.
 
     A stage begins once all those that it names are done; those that name none can begin at once. What
-    was trained is not trained again when the same sweep is started again.
+    was trained is not trained again when the same sweep is started again; what failed is, as ``NAME~2``.
     """
 
     extendable = ("stages",)
@@ -40,15 +40,22 @@ class Chain(OuterLoop):
                 known.add(stage)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
-        self._stages, self._seed = options.stages, seed
-        self._asked: set[str] = set()
+        self._stages = options.stages
+        self._tries: dict[str, int] = {}
+        self._replayed = False
+        self._failed: set[str] = set()  #: before this call of the sweep
         self._results: dict[str, Report] = {}
         self.share = 0.0
 
     def ask(self, number: int) -> Trial | None:
+        if not self._replayed:  # all that the journal knew
+            self._replayed = True
+            self._failed = {s for s in self._results if not self._done(s)}
         for stage, overrides in self._stages.items():
-            if stage not in self._asked and all(self._done(name) for name in _named(overrides)):
-                self._asked.add(stage)
+            wanted = stage not in self._tries or stage in self._failed
+            if wanted and all(self._done(name) for name in _named(overrides)):
+                self._failed.discard(stage)
+                self._tries[stage] = self._tries.get(stage, 0) + 1
                 return self._trial(stage)
         return None
 
@@ -60,23 +67,25 @@ class Chain(OuterLoop):
             return self._results[match[1]].run
 
         overrides = tuple(_NAMED.sub(folder, override) for override in self._stages[stage])
-        return Trial(stage, overrides, variant=stage)
+        number = self._tries.get(stage, 1)
+        return Trial(stage if number == 1 else f"{stage}~{number}", overrides, variant=stage)
 
     def recall(self, trial: Trial) -> bool:
-        if trial.key not in self._stages:
+        stage = _stage_of(trial.key)
+        if stage not in self._stages:
             return False
-        known = all(self._done(name) for name in _named(self._stages[trial.key]))
-        if known and trial.overrides != self._trial(trial.key).overrides:
+        known = all(self._done(name) for name in _named(self._stages[stage]))
+        if known and trial.overrides != self._trial(stage).overrides:
             raise ConfigError(
-                f"Stage '{trial.key}' had other overrides when this sweep began: "
+                f"Stage '{stage}' had other overrides when this sweep began: "
                 f"{', '.join(trial.overrides)}. Give the new one another name."
             )
-        self._asked.add(trial.key)
+        self._tries[stage] = self._tries.get(stage, 0) + 1
         return True
 
     def tell(self, report: Report) -> None:
         if report.final:
-            self._results[report.key] = report
+            self._results[_stage_of(report.key)] = report
             self.share = len(self._results) / len(self._stages)
 
     def summary(self) -> list[dict[str, Any]]:
@@ -91,6 +100,11 @@ class Chain(OuterLoop):
             }
             for stage in self._stages
         ]
+
+
+def _stage_of(key: str) -> str:
+    """The stage that the trial `key` tries, for the first time or again."""
+    return key.partition("~")[0]
 
 
 def _named(overrides: tuple[str, ...]) -> list[str]:

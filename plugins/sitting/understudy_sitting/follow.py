@@ -48,6 +48,7 @@ class Follower(World):
         experiment = load_experiment(["task=sitting/follow", f"actuation.runs=[{named}]"])
         super().__init__(f"walking to a target, {runs[0]}", experiment, seed)
         self._turns, self._switch, self._there = len(runs) == 3, WALK, False
+        self._fell = 0
         self.target = _ROUND[0]
 
     @property
@@ -57,6 +58,8 @@ class Follower(World):
 
     def act(self, observations: Mapping[str, Tensor]) -> Tensor:
         assert self.target is not None
+        if self.falls > self._fell:  # it begins anew, walking
+            self._fell, self._switch, self._there = self.falls, WALK, False
         table = self.environment.table
         away = torch.tensor(self.target) - table["torso_position"][0, :2]
         azimuth = float(torch.atan2(away[1], away[0]) - table["torso_yaw"][0])

@@ -265,7 +265,8 @@ class AroundChair(InitialStates):
     """Standing some metres from the chair and roughly facing it, in one of the zones of figure 4.
 
     With the difficulty d the zone rises: 1 below 1/2, 2 below 1, then 3. ``zone`` fixes it. Earlier
-    zones remain among the starts for a share ``keep`` of the episodes; some may begin ``at_chair``.
+    zones remain among the starts for a share ``keep`` of the episodes; some may begin ``at_chair``. In
+    evaluations all zones that the difficulty allows are alike.
 
     The pose is the first of the task's clip, which begins with the episode. The field ``zone`` (N,) is 1,
     2 or 3, or 0 ``at_chair``; ``newest`` (N,) is 1 where it is the last one that the difficulty allows, which
@@ -305,6 +306,7 @@ class AroundChair(InitialStates):
         self._heading = standing["reference_root_heading"]
         ends = torch.tensor((0.0, *ZONES), device=context.device).deg2rad()
         self._begin, self._width = ends[:-1].clone(), ends.diff()
+        self._keep = 1.0 if context.evaluating else options.keep
         self._at_chair = None
         if options.at_chair.banks and not context.evaluating:
             self._at_chair = _banked(options.at_chair.banks, scene, context)
@@ -318,7 +320,7 @@ class AroundChair(InitialStates):
             else torch.full_like(difficulty, float(options.zone))
         )
         any_zone = (drawn[:, 4] * hardest).floor() + 1.0
-        keeps = (drawn[:, 5] < options.keep) if options.zone is None else torch.zeros_like(
+        keeps = (drawn[:, 5] < self._keep) if options.zone is None else torch.zeros_like(
             difficulty, dtype=torch.bool
         )  # fmt: skip
         zone = torch.where(keeps, any_zone.clamp(max=3.0), hardest)

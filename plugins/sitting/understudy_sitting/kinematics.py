@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from understudy.command.command import Command
+from understudy.errors import ConfigError
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy_characters.scene import reference_motion
@@ -32,9 +33,11 @@ class Kinematics(Command):
         parser.add_argument("--trials", type=int, default=10_000, help="how many")
 
     def run(self, options: argparse.Namespace) -> int:
+        if options.trials < 2:
+            raise ConfigError(f"--trials={options.trials} is not possible: at least two.")
         experiment = load_experiment([*_ZONE, *options.overrides])
-        built = build_environment(experiment, num_worlds=max(2, options.trials), evaluating=True)
-        built.environment.reset(draw="trials")
+        built = build_environment(experiment, num_worlds=options.trials, evaluating=True)
+        built.environment.reset(experiment.root.seed, "trials")
         distance = minimum_distances(built)
         mean, spread = float(distance.mean()), float(distance.std())
         found = {"trials": len(distance), "distance_mean": mean, "distance_spread": spread}

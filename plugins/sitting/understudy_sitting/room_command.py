@@ -18,7 +18,7 @@ from understudy.records.runs import Run
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import Built, build_environment, build_policy
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.config import validate
+from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_report.video import write_video
@@ -55,7 +55,6 @@ class SitInRoom(Command):
             f"chair={{{','.join(f'{name}:{size}' for name, size in sizes.items())}}}",
             f"+room={{file:'{options.scene}',chair:{options.chair}}}",
             "initial_states.zone=1",
-            "control.decision=1",  # so that every state is seen; decisions are repeated
         ]
         placed = replaced(run.info["overrides"], furnished)
         config = compose_raw(replaced(placed, options.overrides))
@@ -65,7 +64,7 @@ class SitInRoom(Command):
             episode_seconds=experiment.root.evaluation.seconds,
         )  # fmt: skip
         try:
-            track, seated = _act(built, run, experiment.root.evaluation.seconds)
+            track, seated = _act(built, run, experiment)
         finally:
             built.environment.close()
         share = float((seated >= SEATED - 1e-3).float().mean())
@@ -77,26 +76,30 @@ class SitInRoom(Command):
 
 
 @torch.no_grad()
-def _act(built: Built, run: Run, seconds: float) -> tuple[np.ndarray, torch.Tensor]:
+def _act(built: Built, run: Run, experiment: Experiment) -> tuple[np.ndarray, torch.Tensor]:
     """The motion (T, nq), a state each control period, of the trial that sat longest, and how long each
     sat, (N,) s."""
     environment = built.environment
-    trained = run.experiment(installed().registry)
-    periods = trained.root.control.decision
-    policy = build_policy(trained, built.context)
+    policy = build_policy(run.experiment(installed().registry), built.context)
     policy.load_state_dict(newest_state(str(run.path))["policy"])
-    environment.reset(draw="room")
+    environment.reset(experiment.root.seed, "room")
     seated = torch.zeros(environment.num_worlds, device=environment.device)
     running = torch.ones_like(seated, dtype=torch.bool)
-    states, action = [], environment.action
-    for period in range(round(seconds / environment.control_dt)):
-        if period % periods == 0:
-            action = policy.distribution(environment.observations).mode()
-        ended = environment.advance(action).ended
+    states = []
+
+    def see() -> None:
         states.append(environment.table["qpos"].clone())
         longest = torch.maximum(seated, environment.table["seated_seconds"])
-        seated = torch.where(running, longest, seated)
-        running = running & ~ended
+        seated.copy_(torch.where(running, longest, seated))
+
+    environment.on_period = see
+    seconds = environment.decision * environment.control_dt
+    for _ in range(round(experiment.root.evaluation.seconds / seconds)):
+        action = policy.distribution(environment.observations).mode()
+        ended = environment.advance(action).ended
+        see()
+        running &= ~ended
+        states.pop()  # the next decision begins in it
     best = int(seated.argmax())
     return torch.stack([state[best] for state in states]).cpu().numpy(), seated.cpu()
 
@@ -111,15 +114,10 @@ def draw(
     width, height = camera.size
     spec.visual.global_.offwidth = max(width, spec.visual.global_.offwidth)
     spec.visual.global_.offheight = max(height, spec.visual.global_.offheight)
-    eye = spec.worldbody.add_camera(name="photo")
-    quat = np.zeros(4)
     if plan:
-        eye.pos, eye.fovy = [0, 0, _ABOVE], _FIELD
+        spec.worldbody.add_camera(name="photo", pos=[0, 0, _ABOVE], fovy=_FIELD)
     else:
-        axes = camera.rotation @ np.diag([1.0, -1.0, -1.0])  # y up, looking along -z
-        mujoco.mju_mat2Quat(quat, axes.flatten())
-        eye.pos, eye.quat = camera.position, quat
-        eye.fovy = 2 * np.degrees(np.arctan(0.5 * height / camera.focal[1]))
+        add_camera(spec, camera)
     model = spec.compile()
     data = mujoco.MjData(model)
     photo = None if plan or camera.photo is None else _photo(camera.photo, width, height)
@@ -146,6 +144,18 @@ def draw(
             yield frame
     finally:
         renderer.close()
+
+
+def add_camera(spec: mujoco.MjSpec, camera: Camera) -> None:
+    """Add the camera ``photo``, which sees in the pixel that its focal lengths and centre say."""
+    eye = spec.worldbody.add_camera(name="photo", pos=camera.position)
+    axes = camera.rotation @ np.diag([1.0, -1.0, -1.0])  # y up, looking along -z
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.flatten())
+    size = np.array(camera.size)
+    eye.quat, eye.resolution, eye.sensor_size = quat, size, 1e-3 * size
+    # from the centre to the left and up
+    eye.focal_pixel, eye.principal_pixel = camera.focal, 0.5 * size - camera.centre
 
 
 def _photo(path: Path, width: int, height: int) -> np.ndarray:

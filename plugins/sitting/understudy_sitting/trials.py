@@ -55,7 +55,15 @@ class Trials(Command):
         config: Mapping[str, Any] = run.config
         if options.overrides:
             config = compose_raw(replaced(run.info["overrides"], options.overrides))
-        found = judge(validate(config, installed().registry), run, options.trials)
+        experiment = validate(config, installed().registry)
+        found = judge(experiment, run, options.trials)
+        root = experiment.root
+        judged = {
+            "overrides": options.overrides,
+            "seed": root.seed,
+            "samples": newest_state(str(run.path))["progress"]["samples"],
+        }
+        found = {"judged": judged, **found}
         run.write_json(FILE, found)
         print(json.dumps(found, indent=1))
         return 0
@@ -101,6 +109,16 @@ def _carry_out(
     }
     counts = torch.zeros(2 * skills * skills, device=device)
     running = torch.ones(n, dtype=torch.bool, device=device)
+
+    def see() -> None:
+        """Of each control period: sitting may begin and end between decisions."""
+        for name in ("seated", "contact"):
+            longest = found[name].maximum(table[f"{name}_seconds"])
+            found[name] = torch.where(running, longest, found[name])
+        nearest = found["distance"].minimum(table["seat_distance"])
+        found["distance"] = torch.where(running, nearest, found["distance"])
+
+    environment.on_period = see
     before = None
     seconds = environment.decision * environment.control_dt
     for _ in range(max(1, round(experiment.root.evaluation.seconds / seconds))):
@@ -111,12 +129,8 @@ def _carry_out(
             place = (side * skills + before) * skills + switch
             counts.index_add_(0, place, running.float())
         before = switch.clone()
-        for name in ("seated", "contact"):
-            longest = found[name].maximum(table[f"{name}_seconds"])
-            found[name] = torch.where(running, longest, found[name])
-        nearest = found["distance"].minimum(table["seat_distance"])
-        found["distance"] = torch.where(running, nearest, found["distance"])
-        running = running & ~step.ended
+        see()
+        running &= ~step.ended
     return found, counts.view(2, skills, skills).cpu()
 
 
@@ -175,7 +189,11 @@ class TransitionsSection(ReportSection):
             for side, counts in found["transitions"].items()
         )
         flow = "display:flex;flex-wrap:wrap;gap:24px"
-        return f'<div class="card">{table}</div><div class="card" style="{flow}">{matrices}</div>'
+        judged = found.get("judged", {})
+        words = escape(" ".join(map(str, judged.get("overrides", ()))))
+        given = f"<p>Judged with {words}</p>" if words else ""
+        cards = (f"{given}{table}", ""), (matrices, f' style="{flow}"')
+        return "".join(f'<div class="card"{style}>{inside}</div>' for inside, style in cards)
 
 
 def _zone(name: str, row: Mapping[str, Any]) -> str:

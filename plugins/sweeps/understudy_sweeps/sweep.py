@@ -12,6 +12,7 @@ import json
 import math
 import re
 import signal
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -56,6 +57,7 @@ def sweep(overrides: Sequence[str]) -> int:
         book.lock()
         _refuse_another(folder / "sweep.json", identity)
         journal = Journal.open(folder / "journal.jsonl")
+        known = set(journal.finished)
         page = Page(folder, _title(overrides, folder), chosen.effective().get("paper"))
         with Progress({trial.key for trial in loop.plan}) as progress:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
@@ -68,6 +70,9 @@ def sweep(overrides: Sequence[str]) -> int:
         executor.close()
         book.unlock()
     print(page.table(journal, loop.summary()))
+    for key in [key for key in journal.finished if key not in known]:
+        if (status := journal.finished[key].status) != "ok":
+            print(f"{key}: {status}", file=sys.stderr)
     for path in (page.path, *more):
         print(f"page: {path}")
     print(f"sweep: {folder}")

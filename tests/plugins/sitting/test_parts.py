@@ -206,9 +206,32 @@ def test_a_chain_trains_what_others_build_on_first() -> None:
     again.tell(Report("a", "failed: no reason", run="runs/a"))
     assert again.recall(Trial("b", ("x=2",), variant="b"))
     again.tell(Report("b", "ok", run="runs/b"))
-    assert again.ask(2) is None  # nothing to build on
+    assert again.ask(2) == Trial("a~2", ("x=1",), variant="a")  # nothing to build on yet
+    assert again.ask(2) is None, "once for each call of the sweep"
+    again.tell(Report("a~2", "ok", run="runs/a~2"))
+    third = again.ask(3)
+    assert third is not None
+    assert third.overrides == ("run='runs/a~2'", "runs=['runs/a~2','runs/b']")
+    assert [row["status"] for row in again.summary()] == ["ok", "ok", "not begun"]
     with pytest.raises(ConfigError, match="had other overrides"):
         Chain(Chain.Options({"a": ("x=3",)}), seed=0).recall(first)
+
+
+def test_evaluations_draw_all_zones_alike() -> None:
+    """Whatever share of the training repeats earlier ones."""
+    for keep in (0.0, 0.9):
+        given = [
+            "experiment=sitting/sit", "num_worlds=3000", "initial_states=sitting/around_chair",
+            "++motion={name: walk, parameters: {}}", "~fields.reference", "~fields.reference_body",
+            "~reward.terms.pose", "~reward.terms.velocity", "~measure.pose",
+            "actuation=joint_targets", f"initial_states.keep={keep}",
+        ]  # fmt: skip
+        built = build_environment(load_experiment(given), evaluating=True)
+        zones = built.environment.parts.initial_states.sample(
+            WorldStreams(3, "zones", 3000, "cpu"), difficulty=torch.ones(3000)
+        )["zone"]
+        for zone in (1.0, 2.0, 3.0):
+            assert float((zones == zone).float().mean()) == pytest.approx(1 / 3, abs=0.04)
 
 
 def test_a_chain_names_only_stages_before() -> None:

@@ -7,12 +7,14 @@ import math
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from sitting_tasks import build
 
 from understudy.errors import FileError
-from understudy_sitting.room import EXAMPLE, Box, Room, around, chair_sizes, read_scene
+from understudy_sitting.room import EXAMPLE, Box, Camera, Room, around, chair_sizes, read_scene
+from understudy_sitting.room_command import add_camera
 
 CHAIR = {
     "label": "chair",
@@ -55,6 +57,25 @@ def test_a_detectors_camera_is_taken_as_it_is(tmp_path: Path) -> None:
     bent = [[1, 0, 0], [0, 0, 1], [0, -1, 0.5]]
     with pytest.raises(FileError, match="rotation is no rotation"):
         read_scene(scene(tmp_path, camera={**camera, "rotation": bent}))
+
+
+def test_a_detectors_camera_sees_in_the_right_pixel() -> None:
+    """A ball 0.5 m to the right of it, 0.4 m below and 3 m ahead."""
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # x right, y down, z along +y
+    camera = Camera(np.zeros(3), turn, (300.0, 280.0), (180.0, 140.0), (320, 240), None)
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05] * 3, pos=[0.5, 3, -0.4])
+    add_camera(spec, camera)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer = mujoco.Renderer(model, 240, 320)
+    renderer.update_scene(data, "photo")
+    renderer.enable_segmentation_rendering()
+    rows, columns = np.nonzero(renderer.render()[..., 0] == 0)
+    renderer.close()
+    assert columns.mean() + 0.5 == pytest.approx(300 * 0.5 / 3 + 180, abs=0.5)
+    assert rows.mean() + 0.5 == pytest.approx(280 * 0.4 / 3 + 140, abs=0.5)
 
 
 def test_a_chairs_box_says_how_large_it_is() -> None:
