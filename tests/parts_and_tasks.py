@@ -49,7 +49,7 @@ TINY = (
 #: Parts whose batches are larger than such an iteration.
 SMALLER = {
     f"learner=deepmimic/{name}_gpu": ("learner.batch_size=128",)
-    for name in ("released", "optimised_walk", "optimised_backflip")
+    for name in ("released", "optimised_walk", "optimised_backflip", "found_walk")
 }
 
 

@@ -194,7 +194,7 @@ MUTANTS = (
            "tests/kernel/running/test_evaluation_starts.py"),
     Mutant("all starts are judged for a criterion", EVALUATION, "if give_up_below is None and self.success:", "if self.success:",
            "tests/kernel/running/test_evaluation_starts.py"),
-    Mutant("measures of episodes that still run are final", EVALUATION, "int((~self._running & ~won)", "int((~won)",
+    Mutant("measures of episodes that still run are final", EVALUATION, "int((~self._running & ~self._won())", "int((~self._won())",
            "tests/kernel/running/test_evaluations.py -k final"),
     Mutant("the measures of a bad world count", EVALUATION, "counted = running & ~step.unsound", "counted = running",
            "tests/kernel/running/test_evaluations.py -k wrong"),
