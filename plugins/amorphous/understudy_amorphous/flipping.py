@@ -75,8 +75,8 @@ class Turned(Memory):
 
     ``turned`` () rad, counted over whole turns; ``angle`` () rad, the same within (−π, π]; ``toss_height``
     () m, the greatest clearance so far; ``caught_turn`` () rad, what ``turned`` was when the material last
-    lay in the pan: over it, low, and moving with it. The angle is that of the rotation in the x-z plane
-    that best maps the particles' places at rest to where they are.
+    lay in the pan: over it, low, and moving with it. The angle is that of the disk's axis in the x-z
+    plane, so turning about this axis is no flip.
     """
 
     reads = (
@@ -103,16 +103,15 @@ class Turned(Memory):
         self.options = options
         scene = context.need_scene(ParticleScene, "memory 'amorphous/turned'")
         rest = np.asarray(scene.model().positions, np.float32)
-        flat = torch.from_numpy(rest - rest.mean(axis=0)).to(context.device)
-        self._x, self._z = flat[:, 0], flat[:, 2]
+        self._z = torch.from_numpy(rest[:, 2] - rest[:, 2].mean()).to(
+            context.device
+        )  # along the axis
 
     def _angle(self, position: Tensor) -> Tensor:
         """(N,) rad: about y, positive from z to x."""
         arm = position - position.mean(dim=1, keepdim=True)
-        x, z = arm[..., 0], arm[..., 2]
-        sine = (self._z * x - self._x * z).sum(dim=1)
-        cosine = (self._x * x + self._z * z).sum(dim=1)
-        return torch.atan2(sine, cosine)
+        axis = (self._z.unsqueeze(1) * arm).sum(dim=1)  # (N, 3)
+        return torch.atan2(axis[:, 0], axis[:, 2])
 
     def begin(
         self, particle_position: Tensor, clearance: Tensor, **fields: Tensor

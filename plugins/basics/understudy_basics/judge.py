@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,12 +14,16 @@ from understudy.running.warm_start import newest_state
 from understudy.setup.config import Experiment
 from understudy.task import State
 
+#: What a policy sees, what its actions do and how often it acts: a policy learns these.
+_LEARNED = ("encoder", "actuation", "control")
+
 
 class Judge(Reinforcement):
     """Takes the policy of a finished run and ends; its evaluation is what the run is for.
 
     Task, policy and evaluation are this run's own: variants of a sweep judge one policy under
-    different conditions, of which training knew one.
+    different conditions, of which training knew one. Where what it sees or does is not what it was
+    trained with, a line says so: networks fit maps of any width.
     """
 
     @dataclass(frozen=True)
@@ -39,6 +44,12 @@ class Judge(Reinforcement):
                 f"job.run: the policy of {self.options.run} does not fit: {error}. Give the "
                 "experiment that it was trained with."
             ) from error
+        now, then = self.experiment.effective(), source.config
+        changes = [
+            c for part in _LEARNED for c in runs.differences(then.get(part), now.get(part), part)
+        ]
+        for change in changes:
+            print(f"Unlike in the training of {self.options.run}: {change}", file=sys.stderr)
         self._started = {**source.info["sources"], "policy": {"run": self.options.run}}
 
     def watch(self, on_fault: Callable[[str, State], None] | None) -> None:

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from understudy.task import Context
 from understudy_amorphous.maps import (
     Grid,
+    MaterialMaps,
     TableMap,
     density,
     density_and_height,
+    draw_maps,
     in_tool_frame,
 )
 from understudy_amorphous.tool import orientation
@@ -148,3 +150,43 @@ def test_the_observed_map_has_the_cells_that_the_policy_sees() -> None:
     assert occupied("tool", points, 1.0, 0.7) == float((seen > 0).sum())
     assert 0 < occupied("tool", points, 4.5, 0.0) < occupied("tool", points, 0.0, 0.0)
     assert occupied("tool", points, 9.0, 0.0) == 0.0, "what is off the map counts no more"
+
+
+def drawn(frame: str, yaw: float) -> torch.Tensor:
+    """(3, 32, 32): density, height and goal, one particle at (1.5, 0.1, 0.5), the goal at (0.1, -1.9), the
+    tool at (0.2, 0.2, 0.2)."""
+    options = MaterialMaps.Options(("density", "height", "goal"), frame, GRID)  # type: ignore[arg-type]
+    return draw_maps(
+        options,
+        particle_position=torch.tensor([[[1.5, 0.1, 0.5]]]),
+        tool_position=torch.tensor([[0.2, 0.2, 0.2]]),
+        tool_orientation=orientation(torch.tensor([[0.0, 0.0, yaw]])),
+        goal=torch.tensor([[0.1, -1.9]]),
+    )[0]
+
+
+def test_each_channel_shows_its_own_in_the_frame_that_is_chosen() -> None:
+    """Cells are counted from the corner at (-3.2, -3.2) m of the frame."""
+    places = {
+        ("world", 0.0): ((23, 16), (16, 6)),
+        ("world", 1.0): ((23, 16), (16, 6)),
+        ("tool", 0.0): ((22, 15), (15, 5)),
+        ("tool", math.pi / 2): ((15, 9), (5, 16)),  # it faces y
+    }
+    for (frame, yaw), (material, goal) in places.items():
+        maps = drawn(frame, yaw)
+        for channel, (row, column) in ((maps[0], material), (maps[2], goal)):
+            assert middle(channel) == pytest.approx((row, column), abs=1e-3), (frame, yaw)
+        assert float(maps[1].max()) == pytest.approx(0.5 if frame == "world" else 0.3)
+        assert bool(((maps[1] > 0) == (maps[0] > 0)).all()), "a height where there is material"
+    assert float(drawn("world", 0.0)[2].max()) == pytest.approx(1.0), (
+        "the goal is in a cell's middle"
+    )
+    assert float(drawn("world", 0.0)[0].max()) == pytest.approx(0.1 * math.sqrt(2) * 0.5)
+
+
+def middle(image: torch.Tensor) -> tuple[float, float]:
+    """Row and column of an image's middle, weighted by its values."""
+    index = torch.arange(len(image), dtype=torch.float32)
+    total = float(image.sum())
+    return float(image.sum(1) @ index) / total, float(image.sum(0) @ index) / total

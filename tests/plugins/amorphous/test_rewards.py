@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -130,23 +131,31 @@ def test_a_flip_counts_once_it_is_caught() -> None:
     assert flipping.flipped(torch.tensor([3.1, -3.1]), direction=-1.0).tolist() == [0.0, 1.0]
 
 
-def test_turns_are_counted_over_whole_turns_and_caught_in_the_pan() -> None:
-    """A disk that turns about y by 0.9 of a turn a second, 2 m above the pan, and then lies in it."""
+def disk() -> tuple[flipping.Turned, Callable[..., dict[str, torch.Tensor]]]:
+    """What counts the turns of a disk, and what it reads of one that is turned about its own axis by `yaw`,
+    then about y by `angle`, `height` above a pan at rest."""
     context = Context(seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.1, substeps=1)
     options = AmorphousScene.Options("elastic", blocks=1, round=True, tool="pan")
     context.scene = scene = AmorphousScene(options, context)
-    memory = flipping.Turned(flipping.Turned.Options(), context)
     block = torch.as_tensor(scene.block, dtype=torch.float32)
     block = block - block.mean(dim=0)
     pan = torch.zeros(1, 3)
 
-    def seen(angle: float, height: float) -> dict[str, torch.Tensor]:
+    def seen(angle: float, height: float, yaw: float = 0.0) -> dict[str, torch.Tensor]:
+        own = rotations.from_axis_angle(torch.tensor([0.0, 0.0, 1.0]), torch.tensor(yaw))
         turn = rotations.from_axis_angle(torch.tensor([0.0, 1.0, 0.0]), torch.tensor(angle))
-        place = (rotations.rotate(turn, block) + torch.tensor([0.1, 0.0, height])).unsqueeze(0)
+        turned = rotations.rotate(rotations.multiply(turn, own), block)
+        place = (turned + torch.tensor([0.1, 0.0, height])).unsqueeze(0)
         still = torch.zeros_like(place)
         fields = {"particle_position": place, "particle_velocity": still, "tool_position": pan}
         return fields | {"tool_velocity": pan, "clearance": place[..., 2].amin(dim=1)}
 
+    return flipping.Turned(flipping.Turned.Options(), context), seen
+
+
+def test_turns_are_counted_over_whole_turns_and_caught_in_the_pan() -> None:
+    """A disk that turns about y by 0.9 of a turn a second, 2 m above the pan, and then lies in it."""
+    memory, seen = disk()
     kept = memory.begin(**seen(0.0, 0.3))
     for i in range(1, 15):
         kept = memory.advance(kept, **seen(0.1 * i * 0.9 * 2 * math.pi, 2.0))
@@ -156,3 +165,14 @@ def test_turns_are_counted_over_whole_turns_and_caught_in_the_pan() -> None:
     kept = memory.advance(kept, **seen(3 * math.pi, 0.3))
     assert float(kept["caught_turn"]) == pytest.approx(3 * math.pi, abs=1e-3)
     assert float(flipping.flipped(kept["caught_turn"])) == 1.0
+
+
+def test_a_disk_that_turns_about_its_own_axis_is_not_turned_over() -> None:
+    memory, seen = disk()
+    kept = memory.begin(**seen(0.0, 0.3, yaw=0.3))
+    for i in range(1, 60):  # around once and more, wobbling
+        kept = memory.advance(kept, **seen(0.2 * math.sin(i), 0.3, yaw=0.3 + 0.12 * i))
+        assert abs(float(kept["turned"])) < 0.25
+    for angle in (0.5, 1.0, 1.5, 2.0, 2.5, math.pi):  # and over, from whatever it had turned to
+        kept = memory.advance(kept, **seen(angle, 0.3, yaw=7.4))
+    assert float(kept["turned"]) == pytest.approx(math.pi, abs=1e-3)

@@ -62,3 +62,18 @@ def test_another_policy_is_refused_in_one_sentence(
     job = [*FAKE_TASK, *SMALL, f"+job={{name: judge, run: {run}}}", "policy.hidden=[9]"]
     with pytest.raises(RunError, match=rf"^job\.run: the policy of {run} does not fit: .*actor"):
         make_training(plugins, job)
+
+
+def test_what_the_policy_was_not_trained_with_is_said(
+    plugins: Plugins, learned: tuple[str, Training], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, training = learned
+    job = [*FAKE_TASK, *SMALL, *FEW, f"+job={{name: judge, run: {run}}}"]
+    make_training(plugins, job)
+    assert "Unlike" not in capsys.readouterr().err
+    frequency = training.job.experiment.effective()["control"]["frequency"]
+    make_training(plugins, [*job, f"control.frequency={frequency / 2}"])
+    said = capsys.readouterr().err
+    assert (
+        f"Unlike in the training of {run}: control.frequency: {frequency} → {frequency / 2}" in said
+    )
