@@ -103,14 +103,13 @@ class Turned(Memory):
         self.options = options
         scene = context.need_scene(ParticleScene, "memory 'amorphous/turned'")
         rest = np.asarray(scene.model().positions, np.float32)
-        self._z = torch.from_numpy(rest[:, 2] - rest[:, 2].mean()).to(
-            context.device
-        )  # along the axis
+        along = rest[:, 2] - rest[:, 2].mean()  # the disk's axis
+        self._along = torch.from_numpy(along).to(context.device)
 
     def _angle(self, position: Tensor) -> Tensor:
         """(N,) rad: about y, positive from z to x."""
         arm = position - position.mean(dim=1, keepdim=True)
-        axis = (self._z.unsqueeze(1) * arm).sum(dim=1)  # (N, 3)
+        axis = (self._along.unsqueeze(1) * arm).sum(dim=1)  # (N, 3)
         return torch.atan2(axis[:, 0], axis[:, 2])
 
     def begin(

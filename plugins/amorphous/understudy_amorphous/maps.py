@@ -92,8 +92,8 @@ class MaterialMaps(Encoder):
     """The images that the policy sees, O_mat (section 3.3.1), (C, N, N), in the order of ``channels``.
 
     In the tool's frame the maps move and turn with it (with all of its pose: of a tilted scraper,
-    heights are along its own blade); in the world's they are around the table's middle. The goal is one
-    point, seen as a particle would be.
+    heights are along its own blade); in the world's they are around ``centre``. The goal is one point,
+    seen as a particle would be.
     """
 
     @dataclass(frozen=True)
@@ -101,13 +101,15 @@ class MaterialMaps(Encoder):
         channels: tuple[Literal["density", "height", "goal"], ...] = ("density",)
         frame: Literal["tool", "world"] = "tool"
         grid: Grid = Grid()
+        centre: tuple[float, float] = (0.0, 0.0)  #: m, of maps in the world's frame
         #: By what eq. 2's sums are multiplied, so that a layer of particles is about 1 in cells of
         #: 0.2 m. Of smaller particles (``scene.resolution``) each counts less: the same material makes
         #: the same map.
         scale: float = 0.1
+        height_scale: float = 1.0  #: 1/m, of heights
 
         def __post_init__(self) -> None:
-            check_range(self, "scale", above=0)
+            check_range(self, "scale", "height_scale", above=0)
             if not self.channels or len(set(self.channels)) != len(self.channels):
                 raise ValueError(
                     f"channels={list(self.channels)} is not possible: name each of density, height "
@@ -143,10 +145,11 @@ def draw_maps(
     def seen(points: Tensor) -> Tensor:
         if options.frame == "tool":
             return in_tool_frame(points, tool_position, tool_orientation)
-        return points
+        x, y = options.centre
+        return torch.stack([points[..., 0] - x, points[..., 1] - y, points[..., 2]], dim=-1)
 
     material, height = density_and_height(seen(particle_position), options.grid)
-    found = {"density": options.scale * material, "height": height}
+    found = {"density": options.scale * material, "height": options.height_scale * height}
     if goal is not None:
         on_table = torch.nn.functional.pad(goal, (0, 1)).unsqueeze(1)
         peak = 2**0.5 * _REACH * options.grid.width  # what eq. 3 gives at a cell's centre

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -152,10 +153,10 @@ def test_the_observed_map_has_the_cells_that_the_policy_sees() -> None:
     assert occupied("tool", points, 9.0, 0.0) == 0.0, "what is off the map counts no more"
 
 
-def drawn(frame: str, yaw: float) -> torch.Tensor:
+def drawn(frame: str, yaw: float, **more: Any) -> torch.Tensor:
     """(3, 32, 32): density, height and goal, one particle at (1.5, 0.1, 0.5), the goal at (0.1, -1.9), the
     tool at (0.2, 0.2, 0.2)."""
-    options = MaterialMaps.Options(("density", "height", "goal"), frame, GRID)  # type: ignore[arg-type]
+    options = MaterialMaps.Options(("density", "height", "goal"), frame, GRID, **more)  # type: ignore[arg-type]
     return draw_maps(
         options,
         particle_position=torch.tensor([[[1.5, 0.1, 0.5]]]),
@@ -183,6 +184,12 @@ def test_each_channel_shows_its_own_in_the_frame_that_is_chosen() -> None:
         "the goal is in a cell's middle"
     )
     assert float(drawn("world", 0.0)[0].max()) == pytest.approx(0.1 * math.sqrt(2) * 0.5)
+
+
+def test_maps_of_the_table_can_be_around_another_place_and_heights_in_another_unit() -> None:
+    here, there = drawn("world", 0.0), drawn("world", 0.0, centre=(0.4, -0.2), height_scale=3.0)
+    moved = here.roll((-2, 1), (1, 2)) * torch.tensor([1.0, 3.0, 1.0])[:, None, None]
+    torch.testing.assert_close(there, moved, atol=1e-4, rtol=1e-4)
 
 
 def middle(image: torch.Tensor) -> tuple[float, float]:
