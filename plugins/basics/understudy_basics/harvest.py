@@ -36,7 +36,8 @@ class Harvest(Job):
     class Options:
         run: str  #: folder of the run whose policy acts
         count: int = 1024  #: how many states
-        #: Which endings count: a termination term's name, or any of an outcome.
+        #: Which endings count: a termination term's name, any of an outcome (``success``, ``failure``,
+        #: ``truncation``), or ``any``: also the states of episodes that go wrong.
         ending: str = "success"
         #: ``end``: the state in which it ended; ``anywhere``: one of all its states, each as likely.
         moment: Literal["end", "anywhere"] = "end"
@@ -79,7 +80,7 @@ class Harvest(Job):
                     + suggestion(name, table.shapes)
                 )
         terms = {t.name for t in environment.parts.terminations if t.outcome != "report"}
-        outcomes = ("success", "failure", "truncation")
+        outcomes = ("success", "failure", "truncation", "any")
         if self.options.ending not in (*outcomes, *terms):
             raise ConfigError(
                 f"job.ending={self.options.ending} is no ending of {self.options.run}."
@@ -105,6 +106,7 @@ class Harvest(Job):
             "success": step.terminated & ~step.failed,
             "failure": step.failed,
             "truncation": step.truncated,
+            "any": step.ended,
             **step.endings,
         }
         reached = {name: environment.table[name].clone() for name in self._names}

@@ -13,8 +13,9 @@ import math
 import re
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from understudy import distributed
 from understudy.errors import ConfigError, PreemptedError, RunError
@@ -47,15 +48,17 @@ def sweep(overrides: Sequence[str]) -> int:
         raise ConfigError("A sweep starts its trials itself: start it without torchrun.")
     root, chosen = experiment.root, experiment.need("outer_loop")
     loop: OuterLoop = chosen.build(root.seed)
-    identity = _identity(experiment, loop)
+    compared = _compared(experiment, loop)
+    identity = _identity(compared)
+    given = tuple(o for o in overrides if not _OWN.match(o))
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
-    work = Work(tuple(o for o in overrides if not _OWN.match(o)), str(folder), root.device)
+    work = Work(given, str(folder), root.device)
     _check(loop.plan or [chosen.build(root.seed).ask(0)], work)
     executor: Executor = experiment.need("executor").build(work)
     book = runs.Run(_made(folder), {})
     try:
         book.lock()
-        _refuse_another(folder / "sweep.json", identity)
+        _refuse_another(folder / "sweep.json", sorted(given), compared)
         journal = Journal.open(folder / "journal.jsonl")
         known = set(journal.finished)
         page = Page(folder, _title(overrides, folder), chosen.effective().get("paper"))
@@ -219,14 +222,18 @@ def _placed(trial: Trial, journal: Journal, folder: Path) -> Trial:
     return dataclasses.replace(trial, start={**start, "run": str(folder_of(earlier, folder))})
 
 
-def _identity(experiment: Experiment, loop: OuterLoop) -> str:
+def _compared(experiment: Experiment, loop: OuterLoop) -> dict[str, Any]:
     """What the sweep compares: its configuration less what may be added to it later."""
     raw = experiment.effective()
     for key in ("run", "executor", *(["seed"] if loop.plan else [])):
         raw.pop(key)
     for name in loop.extendable:
         raw["outer_loop"].pop(name)
-    text = json.dumps(raw, sort_keys=True, default=str)
+    return raw
+
+
+def _identity(compared: Mapping[str, Any]) -> str:
+    text = json.dumps(compared, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
@@ -258,11 +265,37 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def _refuse_another(path: Path, identity: str) -> None:
-    """A folder belongs to one sweep: its trials are known by their names alone."""
-    mark = json.dumps({"sweep": identity}).encode()
-    if path.exists() and path.read_bytes() != mark:
-        raise RunError(
-            f"{path.parent} holds another sweep. Give run.dir another folder, or repeat that one."
-        )
-    write_atomically(path, mark)
+def _refuse_another(path: Path, given: Sequence[str], compared: Mapping[str, Any]) -> None:
+    """A folder belongs to one sweep: its trials are known by their names alone.
+
+    The same command goes on with a sweep that an earlier understudy began, where all that is new since
+    are options, at their defaults.
+    """
+    mark = {"sweep": _identity(compared), "given": list(given), "compared": compared}
+    mark = json.loads(json.dumps(mark, sort_keys=True, default=str))
+    if path.exists():
+        try:
+            old = json.loads(path.read_bytes())
+            same = old["sweep"] == mark["sweep"]
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise RunError(f"{path} is damaged: {error}. Give run.dir another folder.") from error
+        grown = old.get("given") == mark["given"] and _grown(old.get("compared"), mark["compared"])
+        if not same and not grown:
+            changes = "; ".join(
+                runs.differences(old.get("compared", mark["compared"]), mark["compared"])[:4]
+            )
+            raise RunError(
+                f"{path.parent} holds another sweep{f' ({changes})' if changes else ''}. Give run.dir another "
+                "folder, or repeat that one."
+            )
+    write_atomically(path, json.dumps(mark).encode())
+
+
+def _grown(old: Any, new: Any) -> bool:
+    """Whether `new` is `old` with more options, none of them another component."""
+    if not isinstance(old, Mapping) or not isinstance(new, Mapping):
+        return old == new
+    added = [new[key] for key in new.keys() - old.keys()]
+    return all(key in new and _grown(old[key], new[key]) for key in old) and not any(
+        isinstance(value, Mapping) and "name" in value for value in added
+    )

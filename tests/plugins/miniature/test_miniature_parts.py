@@ -87,6 +87,19 @@ def test_a_bank_has_states_that_ended_as_they_should(built_on: Path) -> None:
     assert states["drag"].std() > 0.1, "worlds differed"
 
 
+def test_a_harvest_of_any_ending_has_states_of_episodes_that_failed_too(built_on: Path) -> None:
+    harvests = {}
+    for ending in ("success", "any"):
+        training = prepared(*overrides_of("sleeve_bank", built_on), f"job.ending={ending}")
+        training.iterate()
+        assert isinstance(training.job, Harvest)
+        positions = training.job._found["positions"][:, 0]
+        harvests[ending] = (positions - torch.tensor([1.5, 0.0])).norm(dim=1)
+    assert (harvests["success"] <= 0.2).all()
+    assert (harvests["any"] > 0.2).any()
+    assert len(harvests["any"]) > len(harvests["success"])
+
+
 def test_a_harvest_from_anywhere_keeps_each_moment_of_an_episode_as_often(built_on: Path) -> None:
     harvest = prepared(
         *overrides_of("sleeve_bank", built_on), "job.moment=anywhere", "num_worlds=4000"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -307,9 +308,42 @@ def test_a_variant_that_became_another_is_refused(tmp_path: Path) -> None:
     sweep(tmp_path, TWO)
     with pytest.raises(ConfigError, match=r"variant of trial 'fast/seed0' had other overrides"):
         sweep(tmp_path, "outer_loop.variants={slow: [], fast: ['learner.rate=3']}")
-    with pytest.raises(RunError, match="holds another sweep"):
+    with pytest.raises(RunError, match=r"holds another sweep \(episode.seconds: .* → 3.0\)"):
         sweep(tmp_path, TWO, "episode.seconds=3")
     assert events(tmp_path) == WHOLE
+
+
+@pytest.mark.parametrize(
+    ("older", "goes_on"),
+    [
+        (lambda c: c["learner"].pop("rate"), True),  # an option that is new since
+        (lambda c: c["learner"].update(rate=7.0), False),  # another default
+        (lambda c: c["learner"].update(gone=1.0), False),  # an option that there is no more
+        (lambda c: c["reward"]["terms"].clear(), False),  # a component that is new since
+    ],
+)
+def test_a_sweep_of_an_older_version_goes_on_where_only_options_are_new(
+    tmp_path: Path, older: Callable[[dict[str, Any]], Any], goes_on: bool
+) -> None:
+    sweep(tmp_path, TWO)
+    mark = json.loads((tmp_path / "sweep.json").read_text())
+    older(mark["compared"])
+    (tmp_path / "sweep.json").write_text(json.dumps({**mark, "sweep": "00000000"}))
+    with nullcontext() if goes_on else pytest.raises(RunError, match="holds another sweep"):
+        sweep(tmp_path, TWO)
+    if goes_on:  # the same command alone
+        (tmp_path / "sweep.json").write_text(json.dumps({**mark, "sweep": "00000000"}))
+        with pytest.raises(RunError, match="holds another sweep"):
+            sweep(tmp_path, TWO, "learner.rate=0.5")
+    assert events(tmp_path) == WHOLE
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", "7"])
+def test_a_damaged_mark_is_refused(tmp_path: Path, content: str) -> None:
+    sweep(tmp_path, TWO)
+    (tmp_path / "sweep.json").write_text(content)
+    with pytest.raises(RunError, match=r"sweep\.json is damaged"):
+        sweep(tmp_path, TWO)
 
 
 def test_a_trial_that_fails_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
