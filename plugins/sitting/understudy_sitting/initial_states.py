@@ -265,11 +265,13 @@ class AroundChair(InitialStates):
     """Standing some metres from the chair and roughly facing it, in one of the zones of figure 4.
 
     With the difficulty d the zone rises: 1 below 1/2, 2 below 1, then 3. ``zone`` fixes it. Earlier
-    zones remain among the starts for a share ``keep`` of the episodes; some may begin ``at_chair``. In
-    evaluations all zones that the difficulty allows are alike.
+    zones remain among the starts for a share ``keep`` of the episodes; some may begin ``at_chair``. With a
+    ``sector`` the angle rises evenly instead, from 90° at d = 0 to 180° at 1, and what is newest are its
+    last degrees: from zone to zone is a step from where the way to the chair's front is free to where the
+    chair stands in it. In evaluations all zones that the difficulty allows are alike.
 
     The pose is the first of the task's clip, which begins with the episode. The field ``zone`` (N,) is 1,
-    2 or 3, or 0 ``at_chair``; ``newest`` (N,) is 1 where it is the last one that the difficulty allows, which
+    2 or 3, or 0 ``at_chair``; ``newest`` (N,) is 1 in the last zone, or sector, that the difficulty allows, which
     a curriculum may judge; ``side`` (N,) is 1 where the figure begins on the chair's left.
     """
 
@@ -282,6 +284,9 @@ class AroundChair(InitialStates):
     class Options:
         zone: int | None = None  #: 1, 2 or 3; null follows the difficulty
         keep: float = 0.5  #: share of the episodes that begin in an earlier zone or this one
+        sector: float | None = (
+            None  #: degrees of the newest sector in training; null: zones, as in the paper
+        )
         distance: float = 2.0  #: m from the seat's middle
         spread: float = 0.2  #: m, more or less
         degrees: float = 30.0  #: off the direction to the chair, to each side
@@ -293,9 +298,13 @@ class AroundChair(InitialStates):
             check_range(self, "keep", least=0, most=1)
             check_range(self, "distance", above=0)
             check_range(self, "spread", "degrees", least=0)
+            if self.sector is not None:
+                check_range(self, "sector", above=0, most=ZONES[0])
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options
+        follows = options.zone is None and not context.evaluating
+        self._sector = options.sector if follows else None
         scene = context.need_scene(CharacterScene, "initial_states 'sitting/around_chair'")
         self._layout = scene.layout.to(context.device)
         chair = context.need_section("chair", Chair, "initial_states 'sitting/around_chair'")
@@ -325,8 +334,17 @@ class AroundChair(InitialStates):
         )  # fmt: skip
         zone = torch.where(keeps, any_zone.clamp(max=3.0), hardest)
         row = zone.long() - 1
+        angle = self._begin[row] + self._width[row] * drawn[:, 1]
+        newest = zone == hardest
+        if self._sector is not None:
+            first, width = math.radians(ZONES[0]), math.radians(self._sector)
+            end = first + (math.pi - first) * difficulty
+            begin = torch.where(keeps, 0.0, end - width)
+            angle = begin + (end - begin) * drawn[:, 1]
+            newest = angle >= end - width
+            zone = 1.0 + (angle[:, None] > self._begin[1:]).sum(dim=1)
         side = torch.where(drawn[:, 0] < 0.5, 1.0, -1.0)
-        angle = side * (self._begin[row] + self._width[row] * drawn[:, 1])
+        angle = side * angle
         away = options.distance + options.spread * (2 * drawn[:, 2] - 1)
         place = away[:, None] * torch.stack([angle.cos(), angle.sin()], dim=1)
         off = math.radians(options.degrees) * (2 * drawn[:, 3] - 1)
@@ -336,14 +354,14 @@ class AroundChair(InitialStates):
             there = (streams.uniform(1) < options.at_chair.share).expand(-1, 1)
             near_qpos, near_qvel = self._before_chair(streams, *self._at_chair)
             qpos, qvel = torch.where(there, near_qpos, qpos), torch.where(there, near_qvel, qvel)
-            zone = zone.masked_fill(there[:, 0], 0)
+            zone, newest = zone.masked_fill(there[:, 0], 0), newest & ~there[:, 0]
         chair = torch.zeros(len(zone), 3, device=zone.device)
         _, sizes = self._sizes.draw(streams)
         return {
             "qpos": qpos,
             "qvel": qvel,
             "zone": zone,
-            "newest": (zone == hardest).float(),
+            "newest": newest.float(),
             "side": (side > 0).float(),
             "motion_start": torch.zeros_like(side),
             PLACE: chair,

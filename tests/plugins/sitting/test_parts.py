@@ -159,6 +159,33 @@ def test_zones_of_figure_4() -> None:
         assert float(rotations.heading(drawn[TURN]).abs().max()) == 0.0
 
 
+def test_with_a_sector_the_angle_rises_evenly() -> None:
+    given = [
+        "experiment=sitting/sit", "num_worlds=2000", "initial_states=sitting/around_chair",
+        "++motion={name: walk, parameters: {}}", "~fields.reference", "~fields.reference_body",
+        "~reward.terms.pose", "~reward.terms.velocity", "~measure.pose",
+        "actuation=joint_targets", "initial_states.sector=20",
+    ]  # fmt: skip
+    states = build(*given).environment.parts.initial_states
+    streams = WorldStreams(3, "sector", 2000, "cpu")
+    for difficulty, end in ((0.0, 90.0), (0.5, 135.0), (0.7, 153.0), (1.0, 180.0)):
+        drawn = states.sample(streams, difficulty=torch.full((2000,), difficulty))
+        place = drawn["qpos"][:, :2]
+        angle = torch.atan2(place[:, 1], place[:, 0]).rad2deg().abs()
+        assert end - 1 < float(angle.max()) <= end + 1e-3
+        newest = drawn["newest"] == 1
+        assert (newest == (angle >= end - 20)).all()
+        assert float(newest.float().mean()) == pytest.approx(0.5 + 0.5 * 20 / end, abs=0.04)
+        assert torch.equal(drawn["zone"], 1.0 + (angle > 90) + (angle > 135))
+    judged = build_environment(load_experiment(given), evaluating=True)
+    zones = judged.environment.parts.initial_states.sample(streams, difficulty=torch.ones(2000))[
+        "zone"
+    ]
+    assert float((zones == 3.0).float().mean()) == pytest.approx(1 / 3, abs=0.04)
+    with pytest.raises(ConfigError, match="sector"):
+        build(*given[:-1], "initial_states.sector=0")
+
+
 def test_some_training_episodes_begin_before_the_chair(states: Path) -> None:
     given = [
         "experiment=sitting/sit", "num_worlds=2000", "initial_states=sitting/around_chair",
@@ -246,7 +273,7 @@ def test_the_whole_chain_composes(search: str) -> None:
     (chosen,) = load_experiment([chain]).choices["outer_loop"]
     stages = dict(chosen.options.stages)
     assert list(stages)[-1] == "meta"
-    assert len(stages) == 15
-    for name in ("walk", "turn_right", "walk_ends", "turn_left_tuned", "sit_tuned", "meta"):
-        overrides = [o.replace("{", "").replace("}", "") for o in stages[name]]
+    assert len(stages) == 19
+    for given in stages.values():
+        overrides = [o.replace("{", "").replace("}", "") for o in given]
         load_experiment([chain, *overrides, "outer_loop=null", "executor=null"])
