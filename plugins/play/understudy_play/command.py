@@ -13,7 +13,7 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy_play.player import Player, World
-from understudy_play.skill import Skill, clip_of, names, open_skill, pack, rounded
+from understudy_play.skill import Skill, clip_of, names, open_skill, pack, rounded, unpack
 
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0
@@ -45,6 +45,10 @@ class Play(Command):
         parser.add_argument(
             "--pack", metavar="FILE", type=Path, help="evaluate, and write it small"
         )
+        parser.add_argument(
+            "--unpack", metavar="FOLDER", type=Path,
+            help="write it as a run folder, for actuation.runs, start.run and job.run of other trainings",
+        )  # fmt: skip
         add_page_arguments(parser)
 
     def run(self, options: argparse.Namespace) -> int:
@@ -58,6 +62,10 @@ class Play(Command):
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
             return _pack(skill, options.pack.with_suffix(""))
+        if options.unpack is not None:
+            unpack(skill, options.unpack)
+            print(f"run: {options.unpack}")
+            return 0
         if options.video is not None:
             return _film(skill, options)
         return serve(lambda: Player(skill), options)

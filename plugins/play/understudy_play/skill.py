@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
 from understudy.records import checkpoint, runs
+from understudy.running.training import Progress
+from understudy.setup.building import build_environment, build_policy
 from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.plugins import installed
@@ -21,6 +24,8 @@ from understudy.task import Policy
 _HERE = Path(__file__).parent / "skills"
 #: Of each row of a matrix: the largest weight.
 _STEPS = 127
+#: Overrides that say where and how a run was carried out, not what it was.
+_OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
 
 
 @dataclass(frozen=True)
@@ -91,9 +96,10 @@ def open_skill(source: str, overrides: Sequence[str] = ()) -> Skill:
 
 def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
     run = runs.open_run(path)
-    config = run.config
+    config, words = run.config, list(run.info["overrides"])
     if overrides:
-        config = compose_raw(replaced(run.info["overrides"], overrides))
+        words = replaced(words, overrides)
+        config = compose_raw(words)
     state, meta, _ = checkpoint.load_newest(run.checkpoints)
     if not isinstance(state.get("policy"), dict):
         raise RunError(f"{path} is a run that learns no policy.")
@@ -101,6 +107,7 @@ def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
     evaluation = run.path / "evaluation.json"
     card = {
         "config": config,
+        "overrides": [o for o in words if not _OF_THE_RUN.match(o)],
         "samples": samples,
         "versions": meta.get("versions"),
         "sources": meta.get("sources"),
@@ -140,6 +147,45 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
         {"policy": {k: _packed_tensor(v) for k, v in kept.items()}},
         {**card, "config": config},
     )
+
+
+def unpack(skill: Skill, path: Path) -> None:
+    """Write `skill` as the run folder `path`, which serves wherever a run does: to begin another training
+    (``start.run``), as a controller inside another task (``actuation.runs``), for a harvest (``job.run``).
+
+    Its critic is new; so are, as after any ``start.run``, optimizer and worlds.
+
+    Raises
+    ------
+    ConfigError
+        if the skill was packed without the overrides that made it.
+    RunError
+        if the folder holds a run already or cannot be written.
+    """
+    overrides = skill.card.get("overrides")
+    if overrides is None:
+        raise ConfigError(
+            f"{skill.name} was packed by a version that left out what a run folder needs. Pack it again."
+        )
+    root = skill.experiment.root
+    experiment = replace(skill.experiment, root=replace(root, run=replace(root.run, dir=str(path))))
+    built = build_environment(experiment, num_worlds=1)
+    try:
+        policy = build_policy(experiment, built.context)
+        skill.give(policy)
+        sources = skill.card.get("sources") or {}
+        run = runs.create(experiment, [*overrides, f"run.dir={path}"], sources)
+    finally:
+        built.environment.close()
+    try:
+        progress = Progress(samples=skill.samples, evaluated_at=skill.samples).state_dict()
+        state = {"policy": policy.state_dict(), "progress": progress}
+        checkpoint.save(
+            run.checkpoints / "00000001", state, {"versions": skill.card.get("versions")}
+        )
+        run.write_json("evaluation.json", skill.card.get("evaluation") or {})
+    finally:
+        run.unlock()
 
 
 def rounded(skill: Skill) -> Skill:

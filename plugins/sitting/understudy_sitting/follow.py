@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from understudy.errors import ConfigError
 from understudy.setup.composition import load_experiment
 from understudy_play.command import add_page_arguments, film, record, serve
 from understudy_play.player import World
+from understudy_play.skill import open_skill, unpack
 
 WALK, LEFT, RIGHT = 0, 1, 2
 #: rad, of the target's azimuth: from the first on it turns in place, until the second is reached. The
@@ -23,6 +25,8 @@ WALK, LEFT, RIGHT = 0, 1, 2
 _BEGIN_TO_TURN, _TURNED = math.radians(75.0), math.radians(30.0)
 #: m, at which a target is reached; then it turns on the spot until it is that far away again.
 _REACHED, _LEFT_BEHIND = 0.4, 0.8
+#: What comes with the package.
+_SKILLS = ("sitting/walk", "sitting/turn_left", "sitting/turn_right")
 #: m, in the world: where a video sends it, one after the other.
 _ROUND = ((3.0, 0.0), (3.0, 3.0), (0.0, 3.0), (0.0, 0.0))
 
@@ -84,8 +88,9 @@ class Follow(Command):
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
-            "runs", nargs="+", metavar="RUN", help="of walk, and of turn_left and turn_right"
-        )
+            "runs", nargs="*", metavar="RUN", default=_SKILLS,
+            help="of walk, and of turn_left and turn_right: run folders or skills (default: %(default)s)",
+        )  # fmt: skip
         parser.add_argument(
             "--video", metavar="FILE", type=Path, help="write a video (.mp4) of a square instead"
         )
@@ -95,9 +100,14 @@ class Follow(Command):
         add_page_arguments(parser)
 
     def run(self, options: argparse.Namespace) -> int:
-        if options.video is None:
-            return serve(lambda: Follower(options.runs), options)
-        world = Follower(options.runs)
+        with tempfile.TemporaryDirectory() as folder:
+            runs = [_folder(name, Path(folder)) for name in options.runs]
+            if options.video is None:
+                return serve(lambda: Follower(runs), options)
+            return self._film(runs, options)
+
+    def _film(self, runs: Sequence[str], options: argparse.Namespace) -> int:
+        world = Follower(runs)
         try:
             parts = []
             for place in _ROUND:
@@ -109,3 +119,13 @@ class Follow(Command):
         film(world, tracks, options.video)
         print(f"{options.video}: {options.seconds:g} s, {world.falls} falls")
         return 0
+
+
+def _folder(source: str, within: Path) -> str:
+    """The run folder `source`, or one in `within` of the skill of that name."""
+    if (Path(source) / "run.json").is_file():
+        return source
+    skill = open_skill(source)
+    path = within / skill.name.replace("/", "-")
+    unpack(skill, path)
+    return str(path)

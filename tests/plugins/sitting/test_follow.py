@@ -103,3 +103,28 @@ def test_a_click_in_the_browser_sends_it(skill: str) -> None:
         assert page._flag.visible
     finally:
         page.close()
+
+
+def test_without_runs_the_skills_of_the_package_go_around_a_square(tmp_path: Path) -> None:
+    video = tmp_path / "square.mp4"
+    world = _shipped(tmp_path)
+    try:
+        for place in ((2.0, 0.0), (2.0, 2.0)):
+            world.target = place
+            for _ in range(round(5.0 / world.dt)):
+                world.step()
+            away = world.environment.table["torso_position"][0, :2]
+            assert math.dist(away.tolist(), place) < 1.0
+        assert world.falls == 0
+    finally:
+        world.close()
+    assert main(["sitting", "follow", "--video", str(video), "--seconds", "1"]) == 0
+    assert video.stat().st_size > 0
+
+
+def _shipped(folder: Path) -> Follower:
+    runs = []
+    for name in ("walk", "turn_left", "turn_right"):
+        assert main(["play", f"sitting/{name}", "--unpack", str(folder / name)]) == 0
+        runs.append(str(folder / name))
+    return Follower(runs)
