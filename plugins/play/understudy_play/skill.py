@@ -160,13 +160,15 @@ def unpack(skill: Skill, path: Path) -> None:
     ConfigError
         if the skill was packed without the overrides that made it.
     RunError
-        if the folder holds a run already or cannot be written.
+        if the folder holds a run already or cannot be written, or the overrides are no words.
     """
     overrides = skill.card.get("overrides")
     if overrides is None:
         raise ConfigError(
             f"{skill.name} was packed by a version that left out what a run folder needs. Pack it again."
         )
+    if not isinstance(overrides, list) or not all(isinstance(word, str) for word in overrides):
+        raise RunError(f"{skill.name} is no packed skill: its overrides are no list of words.")
     root = skill.experiment.root
     experiment = replace(skill.experiment, root=replace(root, run=replace(root.run, dir=str(path))))
     built = build_environment(experiment, num_worlds=1)

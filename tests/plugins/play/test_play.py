@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -149,6 +150,15 @@ def test_a_skill_packed_without_its_overrides_is_not_unpacked(
     assert main(["play", "spacetime/walk", "--unpack", str(tmp_path / "walk")]) == 2
     assert "Pack it again" in capsys.readouterr().err
     assert not (tmp_path / "walk").exists()
+
+
+@pytest.mark.parametrize("overrides", ["seed=1", [1], {"seed": 1}])
+def test_a_skill_whose_overrides_are_no_words_is_refused(overrides: object, tmp_path: Path) -> None:
+    skill = open_skill("sitting/walk")
+    bad = dataclasses.replace(skill, card={**skill.card, "overrides": overrides})
+    with pytest.raises(RunError, match="no list of words"):
+        skills.unpack(bad, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_packing_keeps_the_overrides_that_made_a_run_and_no_folder(tmp_path: Path) -> None:
