@@ -63,6 +63,24 @@ def test_gathering_begins_with_as_many_clusters_as_the_curriculum_says(
     assert len({round(float(x), 4) for x in away}) == 6 * clusters, "drawn anew for each"
 
 
+def test_blocks_and_tool_go_with_a_goal_that_is_drawn() -> None:
+    env = environment(
+        "experiment=amorphous/gather", "num_worlds=64", "initial_states.goal=[0.5,0]",
+        "initial_states.goal_spread=0.4", evaluating=True,
+    )  # fmt: skip
+    goal = env.table["goal"]
+    off = goal - torch.tensor([0.5, 0.0])
+    assert 0.3 < float(off.abs().max()) <= 0.4
+    assert float(off.std(dim=0).min()) > 0.15, "uniform along both axes: 0.23"
+    centres, there = blocks_of(env)
+    away = (centres - goal.unsqueeze(1)).norm(dim=2)[there]
+    assert 1.8 - 1e-4 <= float(away.min()) < 2.0
+    assert 2.6 < float(away.max()) <= 2.8 + 1e-4
+    tool = (env.table["tool_position"][:, :2] - goal).norm(dim=1)
+    assert float(tool.min()) >= 3.9 - 1e-4
+    assert float(tool.max()) <= 4.2 + 1e-4
+
+
 def test_no_block_begins_within_another() -> None:
     env = environment("experiment=amorphous/gather", "num_worlds=200", evaluating=True)
     place = env.table["particle_position"]
