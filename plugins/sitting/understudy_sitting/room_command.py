@@ -29,6 +29,8 @@ from understudy_sitting.trials import SEATED
 _RATE, _EVERY = 30, 2
 #: m above the floor from which a plan is drawn, and its width in degrees.
 _ABOVE, _FIELD = 9.0, 45.0
+#: Half of the box in which shadows are worked out, in units of what a figure alone needs (3 m).
+_SHADOWED = 4.0
 
 
 class SitInRoom(Command):
@@ -114,6 +116,8 @@ def draw(
     width, height = camera.size
     spec.visual.global_.offwidth = max(width, spec.visual.global_.offwidth)
     spec.visual.global_.offheight = max(height, spec.visual.global_.offheight)
+    # All of the room: where that box ends, floor and walls have specks.
+    spec.visual.map.shadowclip, spec.visual.quality.shadowsize = _SHADOWED, 4096
     if plan:
         spec.worldbody.add_camera(name="photo", pos=[0, 0, _ABOVE], fovy=_FIELD)
     else:

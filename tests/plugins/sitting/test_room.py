@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from sitting_tasks import build
 
-from understudy.errors import FileError
+from understudy.errors import FileError, UnderstudyError
 from understudy_sitting.room import EXAMPLE, Box, Camera, Room, around, chair_sizes, read_scene
-from understudy_sitting.room_command import add_camera
+from understudy_sitting.room_command import add_camera, draw
 
 CHAIR = {
     "label": "chair",
@@ -114,3 +114,19 @@ def test_the_example_room_is_in_the_way() -> None:
         assert away > 0.4 or box.label == "wall"
     built.environment.reset()
     assert built.environment.step(built.environment.action).rewards.isfinite().all()
+
+
+def test_shadows_in_the_example_room_have_no_specks() -> None:
+    """Dark pixels between bright ones, in rows: the figure and the furniture have a few at their edges."""
+    built = build("experiment=sitting/sit", "num_worlds=1", "+room={}")
+    room = built.context.need_section("room", Room, "the test")
+    built.environment.reset()
+    at_the_side = built.environment.table["qpos"].clone().numpy()
+    at_the_side[:, :2] = (2.0, 0.5)
+    try:
+        (frame,) = draw(built.scene, at_the_side, room.camera)
+    except UnderstudyError as error:
+        pytest.skip(str(error))
+    grey = frame.astype(float).mean(axis=2)
+    specks = grey[:, 1:-1] + 30 < np.minimum(grey[:, :-2], grey[:, 2:])
+    assert int(specks.sum()) < 300
