@@ -153,7 +153,7 @@ def unpack(skill: Skill, path: Path) -> None:
     """Write `skill` as the run folder `path`, which serves wherever a run does: to begin another training
     (``start.run``), as a controller inside another task (``actuation.runs``), for a harvest (``job.run``).
 
-    Its critic is new; so are, as after any ``start.run``, optimizer and worlds.
+    A packed skill has no critic, so that is new; optimizer and worlds are left out, which ``start.run`` does not take.
 
     Raises
     ------
