@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 import mujoco
 import numpy as np
 
-from understudy.errors import UnderstudyError
 from understudy_amorphous.character import TABLE, Figure, Placement
+from understudy_mujoco.drawing import open_renderer
 from understudy_pbd.drawing import add_geom, particle_colours
 from understudy_pbd.scene import ParticleModel
 
@@ -39,11 +39,7 @@ def draw(
     there = tracks.get("active_particles", np.ones(places.shape[:2]))
     goal = tracks.get("goal")
     goals = None if goal is None else placement.points(np.pad(goal.astype(float), ((0, 0), (0, 1))))
-    try:
-        renderer = mujoco.Renderer(model, height, width, max_geom=count + model.ngeom + 64)
-    except Exception as error:  # whatever the platform's OpenGL raises
-        reason = str(error).strip().splitlines()
-        raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
+    renderer = open_renderer(model, width, height, count + model.ngeom + 64)
     camera = _camera(figure, qpos)
     sphere, upright = mujoco.mjtGeom.mjGEOM_SPHERE, np.eye(3)
     try:

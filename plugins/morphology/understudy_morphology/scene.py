@@ -8,10 +8,10 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from understudy.errors import UnderstudyError
 from understudy.task import Context
 from understudy_characters.staging import add_sky, add_sun
 from understudy_morphology.figure import ROOT, TIMESTEP, Scales, build_spec, standing_height
+from understudy_mujoco.drawing import open_renderer
 from understudy_mujoco.scene import MujocoScene
 
 #: Of the qpos and qvel of the free root, which come first.
@@ -54,11 +54,7 @@ class WalkerScene(MujocoScene):
         """The recorded motion from the side, with a camera that goes along."""
         model = self.shown().compile()
         data = mujoco.MjData(model)
-        try:
-            renderer = mujoco.Renderer(model, height, width)
-        except Exception as error:  # whatever the platform's OpenGL raises
-            reason = str(error).strip().splitlines()
-            raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
+        renderer = open_renderer(model, width, height)
         camera = mujoco.MjvCamera()
         camera.distance, camera.elevation, camera.azimuth = 2.9 * self.standing_height, -8.0, 115.0
         camera.azimuth = camera.azimuth if self.azimuth is None else self.azimuth

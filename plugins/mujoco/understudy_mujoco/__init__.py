@@ -1,28 +1,14 @@
 """MuJoCo on the CPU: all worlds stepped in C threads by ``mujoco.batch.Batch``."""
 
-import ctypes
 import os
-import sys
 from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
+from understudy_mujoco import opengl
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
-
-
-def _choose_renderer() -> None:
-    """MuJoCo chooses its renderer when it is imported, and fails to import without that library.
-
-    EGL needs no display; where there is none, training goes on without pictures.
-    """
-    if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
-        try:
-            ctypes.CDLL("libEGL.so.1")
-            os.environ["MUJOCO_GL"] = "egl"
-        except OSError:
-            os.environ["MUJOCO_GL"] = "disable"
 
 
 def _wait_asleep() -> None:
@@ -33,7 +19,7 @@ def _wait_asleep() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
-_choose_renderer()
+opengl.choose()
 _wait_asleep()
 
 

@@ -21,7 +21,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from understudy.errors import UnderstudyError
+from understudy_mujoco.opengl import no_opengl
 from understudy_mujoco.shadows import FigureShadow, Patch, StillShadow, Top
 
 RGBA = tuple[float, float, float, float]
@@ -249,8 +249,7 @@ class _Painter:
             self._gl.make_current()
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_200)
         except Exception as error:  # whatever the platform's OpenGL raises
-            reason = str(error).strip().splitlines()
-            raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
+            raise no_opengl(error) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._legend = self._draw_legend()
 

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from understudy.errors import UnderstudyError
+from understudy_mujoco.drawing import open_renderer
 from understudy_pbd.scene import Box, Capsule, Grid, ParticleModel, Shape
 
 #: Colours of materials without colours of their own: rice, butter, honey, broth.
@@ -65,11 +65,7 @@ def draw(
     shapes = [(number, shape) for number, tool in enumerate(model.tools) for shape in tool.shapes]
     data = mujoco.MjData(compiled)
     mujoco.mj_forward(compiled, data)
-    try:
-        renderer = mujoco.Renderer(compiled, height, width, max_geom=count + len(shapes) + 16)
-    except Exception as error:  # whatever the platform's OpenGL raises
-        reason = str(error).strip().splitlines()
-        raise UnderstudyError(f"No OpenGL here ({reason[0] if reason else error}).") from error
+    renderer = open_renderer(compiled, width, height, count + len(shapes) + 16)
     camera = mujoco.MjvCamera()
     camera.lookat[:] = centre
     camera.distance, camera.elevation, camera.azimuth = 0.95 * size, -28.0, 130.0

@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 
 from understudy.command.command import Command
-from understudy.errors import FileError, UnderstudyError
+from understudy.errors import FileError
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.warm_start import newest_state
@@ -21,6 +21,7 @@ from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.config import Experiment, validate
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
+from understudy_mujoco.drawing import open_renderer
 from understudy_report.video import write_video
 from understudy_sitting.room import EXAMPLE, Camera, Room, chair_sizes, read_scene
 from understudy_sitting.trials import SEATED
@@ -126,11 +127,7 @@ def draw(
     data = mujoco.MjData(model)
     photo = None if plan or camera.photo is None else _photo(camera.photo, width, height)
     figure = np.isin(model.geom_bodyid, list(scene.character.carrier))
-    try:
-        renderer = mujoco.Renderer(model, height, width)
-    except Exception as error:  # whatever the platform's OpenGL raises
-        reason = (str(error).strip().splitlines() or ["?"])[0]
-        raise UnderstudyError(f"No OpenGL here ({reason}).") from error
+    renderer = open_renderer(model, width, height)
     try:
         for qpos in track[::_EVERY]:
             data.qpos[:] = qpos
