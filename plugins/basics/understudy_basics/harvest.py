@@ -1,4 +1,4 @@
-"""A job that keeps the states in which the episodes of a trained run end, for others to begin in."""
+"""A job that keeps states of a trained run's episodes, such as their last, for others to begin in."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from understudy_basics import bank
 
 
 class Harvest(Job):
-    """Runs a finished run's policy in its own task until enough episodes ended as they should.
+    """Runs a finished run's policy in its own task until there are enough states of the wanted kind.
 
     The worlds' number, device and seed are those of this run, and so is the simulator where it sets one
     (``simulator=``); it leaves the bank ``bank`` in its folder.
@@ -39,8 +39,11 @@ class Harvest(Job):
         #: Which endings count: a termination term's name, any of an outcome (``success``, ``failure``,
         #: ``truncation``), or ``any``: also the states of episodes that go wrong.
         ending: str = "success"
-        #: ``end``: the state in which it ended; ``anywhere``: one of all its states, each as likely.
-        moment: Literal["end", "anywhere"] = "end"
+        #: ``end``: the state in which it ended; ``anywhere``: one of all its states, each as likely;
+        #: ``change``: every state in which a decision changes ``field`` to ``value``, whatever the ending.
+        moment: Literal["end", "anywhere", "change"] = "end"
+        field: str | None = None  #: of shape (N,), of a change
+        value: float = 0.0  #: of ``field`` after the change
         fields: tuple[str, ...] = ()  #: kept beside the simulator's state
         deterministic: bool = False  #: act by the policy's mode instead of sampling
         decisions: int = 64  #: of every world, in an iteration
@@ -48,6 +51,11 @@ class Harvest(Job):
 
         def __post_init__(self) -> None:
             check_range(self, "count", "decisions", "patience", least=1)
+            if (self.field is None) is (self.moment == "change"):
+                raise ValueError(
+                    f"moment={self.moment} with field={self.field} is not possible: a change has a "
+                    "field that changes, other moments have none."
+                )
 
     environment: Environment
     policy: Policy
@@ -79,6 +87,13 @@ class Harvest(Job):
                     f"job.fields names '{name}', which is no field of {self.options.run}."
                     + suggestion(name, table.shapes)
                 )
+        field = self.options.field
+        if field is not None and table.shapes.get(field) != ():
+            known = [name for name, shape in table.shapes.items() if shape == ()]
+            raise ConfigError(
+                f"job.field={field} is no field of {self.options.run} with one number for a world."
+                + suggestion(field, known)
+            )
         terms = {t.name for t in environment.parts.terminations if t.outcome != "report"}
         outcomes = ("success", "failure", "truncation", "any")
         if self.options.ending not in (*outcomes, *terms):
@@ -99,8 +114,12 @@ class Harvest(Job):
         self._kept: dict[str, Tensor] = {}  # of each world's present episode
 
     def _advance(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
-        """One decision; the states reached, which of them ended an episode that counts, and which any."""
-        environment = self.environment
+        """One decision; the states that it reached (or that it changed), which of them count, and which
+        episodes ended."""
+        environment, options = self.environment, self.options
+        table, field = environment.table, options.field
+        states = {name: table[name].clone() for name in self._names}
+        was = None if field is None else table[field].clone()
         step = environment.advance(action)
         which: dict[str, Tensor] = {
             "success": step.terminated & ~step.failed,
@@ -109,14 +128,18 @@ class Harvest(Job):
             "any": step.ended,
             **step.endings,
         }
-        reached = {name: environment.table[name].clone() for name in self._names}
-        counts, ended = which[self.options.ending] & step.ended & ~step.unsound, step.ended.clone()
+        if field is None or was is None:
+            states = {name: table[name].clone() for name in self._names}
+            counts = which[options.ending] & step.ended
+        else:
+            counts = (table[field] == options.value) & (was != options.value)
+        counts, ended = counts & ~step.unsound, step.ended.clone()
         environment.begin(step.ended)
-        return reached, counts, ended
+        return states, counts, ended
 
     def _chosen(self, reached: Mapping[str, Tensor], ended: Tensor) -> Mapping[str, Tensor]:
         """Of each world, the state to keep if its episode ends now."""
-        if self.options.moment == "end":
+        if self.options.moment != "anywhere":
             return reached
         self._age += (
             1.0  # reservoir sampling: the k-th state takes the place of the one kept with 1/k
@@ -150,9 +173,9 @@ class Harvest(Job):
         self._barren = 0 if counts.any() else self._barren + 1
         if self._barren >= self.options.patience:
             raise TrainingError(
-                f"No episode of {self.options.run} ended by '{self.options.ending}' in "
+                f"No episode of {self.options.run} {self._wanted()} in "
                 f"{self._barren * steps} decisions of {environment.num_worlds} worlds. Train it "
-                "longer, or choose another job.ending."
+                "longer, or choose another."
             )
         episodes = environment.statistics.collect()
         return {
@@ -160,6 +183,12 @@ class Harvest(Job):
             "states": self._count,
             **{f"episode/{name}": value for name, value in episodes.items()},
         }
+
+    def _wanted(self) -> str:
+        options = self.options
+        if options.field is not None:
+            return f"changed job.field={options.field} to job.value={options.value:g}"
+        return f"ended by job.ending={options.ending}"
 
     @property
     def _count(self) -> int:
@@ -183,7 +212,7 @@ class Harvest(Job):
             return
         states = {name: value[: self.options.count] for name, value in self._found.items()}
         options = self.options
-        about = {"run": options.run, "ending": options.ending, "moment": options.moment}
+        about = {"run": options.run, "moment": options.moment, "kept": self._wanted()}
         bank.save(run.path / bank.NAME, states, about)
 
     def sources(self) -> Mapping[str, Any]:

@@ -98,14 +98,21 @@ class _ChairBehind:
         self._ahead = torch.stack([self._heading.cos(), self._heading.sin()], dim=1)
         self._hips = end["reference_root_position"][:, :2]
 
-    def parameters(self, streams: WorldStreams) -> dict[str, Tensor]:
+    def parameters(
+        self, streams: WorldStreams, there: tuple[Tensor, Tensor, Tensor] | None = None
+    ) -> dict[str, Tensor]:
+        """`there`: for which worlds (N,) it stands elsewhere, where (N, 2) and with which heading (N,)."""
         if not self.varies:
             return {}
         drawn = 2 * streams.uniform(3) - 1
         depth, sizes = self._sizes.draw(streams)
         place = self._hips + (OVERLAP - 0.5 * depth)[:, None] * self._ahead
+        heading = self._heading
+        if there is not None:
+            place = torch.where(there[0][:, None], there[1], place)
+            heading = torch.where(there[0], there[2], heading)
         place = place + self._metres * drawn[:, :2]
-        turn = rotations.from_heading(self._heading + self._turn * drawn[:, 2])
+        turn = rotations.from_heading(heading + self._turn * drawn[:, 2])
         return {PLACE: torch.nn.functional.pad(place, (0, 1)), TURN: turn, **sizes}
 
 
@@ -154,24 +161,28 @@ class FromReference(InitialStates):
 
 
 def _banked(
-    banks: tuple[str, ...], scene: CharacterScene, context: Context
-) -> tuple[Tensor, Tensor]:
-    """The states (M, nq), (M, nv) of all `banks`.
+    banks: tuple[str, ...], scene: CharacterScene, context: Context, *, chair: bool = False
+) -> dict[str, Tensor]:
+    """The states of all `banks`: qpos (M, nq), qvel (M, nv), and where the `chair` stood (M, 3), (M, 4).
 
     Raises:
-        ConfigError: if one is of another figure.
+        ConfigError: if one is of another figure, or has no chair.
     """
     found = [bank.load(file) for file in banks]
+    wanted = {
+        "qpos": scene.model.nq,
+        "qvel": scene.model.nv,
+        **({PLACE: 3, TURN: 4} if chair else {}),
+    }
     for file, states in zip(banks, found, strict=True):
-        for name, size in (("qpos", scene.model.nq), ("qvel", scene.model.nv)):
+        for name, size in wanted.items():
             shape = tuple(states[name].shape[1:]) if name in states else None
             if shape != (size,):
                 raise ConfigError(
                     f"initial_states: the bank {file} does not fit this figure: '{name}' is "
                     f"{shape or 'missing'} there and {(size,)} here."
                 )
-    qpos, qvel = (torch.cat([states[name] for states in found]) for name in ("qpos", "qvel"))
-    return qpos.to(context.device), qvel.to(context.device)
+    return {name: torch.cat([s[name] for s in found]).to(context.device) for name in wanted}
 
 
 class WhereOthersEnded(InitialStates):
@@ -179,7 +190,9 @@ class WhereOthersEnded(InitialStates):
 
     The second stage of training the skills (section 6); the clip begins with the episode. ``share`` of
     the episodes begin so, the others in the clip's first frame. ``speed`` is what their velocities are
-    multiplied by, drawn uniformly: a figure that walks slower is easier to stop.
+    multiplied by, drawn uniformly: a figure that walks slower is easier to stop. With ``chair_too`` a chair is
+    not where the reference sits down but where it was, seen from the figure; the bank then has it
+    (``job.fields=[mocap_pos/chair,mocap_quat/chair]``).
     """
 
     @dataclass(frozen=True)
@@ -190,6 +203,7 @@ class WhereOthersEnded(InitialStates):
         metres: float = 0.0  #: these three as of ``sitting/from_reference``
         degrees: float = 0.0
         chairs: Chairs = Chairs()
+        chair_too: bool = False
 
         def __post_init__(self) -> None:
             check_range(self, "share", least=0, most=1)
@@ -204,11 +218,17 @@ class WhereOthersEnded(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "initial_states 'sitting/where_others_ended'")
         self._layout = layout = scene.layout.to(context.device)
-        self._qpos, self._qvel = _banked(options.banks, scene, context)
+        states = _banked(options.banks, scene, context, chair=options.chair_too)
+        self._qpos, self._qvel = states["qpos"], states["qvel"]
         start = reference_motion(context).sample(torch.zeros(1, device=context.device))
         heading = start["reference_root_heading"]
         own = rotations.heading(self._qpos[:, layout.root_address + 3 : layout.root_address + 7])
         place = start["reference_root_position"][:, :2].expand(len(own), 2)
+        self._stands = None
+        if options.chair_too:
+            was = self._qpos[:, layout.root_address : layout.root_address + 2]
+            away = flat_turn(heading - own, states[PLACE][:, :2] - was)
+            self._stands = place + away, rotations.heading(states[TURN]) + heading - own
         self._qpos, self._qvel = moved(layout, self._qpos, self._qvel, heading - own, place)
         self._first = start["reference_qpos"], start["reference_qvel"]
         self._share, self._speed = options.share, options.speed
@@ -222,11 +242,14 @@ class WhereOthersEnded(InitialStates):
         slow, fast = self._speed
         speed = (slow + (fast - slow) * drawn[:, 2])[:, None]
         qpos, qvel = self._first
+        there = None
+        if self._stands is not None:
+            there = ended[:, 0], self._stands[0][row], self._stands[1][row]
         return {
             "qpos": torch.where(ended, self._qpos[row], qpos),
             "qvel": torch.where(ended, speed * self._qvel[row], qvel),
             "motion_start": torch.zeros_like(drawn[:, 0]),
-            **self._chair.parameters(streams),
+            **self._chair.parameters(streams, there),
         }
 
 
@@ -318,7 +341,8 @@ class AroundChair(InitialStates):
         self._keep = 1.0 if context.evaluating else options.keep
         self._at_chair = None
         if options.at_chair.banks and not context.evaluating:
-            self._at_chair = _banked(options.at_chair.banks, scene, context)
+            states = _banked(options.at_chair.banks, scene, context)
+            self._at_chair = states["qpos"], states["qvel"]
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         options, difficulty = self._options, fields["difficulty"]

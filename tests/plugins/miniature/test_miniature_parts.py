@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from miniatures import overrides_of
+from miniatures import QUICK, overrides_of, train
 
 from understudy.errors import ConfigError, RunError, TrainingError
 from understudy.running.training import Training
@@ -114,6 +114,32 @@ def test_a_harvest_from_anywhere_keeps_each_moment_of_an_episode_as_often(built_
     assert (kept == 99.0).all(), "the next episode has no other state yet"
 
 
+def test_a_harvest_of_changes_keeps_the_states_that_a_decision_changed(
+    built_on: Path, tmp_path: Path
+) -> None:
+    """Each world's in turn, and not that of a decision which only begins an episode."""
+    above = tmp_path / "above"
+    shape = (*QUICK, "num_worlds=4", f"run.dir={above}")
+    train(*overrides_of("sitting", built_on), "budget.samples=1", *shape)
+    harvest = prepared(
+        *("experiment=miniature/sleeve_bank", f"job.run={above}", "job.moment=change"),
+        *("job.field=switch", "job.value=1", "job.fields=[]", "num_worlds=4"),
+    ).job
+    assert isinstance(harvest, Harvest)
+    table = harvest.environment.table
+    for switches, changed in (
+        ([1, 0, 1, 0], [1, 0, 1, 0]),
+        ([1, 1, 0, 0], [0, 1, 0, 0]),
+        ([0, 1, 1, 0], [0, 0, 1, 0]),
+    ):
+        before = table["positions"].clone()
+        action = torch.tensor([[float(k), 0.5, 0.5] for k in switches])
+        states, counts, _ = harvest._advance(action)
+        assert counts.long().tolist() == changed
+        torch.testing.assert_close(states["positions"], before)
+        assert not torch.equal(table["positions"], before)
+
+
 def test_dressing_begins_in_the_bank_with_what_was_learned(built_on: Path) -> None:
     training = prepared(*overrides_of("dressing", built_on), "num_worlds=256")
     table = training.job.environment.table  # type: ignore[attr-defined]
@@ -133,6 +159,9 @@ def test_dressing_begins_in_the_bank_with_what_was_learned(built_on: Path) -> No
     [
         ("job.fields=[darg]", "job.fields names 'darg'.*Did you mean 'drag'"),
         ("job.ending=reaches", "job.ending=reaches is no ending.*Did you mean 'reached'"),
+        ("job.field=drag", "moment=end with field=drag is not possible"),
+        ("job.moment=change", "moment=change with field=None is not possible"),
+        ("job={moment: change, field: darg}", "job.field=darg is no field.*Did you mean 'drag'"),
     ],
 )
 def test_harvests_of_what_is_not_there_are_refused(
@@ -147,7 +176,9 @@ def test_a_hopeless_harvest_stops(built_on: Path) -> None:
     training = prepared(
         *overrides_of("sleeve_bank", built_on), "job.decisions=1", "job.patience=1", "num_worlds=2"
     )
-    with pytest.raises(TrainingError, match=r"No episode of .* ended by 'success' in 1 decisions"):
+    with pytest.raises(
+        TrainingError, match=r"No episode of .* ended by job.ending=success in 1 decisions"
+    ):
         training.iterate()
 
 

@@ -101,6 +101,29 @@ def test_the_second_stage_may_begin_slower(states: Path) -> None:
     assert float(speeds.mean()) == pytest.approx(0.4, abs=0.015)
 
 
+def test_a_chair_may_stand_where_it_was(states: Path, tmp_path: Path) -> None:
+    """Seen from the figure, where the bank has it; a metre ahead of each, turned by half a radian."""
+    known = bank.load(states)
+    heading = rotations.heading(known["qpos"][:, 3:7])
+    ahead = torch.stack([heading.cos(), heading.sin()], dim=1)
+    place = torch.nn.functional.pad(known["qpos"][:, :2] + ahead, (0, 1))
+    turn = rotations.from_heading(heading + 0.5)
+    bank.save(tmp_path / "bank", {**known, "mocap_pos/chair": place, "mocap_quat/chair": turn}, {})
+    given = ["initial_states.share=1.0", "start.run=x", "num_worlds=32"]
+    exactly = ["initial_states.metres=0", "initial_states.degrees=0"]
+    there = [f"initial_states.banks=['{tmp_path / 'bank'}']"]
+    built = build("experiment=sitting/sit_switched", *given, *exactly, *there)
+    built.environment.reset()
+    table = built.environment.table
+    own = rotations.heading(table["qpos"][:, 3:7])
+    away = (table["chair_position"] - table["qpos"][:, :3])[:, :2]
+    torch.testing.assert_close(away, torch.stack([own.cos(), own.sin()], dim=1), atol=1e-3, rtol=0)
+    chair = rotations.heading(table["chair_rotation"])
+    torch.testing.assert_close(chair, own + 0.5, atol=1e-3, rtol=0)
+    with pytest.raises(ConfigError, match="mocap_pos/chair' is missing there"):
+        build("experiment=sitting/sit_switched", *given, f"initial_states.banks=['{states}']")
+
+
 @pytest.mark.parametrize("speed", ["[0.5,0.2]", "[-1,1]"])
 def test_speeds_that_are_none_are_refused(states: Path, speed: str) -> None:
     given = [f"initial_states.banks=['{states}']", f"initial_states.speed={speed}", "start.run=x"]
