@@ -238,7 +238,8 @@ class Seat(Fields):
     ``chair_state`` (N, 7): from the pelvis to the centre of the seat's surface (3), m, and the chair's
     rotation (4) with w >= 0, both in the figure's frame. ``seat_distance`` (N,) m is D^sit,
     ``seat_contact`` (N,) 1 or 0 is z_contact: the simulator has a contact of the pelvis with the seat.
-    ``seated`` (N,) is 1 where that is sitting: the torso is upright and faces as the chair does.
+    ``seated`` (N,) is 1 where that is sitting: the torso is upright and faces as the chair does, and the pelvis is
+    not on the seat's edge.
     """
 
     reads = ("xpos", "xquat", "geom_xpos", "torso_angles", f"sensor_{SEATED}")
@@ -260,9 +261,12 @@ class Seat(Fields):
         facing: float | None = (
             60.0  #: degrees from where the chair faces; null: any direction counts
         )
+        #: m from the seat's middle to the pelvis, which is 0.1 to 0.2 m from it when sitting; null: edges are seats, too
+        within: float | None = 0.25
 
         def __post_init__(self) -> None:
             check_range(self, "upright", "facing", above=0, most=180)
+            check_range(self, "within", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "fields 'sitting/seat'")
@@ -297,12 +301,15 @@ class Seat(Fields):
                 :, 0, 0
             ]  # of the chair's x axis, in the figure's frame
             sits = sits & (ahead > math.cos(math.radians(self._options.facing)))
+        distance = away.norm(dim=1)
+        if self._options.within is not None:
+            sits = sits & (distance <= self._options.within)
         return {
             "chair_state": torch.cat([place, turned], dim=1),
             "chair_position": xpos[:, self._chair],
             "chair_rotation": rotation,
             "seat_position": seat,
-            "seat_distance": away.norm(dim=1),
+            "seat_distance": distance,
             "seat_contact": touching.float(),
             SEATED: sits.float(),
         }

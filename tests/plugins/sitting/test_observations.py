@@ -10,7 +10,8 @@ from sitting_tasks import build, follow_clip
 
 from understudy.setup.building import Built
 from understudy_basics import rotations
-from understudy_sitting.state import Seat, pitch_yaw_roll
+from understudy_characters.scene import CharacterScene
+from understudy_sitting.state import Seat, chair_of, pitch_yaw_roll
 
 
 def test_sizes_of_section_4(sit: Built) -> None:
@@ -90,25 +91,32 @@ def test_the_pelvis_is_felt_on_the_seat(sit: Built) -> None:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "about", "sits"),
+    ("degrees", "about", "aside", "sits"),
     [
-        (40.0, "y", True),
-        (50.0, "y", False),
-        (-50.0, "x", False),
-        (50.0, "z", True),
-        (70.0, "z", False),
+        (40.0, "y", 0.0, True),
+        (50.0, "y", 0.0, False),
+        (-50.0, "x", 0.0, False),
+        (50.0, "z", 0.0, True),
+        (70.0, "z", 0.0, False),
+        (0.0, "z", 0.2, True),
+        (0.0, "z", 0.25, False),
     ],
 )
-def test_who_lies_across_the_seat_or_faces_elsewhere_does_not_sit(
-    sit: Built, degrees: float, about: str, sits: bool
+def test_who_lies_across_the_seat_faces_elsewhere_or_is_on_its_edge_does_not_sit(
+    sit: Built, degrees: float, about: str, aside: float, sits: bool
 ) -> None:
-    """The same contact: the torso tilted by 45° or more, or turned by 60° or more from where the chair faces."""
+    """The same contact: the torso tilted by 45° or more, turned by 60° or more from where the chair faces, or the
+    pelvis 0.25 m or more from the seat's middle, 0.1 m above it."""
     tilt, turn = (degrees, 0.0) if about != "z" else (0.0, degrees)
     pitch, roll = (tilt, 0.0) if about == "y" else (0.0, tilt)
     angles = torch.deg2rad(torch.tensor([[pitch, turn, roll]]))
-    table = sit.environment.table
+    table, scene = sit.environment.table, sit.context.scene
+    assert isinstance(scene, CharacterScene)
+    seat = table["geom_xpos"][:1, chair_of(scene.model)[1]]
+    xpos = table["xpos"][:1].clone()
+    xpos[:, scene.character.root] = seat + torch.tensor([0.0, aside, 0.1])
     found = Seat(Seat.Options(), sit.context).compute(
-        xpos=table["xpos"][:1],
+        xpos=xpos,
         xquat=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand_as(table["xquat"][:1]),
         geom_xpos=table["geom_xpos"][:1],
         torso_angles=angles,
