@@ -295,8 +295,8 @@ def test_the_whole_chain_composes(search: str) -> None:
     chain = f"search=sitting/{search}"
     (chosen,) = load_experiment([chain]).choices["outer_loop"]
     stages = dict(chosen.options.stages)
-    assert list(stages)[-1] == "meta"
-    assert len(stages) == 19
+    assert list(stages)[-1] == "meta_switched"
+    assert len(stages) == 22
     for given in stages.values():
         overrides = [o.replace("{", "").replace("}", "") for o in given]
         load_experiment([chain, *overrides, "outer_loop=null", "executor=null"])
