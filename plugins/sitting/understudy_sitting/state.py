@@ -261,7 +261,8 @@ class Seat(Fields):
         facing: float | None = (
             60.0  #: degrees from where the chair faces; null: any direction counts
         )
-        #: m from the seat's middle to the pelvis, which is 0.1 to 0.2 m from it when sitting; null: edges are seats, too
+        #: m from the seat's middle to the pelvis, which is 0.1 to 0.2 m from it when sitting; null: edges are seats, too.
+        #: Who sits as the clip does, at the front, needs more on seats deeper than 0.6 m.
         within: float | None = 0.25
 
         def __post_init__(self) -> None:
