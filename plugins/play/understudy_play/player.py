@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
+import mujoco
 import torch
 from torch import Tensor
 
@@ -37,9 +38,10 @@ class World(ABC):
         self.target: tuple[float, float] | None = None
         self._seed = seed
         self._tracks = [n for n in self.scene.recorded if n in self.environment.table.shapes]
-        self._mass = 0.0
+        self._mass, self._alone = 0.0, False
         if isinstance(self.scene, MujocoScene):
-            self._mass = float(self.scene.spec().compile().body_mass.sum())
+            model = self.scene.spec().compile()
+            self._mass, self._alone = float(model.body_mass.sum()), _alone(model)
         self.restart()
 
     def restart(self) -> None:
@@ -63,10 +65,10 @@ class World(ABC):
         self._observations = step.observations
 
     def _take_reference_along(self) -> None:
-        """A policy that follows a clip through space knows no way back from where pushes take it. The
-        floor is the same everywhere, so the character is moved back under its clip, and what is shown
-        is both of them where it really is."""
-        if not {"qpos", "reference_qpos"} <= set(self._tracks):
+        """A policy that follows a clip through space knows no way back from where pushes take it. Where
+        there is nothing but floor, which is the same everywhere, the character is moved back under its
+        clip, and what is shown is both of them where it really is."""
+        if not self._alone or not {"qpos", "reference_qpos"} <= set(self._tracks):
             return
         table = self.environment.table
         away = (table["qpos"] - table["reference_qpos"])[0, :2]
@@ -110,6 +112,15 @@ class World(ABC):
 
     def close(self) -> None:
         self.environment.close()
+
+
+def _alone(model: mujoco.MjModel) -> bool:
+    """Whether the first joint's character has nothing but planes around it."""
+    if not model.njnt:
+        return False
+    roots = model.body_rootid[model.geom_bodyid]
+    others = model.geom_type[roots != model.body_rootid[model.jnt_bodyid[0]]]
+    return bool((others == mujoco.mjtGeom.mjGEOM_PLANE).all())
 
 
 class Player(World):

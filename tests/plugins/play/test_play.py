@@ -56,6 +56,7 @@ def test_a_skill_is_small_and_has_a_card(name: str) -> None:
     card = open_skill(name).card
     assert card["config"]["motion"]["file"] is None  # a clip by name
     assert "/" not in card["sources"]["motion"]["source"]
+    assert any(word.startswith("experiment=") for word in card["overrides"])  # can be unpacked
     assert card["samples"] > 0
     assert card["evaluation"]["success_rate"] >= 0.9
     assert "/" not in json.dumps(card["config"]["run"])
@@ -82,6 +83,30 @@ def test_a_hard_push_makes_it_fall_and_it_begins_again(player: Player) -> None:
         player.step()
     assert player.falls >= 1
     assert player.shown()["qpos"][2] > 0.5
+
+
+def test_on_the_floor_alone_the_character_stays_with_its_clip(player: Player) -> None:
+    player.environment.table["qpos"][0, 0] += 0.15
+    player._set(player._state())
+    before = player.shown()["qpos"]
+    player._take_reference_along()
+    away = player.environment.table["qpos"] - player.environment.table["reference_qpos"]
+    assert float(away[0, :2].norm()) < 0.09
+    torch.testing.assert_close(player.shown()["qpos"], before)  # shown where it really is
+
+
+@pytest.mark.parametrize("name", ["sitting/sit", "sitting/sit_switched"])
+def test_beside_a_chair_the_character_stays_where_it_is(name: str) -> None:
+    """Taken back to its clip it would be moved over the seat, and be shown beside it."""
+    player = Player(open_skill(name))
+    try:
+        for _ in range(round(5.0 / player.dt)):
+            player.step()
+        assert float(player.environment.table["seated"][0]) == 1.0
+        away = player.shown()["qpos"][:2] - player.environment.table["seat_position"][0, :2]
+        assert float(away.norm()) < 0.3
+    finally:
+        player.close()
 
 
 def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:
@@ -146,7 +171,10 @@ def test_an_unpacked_skill_is_a_run_that_acts_as_the_skill_does(
 def test_a_skill_packed_without_its_overrides_is_not_unpacked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["play", "spacetime/walk", "--unpack", str(tmp_path / "walk")]) == 2
+    skill = open_skill("spacetime/walk")
+    card = {key: value for key, value in skill.card.items() if key != "overrides"}
+    pack(dataclasses.replace(skill, card=card), tmp_path / "old", card["evaluation"])
+    assert main(["play", str(tmp_path / "old.json"), "--unpack", str(tmp_path / "walk")]) == 2
     assert "Pack it again" in capsys.readouterr().err
     assert not (tmp_path / "walk").exists()
 
