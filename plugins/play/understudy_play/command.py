@@ -155,10 +155,15 @@ def record(player: World, seconds: float, push: float = 0.0) -> dict[str, np.nda
 
 
 def _frames(player: World, count: int, push: float) -> Iterator[dict[str, np.ndarray]]:
-    spacing, side = round(_EVERY / player.dt), 1.0
-    for index in range(count):
-        if push and index % spacing == spacing // 2:
+    given, due, side = 0, 0.5 * _EVERY, 1.0
+    shown = [player.shown()]
+    while True:
+        for fields in shown:
+            yield {name: value.numpy() for name, value in fields.items()}
+            given += 1
+            if given == count:
+                return
+        if push and given * player.dt >= due:
             player.push((0.0, side * push, 0.0))
-            side = -side
-        yield {name: value.numpy() for name, value in player.shown().items()}
-        player.step()
+            side, due = -side, due + _EVERY
+        shown = player.step()

@@ -7,7 +7,7 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -28,6 +28,8 @@ _LINES: Colour = (205, 211, 219)
 _FLAG: Colour = (220, 38, 38)
 #: m: after so far the ground's squares repeat.
 _SQUARE = 5.0
+#: Fields of the character and its clip; the others say where its surroundings are.
+_OWN = {"qpos", "reference_qpos", "phase"}
 _SPEEDS = {"0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0}
 #: Directions of pushes in the world, by their button.
 _WAYS = {"← left": (0.0, 1.0), "right →": (0.0, -1.0), "forward": (1.0, 0.0), "back": (-1.0, 0.0)}
@@ -51,6 +53,7 @@ class Page:
             raise ConfigError(
                 f"{world.name} is not the task of a character, which the page draws. Use --video FILE."
             )
+        self._scene = scene
         self._character = Character(scene.character.name, scene.shown().compile())
         self._lock = (
             threading.Lock()
@@ -64,20 +67,28 @@ class Page:
             self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
         at = f"[{host}]" if ":" in host else host
         self.url = f"http://{at}:{self._server.get_port()}"
+        self._things: list[viser.MeshHandle] = []
+        self._around: dict[str, torch.Tensor] | None = None  # what says where those are
         self._dress(world.name)
-        self._draw()
+        self._draw(world.shown())
 
     def run(self) -> None:
         """Act in real time until the page is closed."""
         due = time.monotonic()
-        while not self._closed:
-            if self._playing:
-                self.advance()
+
+        def wait() -> None:
+            nonlocal due
             due = max(due + self._player.dt / self._speed, time.monotonic() - 0.1)
             time.sleep(max(0.0, due - time.monotonic()))
 
-    def advance(self) -> None:
-        """One decision, after what the visitor asked for."""
+        while not self._closed:
+            if self._playing:
+                self.advance(wait)
+            else:
+                wait()
+
+    def advance(self, after_each: Callable[[], None] = lambda: None) -> None:
+        """One decision, after what the visitor asked for; `after_each` of the control periods drawn."""
         with self._lock:
             pushes, again, sent = self._pushes, self._again, self._sent
             self._pushes, self._again, self._sent = [], False, None
@@ -87,8 +98,9 @@ class Page:
             self._player.push(impulse)
         if sent is not None:
             self._player.target = sent
-        self._player.step()
-        self._draw()
+        for shown in self._player.step():
+            self._draw(shown)
+            after_each()
 
     def push(self, x: float, y: float) -> None:
         """Push at the next decision, N s along the world's axes."""
@@ -177,11 +189,11 @@ class Page:
         if hit is not None:
             self.send(hit[0] - self._node.position[0], hit[1] - self._node.position[1])
 
-    def _draw(self) -> None:
-        shown = self._player.shown()
+    def _draw(self, shown: Mapping[str, torch.Tensor]) -> None:
         tracks = [shown["qpos"], shown.get("reference_qpos")]
         centre = shown["qpos"][:2].numpy()
         with self._server.atomic():
+            self._surround(shown)
             # The world moves and not the camera, so that the visitor can turn it meanwhile.
             self._node.position = (-centre[0], -centre[1], 0.0)
             shift = -np.mod(centre, _SQUARE)
@@ -199,6 +211,31 @@ class Page:
                 "<div style='margin:0 .75em;font-size:.85em;color:#667080'>"
                 f"{'no fall so far' if not falls else f'fell {falls} times'}</div>"
             )
+
+    def _surround(self, shown: Mapping[str, torch.Tensor]) -> None:
+        """Chairs, bars and rooms, which stay where they are for an episode."""
+        around = {name: value for name, value in shown.items() if name not in _OWN}
+        before, self._around = self._around, around
+        if before is not None and all(torch.equal(before[n], around[n]) for n in around):
+            return
+        for thing in self._things:
+            thing.remove()
+        self._things = []
+        tracks = {name: value.numpy()[None] for name, value in shown.items()}
+        for thing in self._scene.surroundings(tracks):
+            for i, shape in enumerate(thing.shapes):
+                red, green, blue, opacity = shape.colour
+                self._things.append(
+                    self._server.scene.add_mesh_simple(
+                        f"/stage/around/{thing.name}/{i}",
+                        shape.vertices,
+                        shape.faces,
+                        color=np.array([red, green, blue]),
+                        opacity=None if opacity == 1.0 else opacity,
+                        position=thing.positions[0],
+                        wxyz=thing.rotations[0],
+                    )
+                )
 
     def _place(self, parts: list[tuple[int, viser.MeshHandle]], qpos: torch.Tensor | None) -> None:
         if qpos is None:

@@ -31,7 +31,7 @@ class World(ABC):
         )
         self.context = built.context
         self.environment, self.scene = built.environment, built.scene
-        self.dt = self.environment.decision * self.environment.control_dt  #: s, of a step
+        self.dt = self.environment.control_dt  #: s, between what :meth:`step` shows
         self.falls = 0
         #: m, in the world: where the visitor wants the character, and a click on the floor sends it; None
         #: where nothing can be sent anywhere.
@@ -55,14 +55,19 @@ class World(ABC):
         """The action (1, A)."""
 
     @torch.no_grad()
-    def step(self) -> None:
-        """One decision; after a fall the next episode begins."""
+    def step(self) -> list[dict[str, Tensor]]:
+        """One decision, and what is :meth:`shown` after each of its control periods; after a fall the
+        next episode begins."""
         self._take_reference_along()
-        step = self.environment.step(self.act(self._observations))
+        environment, seen = self.environment, []
+        if environment.decision > 1:
+            environment.on_period = lambda: seen.append(self.shown())
+        step = environment.step(self.act(self._observations))
         self.falls += int(step.failed.sum())
         if bool(step.ended.any()):
             self._moved.zero_()
         self._observations = step.observations
+        return [*seen[1:], self.shown()]
 
     def _take_reference_along(self) -> None:
         """A policy that follows a clip through space knows no way back from where pushes take it. Where

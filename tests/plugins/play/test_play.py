@@ -109,6 +109,41 @@ def test_beside_a_chair_the_character_stays_where_it_is(name: str) -> None:
         player.close()
 
 
+def test_a_long_decision_is_shown_by_its_control_periods(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert main(["play", "sitting/sit", "--unpack", str(run)]) == 0
+    player = Player(open_skill(str(run), ["control.decision=5"]))
+    try:
+        seen = torch.stack([shown["qpos"] for shown in player.step()])
+        assert len(seen) == 5
+        assert bool((seen[1:] != seen[:-1]).any(dim=1).all())
+        torch.testing.assert_close(seen[-1], player.shown()["qpos"])
+        assert record(player, 0.2)["qpos"].shape[0] == round(0.2 / player.dt)
+    finally:
+        player.close()
+
+
+def test_the_page_shows_the_chair_where_the_episode_has_it() -> None:
+    pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
+    from understudy_play.page import Page
+    from understudy_viewer.page import free_port
+
+    page = Page(Player(open_skill("sitting/sit")), "127.0.0.1", free_port("127.0.0.1", 0))
+    try:
+        drawn = list(page._things)
+        assert {thing.name.split("/")[-2] for thing in drawn} == {"chair"}
+        chair = page._player.shown()["chair_position"].numpy()
+        for thing in drawn:
+            assert np.allclose(thing.position, chair, atol=1e-6)
+        page.advance()
+        assert page._things == drawn  # it stands still
+        page._again = True
+        page.advance()
+        assert np.allclose(page._things[0].position, page._player.shown()["chair_position"])
+    finally:
+        page.close()
+
+
 def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:
     pack(walk, tmp_path / "again", walk.card["evaluation"])
     again = open_skill(str(tmp_path / "again.json"))
