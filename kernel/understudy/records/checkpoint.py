@@ -28,7 +28,7 @@ from understudy.errors import RunError
 
 #: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
 FORMAT = 3
-_LEAST, _MOST = 2**20, 2**32  #: bytes of a tensor that is deflated
+_LEAST, _MOST = 2**20, 2**32  #: bytes of a tensor that is deflated, and of all of them together
 _TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.int64)}
 
 
@@ -60,8 +60,9 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
     """Write `state` (nested mappings of tensors, numbers, strings, lists) as the checkpoint `path`."""
+    file, tensor_file = _files(path)
     tensors: dict[str, Tensor] = {}
-    tree = _take_tensors(state, "", tensors)
+    tree = _take_tensors(state, "", tensors, _Room())
     data = save_tensors(tensors)
     content = {
         "format": FORMAT,
@@ -69,8 +70,8 @@ def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
         "state": tree,
         "sha256": hashlib.sha256(data).hexdigest(),
     }
-    write_atomically(path.with_suffix(".safetensors"), data)
-    write_atomically(path.with_suffix(".json"), _sealed(content))
+    write_atomically(tensor_file, data)
+    write_atomically(file, _sealed(content))
     del tensors, data
     if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
         trim(0)  # copies as large as the state would leave more and more gaps in the heap
@@ -82,7 +83,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     Raises:
         RunError: if it is missing, damaged, or of another format.
     """
-    file, tensor_file = path.with_suffix(".json"), path.with_suffix(".safetensors")
+    file, tensor_file = _files(path)
     document = read_sealed(file)
     if not isinstance(document, dict) or not {"state", "meta", "sha256"} <= document.keys():
         raise RunError(f"{file} is damaged: it is no checkpoint.")
@@ -103,10 +104,33 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     except SafetensorError as error:
         raise RunError(f"{tensor_file} is damaged: {error}.") from error
     try:
-        state, meta = _put_tensors(document["state"], tensors), dict(document["meta"])
+        state, meta = _put_tensors(document["state"], tensors, _Room()), dict(document["meta"])
+        if not isinstance(state, dict):
+            raise TypeError
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError, zlib.error) as error:
         raise RunError(f"{file} is damaged: its state is not readable.") from error
     return state, meta
+
+
+def _files(path: Path) -> tuple[Path, Path]:
+    """The two files of the checkpoint `path`, whose name may have dots of its own."""
+    name = path.name.removesuffix(".json").removesuffix(".safetensors")
+    if not name:
+        raise RunError(f"{path} names no file. Give one: NAME, NAME.json or NAME.safetensors.")
+    return path.with_name(f"{name}.json"), path.with_name(f"{name}.safetensors")
+
+
+class _Room:
+    """Bytes that deflated tensors may still take once they are read again."""
+
+    def __init__(self) -> None:
+        self._left = _MOST
+
+    def take(self, size: int) -> bool:
+        """Whether a tensor of `size` bytes is deflated: it is large enough, and there is room."""
+        fits = _LEAST <= size <= self._left
+        self._left -= size if fits else 0
+        return fits
 
 
 def _sealed(content: Mapping[str, Any]) -> bytes:
@@ -130,11 +154,11 @@ def read_sealed(path: Path) -> dict[str, Any]:
         raise RunError(f"{path} is damaged: it is no complete checkpoint.") from error
 
 
-def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor]) -> Any:
+def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor], room: _Room) -> Any:
     if isinstance(value, Tensor):
         # copies, since tensors that share memory are refused
         own = tensors[where] = value.detach().to("cpu", copy=True).contiguous()
-        if not _LEAST <= own.nbytes <= _MOST or str(own.dtype) not in _TYPES:
+        if str(own.dtype) not in _TYPES or not room.take(own.nbytes):
             return {"tensor": where}
         packed = bytearray(zlib.compress(own.numpy().data, 1))
         if len(packed) > 0.75 * own.nbytes:
@@ -144,12 +168,13 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor]) -> Any:
     if isinstance(value, Mapping):
         return {
             "map": {
-                str(k): _take_tensors(v, f"{where}/{k}" if where else str(k), tensors)
+                str(k): _take_tensors(v, f"{where}/{k}" if where else str(k), tensors, room)
                 for k, v in value.items()
             }
         }
     if isinstance(value, (list, tuple)):
-        return {"list": [_take_tensors(v, f"{where}/{i}", tensors) for i, v in enumerate(value)]}
+        items = [_take_tensors(v, f"{where}/{i}", tensors, room) for i, v in enumerate(value)]
+        return {"list": items}
     if isinstance(value, float) and not math.isfinite(value):
         return {"float": repr(value)}
     if value is None or isinstance(value, (bool, int, float, str)):
@@ -157,21 +182,21 @@ def _take_tensors(value: Any, where: str, tensors: dict[str, Tensor]) -> Any:
     raise TypeError(f"checkpoint state '{where}' is a {type(value).__name__}, which is not data")
 
 
-def _put_tensors(value: Any, tensors: Mapping[str, Tensor]) -> Any:
+def _put_tensors(value: Any, tensors: dict[str, Tensor], room: _Room) -> Any:
     (kind, content), *_ = value.items()
     if kind == "tensor":
-        return tensors[content]
+        return tensors.pop(content)  # each stands in one place
     if kind == "deflated":
         name, dtype, shape = content
         size = math.prod(shape) * _TYPES[dtype].itemsize
-        if not _LEAST <= size <= _MOST:
+        if not room.take(size):
             raise ValueError
-        raw = zlib.decompressobj().decompress(tensors[name].numpy().data, size)
+        raw = zlib.decompressobj().decompress(tensors.pop(name).numpy().data, size)
         return torch.frombuffer(bytearray(raw), dtype=_TYPES[dtype]).view(shape)
     if kind == "map":
-        return {k: _put_tensors(v, tensors) for k, v in content.items()}
+        return {k: _put_tensors(v, tensors, room) for k, v in content.items()}
     if kind == "list":
-        return [_put_tensors(v, tensors) for v in content]
+        return [_put_tensors(v, tensors, room) for v in content]
     return float(content) if kind == "float" else content
 
 
@@ -184,11 +209,12 @@ def newest(folder: Path) -> list[Path]:
 def load_newest(
     folder: Path, warn: Any = lambda text: None
 ) -> tuple[dict[str, Any], dict[str, Any], Path]:
-    """The newest checkpoint of `folder` that is intact; `warn` is told of each damaged one."""
+    """The newest checkpoint of the run's `folder` that is intact; `warn` is told of each damaged one."""
     reasons = []
     for path in newest(folder):
         try:
             state, meta = load(path)
+            _check_progress(state, path)
             return state, meta, path
         except RunError as error:
             if "checkpoint format" in str(error):
@@ -197,6 +223,13 @@ def load_newest(
             warn(f"{error} Falling back to the one before it.")
     detail = f" The newest: {reasons[0]}" if reasons else ""
     raise RunError(f"{folder} has no usable checkpoint.{detail}")
+
+
+def _check_progress(state: Mapping[str, Any], path: Path) -> None:
+    """What every training saves, whatever it learns."""
+    progress = state.get("progress")
+    if not isinstance(progress, dict) or type(progress.get("samples")) is not int:
+        raise RunError(f"{path} is damaged: it does not say after how many samples it was made.")
 
 
 def prune(folder: Path, keep: int) -> None:

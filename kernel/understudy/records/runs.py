@@ -115,7 +115,7 @@ class Run:
             return []
         rows = []
         for line in self.metrics_file.read_text(encoding="utf-8", errors="replace").splitlines():
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError, RecursionError):
                 rows.append(json.loads(line))
         return [row for row in rows if isinstance(row, dict)]
 
@@ -216,6 +216,9 @@ def open_run(path: str | Path) -> Run:
             raise ValueError("its config is no mapping")
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
+        words = info["overrides"]
+        if not (isinstance(words, list) and all(isinstance(word, str) for word in words)):
+            raise ValueError("its overrides are no words")
         for names in info.get("inputs", {}).values():
             if not names or not all(isinstance(n, str) for n in (*names, *names.values())):
                 raise ValueError("its inputs are no names and digests")

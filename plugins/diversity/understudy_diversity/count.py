@@ -9,6 +9,7 @@ from pathlib import Path
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError
+from understudy.options import check_range
 from understudy_diversity.strategies import Metric, check_features, finished_trials, kinds
 from understudy_sweeps.intervals import mean_of
 from understudy_sweeps.journal import Journal
@@ -61,6 +62,8 @@ class Count(Command):
 def _measure(words: Sequence[str], metric: Metric, success: float) -> _Measure:
     try:
         measure = _Measure(float(words[0]), tuple(words[1:]), metric, success)
+        check_range(measure, "distinct", above=0, most=1e30)
+        check_range(measure, "success", least=0, most=1)
         check_features(measure.features, metric)
     except ValueError as error:
         raise ConfigError(f"'{' '.join(words)}' is no distance and measures: {error}") from error

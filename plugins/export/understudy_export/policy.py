@@ -244,7 +244,10 @@ def metadata(skill: Skill, built: Built, acting: Acting) -> dict[str, str]:
     }
     evaluation = skill.card.get("evaluation") or {}
     if evaluation.get("success_rate") is not None:
-        found["success"] = {"rate": evaluation["success_rate"], "means": evaluation["success"]}
+        found["success"] = {
+            "rate": evaluation["success_rate"],
+            "means": evaluation.get("success"),
+        }
     if isinstance(built.scene, MujocoScene):
         found["controls"] = _controls(built.scene.spec().compile())
     if isinstance(built.scene, CharacterScene):

@@ -95,8 +95,9 @@ def load(
     for key, value in own.items():
         _set(config, short[key], _value(key, value))
     if "episodes" in own:  # as many at once as there are
-        most = config["evaluation"].get("episodes", 64)
-        _set(config, "evaluation.episodes", min(most, _value("episodes", own["episodes"])))
+        most = config["evaluation"].get("episodes")
+        asked = _value("episodes", own["episodes"])
+        _set(config, "evaluation.episodes", min(most, asked) if type(most) is int else asked)
     experiment = run.experiment(installed().registry, config)
     run.info["config"] = experiment.effective()  # what is drawn; the file keeps what was trained
     reporter = Reporter(tell)
@@ -145,4 +146,7 @@ def _value(key: str, text: str) -> Any:
 
 def _set(config: dict[str, Any], path: str, value: Any) -> None:
     group, _, key = path.partition(".")
-    config[group] = {**(config.get(group) or {}), key: value}
+    before = config.get(group) or {}
+    if not isinstance(before, Mapping):
+        raise RunError(f"The run's configuration is damaged: its '{group}' is no mapping.")
+    config[group] = {**before, key: value}

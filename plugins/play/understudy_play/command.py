@@ -12,8 +12,10 @@ import numpy as np
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
+from understudy_motion.arguments import port, positive
 from understudy_play.player import Player, World
 from understudy_play.skill import Skill, clip_of, names, open_skill, pack, rounded, unpack
+from understudy_report.values import mapping, number
 
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0
@@ -37,7 +39,9 @@ class Play(Command):
         parser.add_argument(
             "--video", metavar="FILE", type=Path, help="write a video (.mp4) instead"
         )
-        parser.add_argument("--seconds", type=float, default=8.0, help="of the video (%(default)s)")
+        parser.add_argument(
+            "--seconds", type=positive, default=8.0, help="of the video (%(default)s)"
+        )
         parser.add_argument(
             "--push", type=float, default=0.0, metavar="NS",
             help="push the character sideways every 3 s, in newton seconds (video only)",
@@ -61,7 +65,7 @@ class Play(Command):
             return 0
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
-            return _pack(skill, options.pack.with_suffix(""))
+            return _pack(skill, options.pack)
         if options.unpack is not None:
             unpack(skill, options.unpack)
             print(f"run: {options.unpack}")
@@ -75,7 +79,7 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     """Where the page is served, as :func:`serve` takes it."""
     parser.add_argument("--host", default="127.0.0.1", help="address to serve at (%(default)s)")
     parser.add_argument(
-        "--port", type=int, default=8080, help="the first port to try (%(default)s)"
+        "--port", type=port, default=8080, help="the first port to try (%(default)s)"
     )
     parser.add_argument("--no-browser", action="store_true", help="do not open the page")
 
@@ -105,16 +109,20 @@ def serve(make: Callable[[], World], options: argparse.Namespace) -> int:
 
 def describe(skill: Skill) -> str:
     """A sentence about `skill`, from its card."""
-    found = skill.card.get("evaluation") or {}
-    judged = ""
-    if found.get("success_rate") is not None:
-        judged = f"; {found['success_rate']:.0%} of {found['episodes']} held-out episodes: {found['success']}"
+    found = mapping(skill.card.get("evaluation"))
+    rate, judged = number(found.get("success_rate")), ""
+    if rate is not None:
+        judged = (
+            f"; {rate:.0%} of {found.get('episodes')} held-out episodes: {found.get('success')}"
+        )
     return f"{skill.samples:,} samples, seed {skill.experiment.root.seed}{judged}"
 
 
 def _pack(skill: Skill, path: Path) -> int:
     """What is judged is what is written: the rounded weights."""
-    small = rounded(skill)
+    if not path.name:
+        raise ConfigError(f"--pack {path} names no file. Give one: FILE.json.")
+    small, file = rounded(skill), path.with_name(f"{path.name.removesuffix('.json')}.json")
     training = Training(small.experiment)
     try:
         progress = {**training.progress.state_dict(), "samples": small.samples}
@@ -122,8 +130,8 @@ def _pack(skill: Skill, path: Path) -> int:
         evaluation, _ = training.judge()
     finally:
         training.close()
-    pack(skill, path, evaluation.as_json(skill.samples))
-    print(f"{path}.json: {describe(open_skill(f'{path}.json'))}")
+    pack(skill, file, evaluation.as_json(skill.samples))
+    print(f"{file}: {describe(open_skill(str(file)))}")
     return 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.plugins import installed
 from understudy.task import Policy
+from understudy_report.values import read_evaluation
 
 _HERE = Path(__file__).parent / "skills"
 #: Of each row of a matrix: the largest weight.
@@ -54,6 +54,8 @@ class Skill:
             given = self.policy.get(name)
             if given is None or name not in own or given.shape != own[name].shape:
                 raise RunError(f"{self.name} does not fit its own configuration: {name} differs.")
+            if not bool(given.isfinite().all()):
+                raise RunError(f"{self.name} is damaged: {name} is not finite.")
         policy.load_state_dict({**own, **self.policy})
         policy.schedule(self.samples)
 
@@ -86,7 +88,7 @@ def open_skill(source: str, overrides: Sequence[str] = ()) -> Skill:
     if source in names():
         return _packed(_HERE / source, source)
     if path.suffix == ".json" and path.is_file():
-        return _packed(path.with_suffix(""), path.stem)
+        return _packed(path, path.stem)
     if path.is_dir():
         return _of_run(path, overrides)
     raise ConfigError(
@@ -101,31 +103,37 @@ def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
         words = replaced(words, overrides)
         config = compose_raw(words)
     state, meta, _ = checkpoint.load_newest(run.checkpoints)
-    if not isinstance(state.get("policy"), dict):
+    policy = state.get("policy")
+    if not isinstance(policy, dict) or not all(isinstance(t, Tensor) for t in policy.values()):
         raise RunError(f"{path} is a run that learns no policy.")
-    samples = int(state["progress"]["samples"])
-    evaluation = run.path / "evaluation.json"
+    samples = state["progress"]["samples"]
     card = {
         "config": config,
         "overrides": [o for o in words if not _OF_THE_RUN.match(o)],
         "samples": samples,
         "versions": meta.get("versions"),
         "sources": meta.get("sources"),
-        "evaluation": json.loads(evaluation.read_text()) if evaluation.is_file() else None,
+        "evaluation": read_evaluation(run) or None,
     }
     experiment = run.experiment(installed().registry, config)
-    return Skill(str(path), experiment, state["policy"], samples, card)
+    return Skill(str(path), experiment, policy, samples, card)
 
 
 def _packed(path: Path, name: str) -> Skill:
     state, card = checkpoint.load(path)
     try:
+        for key in ("config", "sources", "evaluation"):
+            if not isinstance(card.get(key) or {}, Mapping):
+                raise TypeError(f"{key} is no mapping")
         refuse_code(card["config"])
         tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
         samples = int(card["samples"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        experiment = validate(card["config"], installed().registry)
+    except ConfigError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{path} is no packed skill: {type(error).__name__}: {error}.") from error
-    return Skill(name, validate(card["config"], installed().registry), tensors, samples, card)
+    return Skill(name, experiment, tensors, samples, card)
 
 
 def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
@@ -206,4 +214,7 @@ def _packed_tensor(value: Tensor) -> Tensor | dict[str, Tensor]:
 def _unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:
     if isinstance(value, Tensor):
         return value
-    return value["rows"].float() * value["scale"][:, None]
+    rows, scale = value["rows"], value["scale"]
+    if rows.ndim != 2 or scale.shape != rows.shape[:1]:
+        raise ValueError(f"{tuple(scale.shape)} scales do not fit {tuple(rows.shape)} weights")
+    return rows.float() * scale[:, None]

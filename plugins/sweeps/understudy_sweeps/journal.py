@@ -6,13 +6,16 @@ finished, and is on the disk before anything follows from it.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from understudy.errors import ConfigError, RunError
 from understudy.records.checkpoint import write_atomically
@@ -37,17 +40,27 @@ class Journal:
 
     @classmethod
     def read(cls, path: Path) -> Journal:
-        """As :meth:`open`, changing nothing."""
+        """As :meth:`open`, changing nothing; rows that are none of a journal's are left out, too.
+
+        Raises
+        ------
+        RunError
+            if it cannot be read.
+        """
         journal = cls(path)
-        if path.exists():
-            for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-                try:
-                    row = json.loads(line)
-                    asked = row["event"] == "asked"
-                    found = trial_of(row["trial"]) if asked else Report(**row["report"])
-                except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-                    continue
-                journal.events.append(found)
+        try:
+            lines = path.read_bytes().decode(errors="replace").splitlines()
+        except FileNotFoundError:
+            return journal
+        except OSError as error:
+            raise RunError(f"{path} cannot be read: {error.strerror}.") from error
+        for line in lines:
+            with contextlib.suppress(
+                ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError
+            ):
+                row = json.loads(line)
+                asked = row["event"] == "asked"
+                journal.events.append(trial_of(row["trial"]) if asked else _report(row["report"]))
         return journal
 
     @property
@@ -91,5 +104,49 @@ def _row(event: Trial | Report) -> str:
 
 
 def trial_of(row: Mapping[str, Any]) -> Trial:
-    """The trial whose fields `row` has, as JSON brought them."""
-    return Trial(**{**row, "overrides": tuple(row["overrides"])})
+    """The trial whose fields `row` has, as JSON brought them.
+
+    Raises
+    ------
+    TypeError, ValueError, OverflowError, LookupError
+        if they are no trial's.
+    """
+    trial = Trial(**{**row, "overrides": tuple(row["overrides"])})
+    _check_name(trial.key)
+    _check(str, trial.variant, *trial.overrides)
+    _check(str | None, trial.initial_states)
+    _check(Mapping | None, trial.start)
+    _check(int | None, trial.seed)
+    _check_numbers(trial.point.values())
+    _check_numbers([] if trial.fidelity is None else [trial.fidelity])
+    return trial
+
+
+def _report(row: Mapping[str, Any]) -> Report:
+    report = Report(**row)
+    _check_name(report.key)
+    _check(str, report.status, report.run, report.outcome)
+    _check_numbers(report.measures.values())
+    _check_numbers([report.cost, *([] if report.objective is None else [report.objective])])
+    return report
+
+
+def _check(kind: Any, *values: Any) -> None:
+    for value in values:
+        if not isinstance(value, kind):
+            raise TypeError(f"{value!r}")
+
+
+def _check_name(key: Any) -> None:
+    """A trial's folder has its name, so that has to be one of a file."""
+    _check(str, key)
+    if not 0 < len(quote(key, safe="")) < 250:
+        raise ValueError(key)
+
+
+def _check_numbers(values: Iterable[Any]) -> None:
+    """NaN and infinity are what a training may come to; other numbers can be drawn."""
+    for value in values:
+        if isinstance(value, bool) or 1e30 <= abs(float(value)) < math.inf:
+            raise ValueError(value)
+        _check(int | float, value)

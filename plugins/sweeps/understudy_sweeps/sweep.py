@@ -77,7 +77,8 @@ def sweep(overrides: Sequence[str]) -> int:
         if (status := journal.finished[key].status) != "ok":
             print(f"{key}: {status}", file=sys.stderr)
     for path in (page.path, *more):
-        print(f"page: {path}")
+        if path.exists():  # why not, was said
+            print(f"page: {path}")
     print(f"sweep: {folder}")
     return 0
 
@@ -277,7 +278,7 @@ def _refuse_another(path: Path, given: Sequence[str], compared: Mapping[str, Any
         try:
             old = json.loads(path.read_bytes())
             same = old["sweep"] == mark["sweep"]
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RunError(f"{path} is damaged: {error}. Give run.dir another folder.") from error
         grown = old.get("given") == mark["given"] and _grown(old.get("compared"), mark["compared"])
         if not same and not grown:

@@ -8,7 +8,7 @@ import importlib.util
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
-from understudy_motion.arguments import add_reading, open_clip
+from understudy_motion.arguments import add_reading, open_clip, port
 from understudy_motion.clip import Clip
 from understudy_viewer.serving import serve
 from understudy_viewer.sources import open_scene
@@ -40,7 +40,7 @@ class View(Command):
             help="address to serve at (%(default)s: this machine only)",
         )
         parser.add_argument(
-            "--port", type=_port, default=8080, help="port, or the first to try (%(default)s)"
+            "--port", type=port, default=8080, help="port, or the first to try (%(default)s)"
         )
         parser.add_argument(
             "--no-browser", action="store_true", help="serve the page without opening it"
@@ -62,10 +62,3 @@ class View(Command):
         page = Page(stage, options.host, free_port(options.host, options.port))
         serve(page, "shows the motion", browser=not options.no_browser)
         return 0
-
-
-def _port(text: str) -> int:
-    port = int(text)
-    if not 0 <= port < 2**16:
-        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 65535")
-    return port

@@ -47,12 +47,12 @@ def free_port(host: str, port: int) -> int:
         ConfigError: this machine has no such address, or no port of it is free.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    reason: OSError | None = None
+    reason: Exception | None = None
     for candidate in range(port, min(port + 100, 2**16)):
         try:
             with socket.create_server((host, candidate), family=family) as found:
                 return int(found.getsockname()[1])
-        except OSError as error:
+        except (OSError, UnicodeError, TypeError) as error:  # no port, or no name of a machine
             reason = error
     raise ConfigError(
         f"The page cannot be served at {host}, port {port} (--host, --port): {reason}."

@@ -67,7 +67,7 @@ def test_large_tensors_that_are_mostly_alike_become_small(tmp_path: Path) -> Non
 
 def test_newest_and_prune(tmp_path: Path) -> None:
     for n in (1, 2, 10, 3):
-        checkpoint.save(tmp_path / f"{n:08d}", {"n": n}, {})
+        checkpoint.save(tmp_path / f"{n:08d}", {"progress": {"samples": n}}, {})
     (tmp_path / "00000099.safetensors").write_bytes(b"left by a crash")
     (tmp_path / ".00000099.json.1.partial").write_bytes(b"left by a crash")
     assert [int(p.name) for p in checkpoint.newest(tmp_path)] == [10, 3, 2, 1]
@@ -75,7 +75,48 @@ def test_newest_and_prune(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "00000003.json", "00000003.safetensors", "00000010.json", "00000010.safetensors",
     ]  # fmt: skip
-    assert checkpoint.load_newest(tmp_path)[0] == {"n": 10}
+    assert checkpoint.load_newest(tmp_path)[0] == {"progress": {"samples": 10}}
+
+
+@pytest.mark.parametrize("state", [{}, {"progress": 3}, {"progress": {"samples": "many"}}])
+def test_one_that_does_not_say_after_how_many_samples_is_damaged(
+    state: dict[str, object], tmp_path: Path
+) -> None:
+    checkpoint.save(tmp_path / "00000001", {"progress": {"samples": 1}}, {})
+    checkpoint.save(tmp_path / "00000002", state, {})
+    told: list[str] = []
+    assert checkpoint.load_newest(tmp_path, told.append)[2].name == "00000001"
+    assert "after how many samples" in told[0]
+
+
+def test_a_name_may_have_dots(tmp_path: Path) -> None:
+    checkpoint.save(tmp_path / "walk-1", {"x": 1}, {})
+    checkpoint.save(tmp_path / "walk-1.5.json", {"x": 2}, {})
+    for name, value in (("walk-1", 1), ("walk-1.5", 2), ("walk-1.5.safetensors", 2)):
+        assert checkpoint.load(tmp_path / name)[0] == {"x": value}
+    with pytest.raises(RunError, match="names no file"):
+        checkpoint.save(Path("."), {}, {})
+
+
+def test_deflated_tensors_of_strangers_do_not_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each tensor stands in one place, and all of them together have a limit, which is kept when
+    writing, too."""
+    zeros = torch.zeros(2**19)
+    checkpoint.save(tmp_path / "x", {"a": zeros, "b": zeros}, {})
+    small = (tmp_path / "x.safetensors").stat().st_size
+    monkeypatch.setattr(checkpoint, "_MOST", 3 * 2**20)
+    with pytest.raises(RunError, match="not readable"):
+        checkpoint.load(tmp_path / "x")
+    checkpoint.save(tmp_path / "y", {"a": zeros, "b": zeros}, {})  # one of them as it is
+    assert torch.equal(checkpoint.load(tmp_path / "y")[0]["b"], zeros)
+    assert (tmp_path / "y.safetensors").stat().st_size > zeros.nbytes > 10 * small
+    content = checkpoint.read_sealed(tmp_path / "y.json")
+    content["state"]["map"]["b"] = content["state"]["map"]["a"]
+    (tmp_path / "y.json").write_bytes(checkpoint._sealed(content))
+    with pytest.raises(RunError, match="not readable"):
+        checkpoint.load(tmp_path / "y")
 
 
 def test_write_atomically(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,11 +14,14 @@ import torch
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
+from understudy.records import checkpoint
 from understudy_motion.library import data_folder
 from understudy_play import skill as skills
 from understudy_play.command import record
 from understudy_play.player import Player
 from understudy_play.skill import open_skill, pack
+
+_SKILLS = Path(skills.__file__).parent / "skills"
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +164,74 @@ def test_a_changed_byte_is_noticed(walk: skills.Skill, tmp_path: Path) -> None:
     file.write_bytes(data)
     with pytest.raises(RunError, match="digest"):
         open_skill(str(tmp_path / "bad.json"))
+
+
+@pytest.mark.parametrize(
+    "card",
+    [
+        {"samples": None}, {"samples": "many"}, {"config": None}, {"config": []}, {"config": 3},
+        {"sources": "abc"}, {"evaluation": "abc"}, {"evaluation": [1]},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_damaged_card_is_refused_in_a_sentence(
+    card: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state, own = checkpoint.load(_SKILLS / "sitting" / "sit")
+    checkpoint.save(tmp_path / "bad", state, {**own, **card})
+    for words in (["--unpack", str(tmp_path / "run")], ["--pack", str(tmp_path / "again")]):
+        assert main(["play", str(tmp_path / "bad.json"), *words]) == 2
+    assert capsys.readouterr().err.startswith("understudy: ")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.json", "bad.safetensors"]
+
+
+@pytest.mark.parametrize("scale", [torch.ones(3), torch.ones(10**6), torch.ones(2, 2)])
+def test_scales_that_do_not_fit_are_refused(scale: torch.Tensor, tmp_path: Path) -> None:
+    """One row of a million weights by a million scales would be a terabyte."""
+    state, card = checkpoint.load(_SKILLS / "sitting" / "sit")
+    name = next(k for k, v in state["policy"].items() if isinstance(v, dict))
+    state["policy"][name] = {"rows": torch.ones(1, 10**6, dtype=torch.int8), "scale": scale}
+    checkpoint.save(tmp_path / "bad", state, card)
+    with pytest.raises(RunError, match="do not fit"):
+        open_skill(str(tmp_path / "bad.json"))
+
+
+def test_numbers_that_are_none_are_refused(tmp_path: Path) -> None:
+    skill = open_skill("sitting/sit")
+    bad = {name: value * math.nan for name, value in skill.policy.items()}
+    with pytest.raises(RunError, match="not finite"):
+        Player(dataclasses.replace(skill, policy=bad))
+
+
+def test_a_name_with_dots_is_its_own_file(walk: skills.Skill, tmp_path: Path) -> None:
+    pack(walk, tmp_path / "walk-1.json", {"which": "one"})
+    pack(open_skill("spacetime/run"), tmp_path / "walk-1.5.json", {"which": "other"})
+    assert open_skill(str(tmp_path / "walk-1.json")).card["evaluation"] == {"which": "one"}
+    assert open_skill(str(tmp_path / "walk-1.5.json")).card["evaluation"] == {"which": "other"}
+    assert main(["play", "sitting/sit", "--pack", "."]) == 2
+
+
+@pytest.mark.parametrize("words", [["--seconds", "nan"], ["--seconds", "0"], ["--port", "-5"]])
+def test_impossible_arguments_are_refused(words: list[str], tmp_path: Path) -> None:
+    assert main(["play", "sitting/sit", "--video", str(tmp_path / "x.mp4"), *words]) == 2
+
+
+@pytest.mark.parametrize(
+    ("file", "text"), [("evaluation.json", "{bad"), ("run.json", None), ("metrics.jsonl", "[" * 10**5)]
+)  # fmt: skip
+def test_a_damaged_run_is_played_or_refused_in_a_sentence(
+    file: str, text: str | None, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    assert main(["play", "sitting/sit", "--unpack", str(run)]) == 0
+    if text is None:
+        info = json.loads((run / file).read_text())
+        (run / file).write_text(json.dumps({**info, "overrides": [1]}))
+        assert main(["play", str(run), "seed=1", "--unpack", str(tmp_path / "other")]) == 2
+    else:
+        (run / file).write_text(text)
+        assert open_skill(str(run)).samples > 0
+        assert main(["evaluate", str(run), "num_worlds=2", "episodes=2", "seconds=0.1"]) == 0
 
 
 def test_a_skill_that_is_not_there_is_refused_with_the_ones_that_are() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import json
+import math
 import os
 import threading
 from pathlib import Path
@@ -31,6 +33,45 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     again = Journal.open(journal.path)
     assert again.events == [ASKED, TOLD]
     assert (again.asked, again.finished) == ([ASKED], {})
+
+
+STRANGE = ["x" * 300, "\ud800", "", 3, ["a"], None]
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        *({"key": key} for key in STRANGE),
+        *({"measures": m} for m in (None, ["f"], {"f": "x"}, {"f": 10**400}, {"f": 1e300})),
+        {"status": None}, {"objective": "x"}, {"cost": True}, {"run": 1}, {"else": 1},
+    ],
+)  # fmt: skip
+def test_reports_of_other_types_are_left_out(report: dict[str, Any], tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    good = {"key": "a", "status": "ok", "measures": {"f": math.nan}, "objective": -math.inf}
+    rows = [{"event": "finished", "report": {**good, **found}} for found in (report, {})]
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    assert [event.key for event in Journal.read(path).events] == ["a"]
+
+
+@pytest.mark.parametrize(
+    "trial",
+    [
+        *({"key": key} for key in STRANGE),
+        *({"overrides": o} for o in (None, [1], 3)),
+        {"point": {"x": "1"}}, {"point": None}, {"fidelity": "1"}, {"seed": [1]}, {"start": 3}, {"variant": None},
+    ],
+)  # fmt: skip
+def test_trials_of_other_types_are_left_out(trial: dict[str, Any], tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    rows = [{"event": "asked", "trial": {"key": "a", "overrides": [], **t}} for t in (trial, {})]
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    assert [event.key for event in Journal.read(path).events] == ["a"]
+
+
+def test_a_folder_in_its_place_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="cannot be read"):
+        Journal.read(tmp_path)
 
 
 def test_it_is_on_the_disk_before_anything_follows(
