@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import shlex
 import sys
 import typing
@@ -58,18 +59,18 @@ class HoldTool(Command):
         add(
             "--grip",
             nargs=6,
-            type=float,
+            type=_finite,
             metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
             help="the tool in the hand's frame, m and degrees",
         )
         add(
             "--table",
             nargs=3,
-            type=float,
+            type=_finite,
             metavar=("X", "Y", "Z"),
             help="the table's middle, in front of the figure, to its left, above its floor, m",
         )
-        add("--facing", type=float, metavar="DEGREES", help="where the tool faces on average")
+        add("--facing", type=_finite, metavar="DEGREES", help="where the tool faces on average")
         add(
             "--scale",
             type=positive,
@@ -80,7 +81,7 @@ class HoldTool(Command):
         add(
             "--cost", choices=("mass", "equal"), default="mass", help="of a joint's turn, in eq. 13"
         )
-        add("--relax", type=float, default=2.0, metavar="S", help="time in which joints that need not move return; 0: never")  # fmt: skip
+        add("--relax", type=_finite, default=2.0, metavar="S", help="time in which joints that need not move return; 0: never")  # fmt: skip
         add("--speed", type=positive, default=10.0, metavar="RAD/S", help="the most of any joint")
         add("--nearest", action="store_true", help="also where the tool is out of reach")
         add("--no-video", action="store_true", help="only the clip")
@@ -99,6 +100,11 @@ class HoldTool(Command):
             "inverse kinematics",
         )
         recorded = _recorded(runs.open_run(options.run))
+        if not options.no_video and "particle_position" not in recorded.tracks:
+            raise FileError(
+                f"{options.run}: its recording has no material to draw (particle_position); leave the "
+                f"video out (--no-video), or make another with `understudy render {options.run}`."
+            )
         grip = _grip(options, recorded.scene)
         particles = recorded.scene.model()
         held = figure(
@@ -210,6 +216,14 @@ def _scene(run: Run) -> AmorphousScene:
             "amorphous/gather, amorphous/spread or amorphous/flip."
         )
     return scene
+
+
+def _finite(text: str) -> float:
+    """An argument's type: a finite number."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
+    return value
 
 
 def _grip(options: argparse.Namespace, scene: AmorphousScene) -> Grip:

@@ -15,12 +15,20 @@ import torch
 from understudy.options import make_options
 from understudy.records.runs import Run
 from understudy_amorphous.maps import MaterialMaps, draw_maps
+from understudy_motion.readers.npz import Archive
 from understudy_report.section import ReportSection
 
 #: Moments that are shown, evenly over the first episode.
 MOMENTS = 6
 #: Pixels of the page for the side of a map.
 SIDE = 160
+#: Of the recorded fields that maps are drawn from, in each frame.
+_SHAPES = {
+    "particle_position": (None, 3),
+    "tool_position": (3,),
+    "tool_orientation": (4,),
+    "goal": (2,),
+}
 
 
 class MapsSection(ReportSection):
@@ -35,9 +43,16 @@ class MapsSection(ReportSection):
         options = [o for o in encoders.values() if o and o.get("name") == "amorphous/maps"]
         if not options or not file.is_file():
             return None
-        with np.load(file, allow_pickle=False) as arrays:
-            tracks = {name: arrays[name] for name in arrays.files}
-        return "".join(_rows(_options(o), tracks) for o in options) or None
+        archive = Archive(file)
+        frames = len(archive.floats("tool_position", None, 3))
+        tracks = {
+            name: archive.floats(name, frames, *rest)
+            for name, rest in _SHAPES.items()
+            if name in archive.names
+        }
+        episode = int(np.clip(archive.number("first_episode"), 1, frames))
+        dt = archive.number("control_dt")
+        return "".join(_rows(_options(o), tracks, episode, dt) for o in options) or None
 
 
 def _options(chosen: Mapping[str, Any]) -> MaterialMaps.Options:
@@ -45,16 +60,13 @@ def _options(chosen: Mapping[str, Any]) -> MaterialMaps.Options:
     return make_options(MaterialMaps.Options, own, "encoder")
 
 
-def _rows(options: MaterialMaps.Options, tracks: Mapping[str, np.ndarray]) -> str:
-    episode = max(1, int(tracks["first_episode"]))
+def _rows(
+    options: MaterialMaps.Options, tracks: Mapping[str, np.ndarray], episode: int, dt: float
+) -> str:
     moments = np.unique(np.linspace(0, episode - 1, MOMENTS).round().astype(int))
-    seen = {
-        name: torch.from_numpy(np.ascontiguousarray(tracks[name][moments])).float()
-        for name in ("particle_position", "tool_position", "tool_orientation", "goal")
-        if name in tracks
-    }
+    seen = {name: torch.from_numpy(track[moments]).float() for name, track in tracks.items()}
     maps = draw_maps(options, **seen).numpy()  # (M, C, N, N)
-    seconds = (moments + 1) * float(tracks["control_dt"])
+    seconds = (moments + 1) * dt
     frame = "the tool's frame, which faces up" if options.frame == "tool" else "the world's frame"
     rows = []
     for channel, name in enumerate(options.channels):

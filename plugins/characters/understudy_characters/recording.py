@@ -19,6 +19,7 @@ from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.npz import Archive
+from understudy_motion.reading import MAX_ROTATIONS
 from understudy_motion.writing import Shown
 from understudy_mujoco.scene import MujocoScene
 
@@ -59,8 +60,7 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
     control_dt, first_episode = archive.number("control_dt"), archive.number("first_episode")
     about = _about(run)
 
-    def clip(track: str, name: str) -> Clip:
-        recorded = archive.floats(track, None, character.model.nq)
+    def clip(recorded: np.ndarray, name: str) -> Clip:
         qpos = torch.from_numpy(recorded[: max(0, int(min(first_episode, len(recorded))))])
         if len(qpos) < 2:
             raise FileError(
@@ -70,10 +70,15 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
         times = control_dt * torch.arange(len(qpos), dtype=torch.float64)
         return character.clip(qpos, times, name=name, loop=False, **about)
 
-    learned = clip("qpos", run.path.resolve().name)
+    recorded = archive.floats("qpos", None, character.model.nq)
+    learned = clip(recorded, run.path.resolve().name)
+    if "phase" in archive.names:  # whoever wants it reads it
+        _check_length(run, "phase", _track(archive, "phase"), len(recorded))
     if "reference_qpos" not in archive.names:
         return learned, None
-    return learned, clip("reference_qpos", f"{learned.name}-reference")
+    reference = archive.floats("reference_qpos", None, character.model.nq)
+    _check_length(run, "reference_qpos", reference, len(recorded))
+    return learned, clip(reference, f"{learned.name}-reference")
 
 
 def recorded_surroundings(path: str | Path) -> list[Shown]:
@@ -95,14 +100,11 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
     if not isinstance(scene, CharacterScene):
         return []
     archive = Archive(run.path / "recording.npz")
-    frames = int(archive.number("first_episode"))
-    names = [
-        n for n in scene.recorded if n in archive.names and n not in ("reference_qpos", "phase")
-    ]
-    tracks = {name: _track(archive, name)[:frames] for name in names}
-    dt = archive.number("control_dt")
+    frames, dt = max(0, int(archive.number("first_episode"))), archive.number("control_dt")
+    qpos = archive.floats("qpos", None, None)[:frames]
+    tracks = {name: track[:frames] for name, track in recorded_fields(run, scene).items()}
     found = []
-    for thing in scene.surroundings(tracks):
+    for thing in scene.surroundings({"qpos": qpos, **tracks}):
         names = (thing.name,)
         clip = Clip(
             name=thing.name,
@@ -116,6 +118,40 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
         )
         found.append(Shown(clip, thing.shapes))
     return found
+
+
+def recorded_fields(run: Run, scene: CharacterScene) -> dict[str, np.ndarray]:
+    """What else than its motion and the reference the scene wants of the recording of `run`, as far as
+    it is there: by field, each (T,) or (T, …), with all frames.
+
+    Raises:
+        FileError: one that is damaged, or has not the frames of ``qpos``.
+    """
+    archive = Archive(run.path / "recording.npz")
+    frames = len(archive.floats("qpos", None, None))
+    found = {}
+    for name in archive.names.intersection(scene.recorded) - {"qpos", "reference_qpos", "phase"}:
+        found[name] = _track(archive, name)
+        _check_length(run, name, found[name], frames)
+    return found
+
+
+def _check_length(run: Run, name: str, track: np.ndarray, frames: int) -> None:
+    if len(track) != frames:
+        raise FileError(
+            f"{run.path}: of '{name}' {len(track)} frames were recorded, of 'qpos' {frames}; make "
+            f"another recording with `understudy render {run.path}`."
+        )
+
+
+def check_frames(clip: Clip, frames: float, cure: str, most: int = MAX_ROTATIONS) -> None:
+    """Raise FileError where so many frames of `clip`, times its joints, are more than `most`; `cure`
+    says what to do then."""
+    if frames * len(clip.joint_names) > most:
+        raise FileError(
+            f"Clip {clip.source}: at this rate and length it has too many frames (times joints at "
+            f"most {most}); {cure}."
+        )
 
 
 def _track(archive: Archive, name: str) -> np.ndarray:

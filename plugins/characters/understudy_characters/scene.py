@@ -112,9 +112,7 @@ class CharacterScene(MujocoScene):
         at, length = self.layout.root_address, self.character.length
 
         def place(model: mujoco.MjModel, data: mujoco.MjData, frame: int) -> None:
-            seen = {name: recorded[frame] for name, recorded in tracks.items()}
-            for one in self._around:
-                one.place(model, data, seen)
+            self._arrange(model, data, tracks, frame)
 
         figures, beside = [Figure(track, place=place)], 0.0
         if reference is not None:
@@ -144,9 +142,7 @@ class CharacterScene(MujocoScene):
         surfaces: list[list[Shape]] = []
         poses = []
         for frame in range(len(tracks["qpos"]) if bodies else 0):
-            seen = {name: recorded[frame] for name, recorded in tracks.items()}
-            for one in self._around:
-                one.place(model, data, seen)
+            self._arrange(model, data, tracks, frame)
             mujoco.mj_kinematics(model, data)
             poses.append((data.xpos[bodies].copy(), data.xquat[bodies].copy()))
             if not surfaces:
@@ -155,6 +151,24 @@ class CharacterScene(MujocoScene):
             if surface:
                 positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
                 yield Thing(name, positions, turns, surface)
+
+    def _arrange(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        tracks: Mapping[str, np.ndarray],
+        frame: int,
+    ) -> None:
+        """Put what stands around the character where it was in a `frame` of the recorded `tracks`."""
+        try:
+            seen = {name: recorded[frame] for name, recorded in tracks.items()}
+            for one in self._around:
+                one.place(model, data, seen)
+        except (LookupError, TypeError, ValueError) as error:
+            raise FileError(
+                "The recording does not say where what stands around the character is "
+                f"({type(error).__name__}: {error}); make another with `understudy render RUN`."
+            ) from error
 
     def outlines(
         self, tracks: Mapping[str, np.ndarray]

@@ -14,7 +14,7 @@ from understudy.errors import UnderstudyError
 from understudy.records.checkpoint import write_atomically
 from understudy_diversity.strategies import GalleryOptions
 from understudy_report.video import write_video
-from understudy_sweeps.film import scene_of
+from understudy_sweeps.film import recorded_tracks, scene_of
 
 #: Pixels of a film, and how slow it is: a jump lasts a second.
 _WIDTH, _HEIGHT, _SLOWER = 480, 360, 3.0
@@ -33,24 +33,26 @@ class Take:
 def take_of(run: Path, folder: Path, name: str, options: GalleryOptions) -> Take:
     """Draw the first recorded episode of `run` into `folder`, unless that was done before."""
     try:
-        with np.load(run / "recording.npz", allow_pickle=False) as arrays:
-            tracks = {k: arrays[k] for k in arrays.files}
-        dt = float(tracks.pop("control_dt"))
-        length = max(1, int(tracks.pop("first_episode")))
-    except (OSError, ValueError, KeyError):
+        tracks, dt, length = recorded_tracks(run / "recording.npz")
+    except UnderstudyError:
         return Take(None, None, None, "Nothing was recorded of it.")
     tracks = {k: v[:length] for k, v in tracks.items()}
     try:
         peak = peak_of(tracks, options)
+    except LookupError as error:
+        return Take(None, None, None, str(error))
+    try:
         film, still = folder / f"{name}.mp4", folder / f"{name}-{peak}.png"
         scene = scene_of(run)
         outlines, _ = scene.outlines({k: v[peak : peak + 1] for k, v in tracks.items()})
         outline = None if outlines is None else outlines[0]
-    except (UnderstudyError, LookupError) as error:
+    except UnderstudyError as error:
         return Take(None, None, None, str(error))
+    except Exception as error:  # a scene may come from any plugin
+        return Take(None, None, None, f"It cannot be drawn: {error}")
     if film.exists() and still.exists() and film.stat().st_mtime > _made(run):
         return Take(film, still, outline)
-    every = max(1, round(1.0 / (30.0 * _SLOWER * dt)))
+    every = round(np.clip(1.0 / (30.0 * _SLOWER * dt), 1, length))
     shown = np.arange(0, length, every)
     shown[np.abs(shown - peak).argmin()] = peak
 

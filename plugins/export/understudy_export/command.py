@@ -17,6 +17,7 @@ from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import (
+    check_frames,
     recorded_clips,
     recorded_surroundings,
     run_character,
@@ -26,7 +27,7 @@ from understudy_export.figure import figure
 from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.kinematics import need_skeleton
-from understudy_motion.reading import MAX_ROTATIONS, METRES
+from understudy_motion.reading import METRES
 from understudy_motion.writing import Shape, Shown, write_figures
 from understudy_mujoco.studio import REFERENCE
 
@@ -39,6 +40,8 @@ OF_MOTIONS = (
 """Options that mean nothing to a policy."""
 BESIDE = 0.74
 """In heights of the figure: how far to the left the reference is put, as in videos."""
+CURE = "give a lower --rate, fewer --seconds or fewer --cycles"
+"""Of too many frames."""
 GAMMA = 2.2
 """Of colours on screens; those of files are linear."""
 
@@ -208,10 +211,10 @@ def timed(
         return clip
     rate = rate or clip.frame_rate
     if seconds is None and clip.loop:
-        _check_frames(clip, clip.duration * rate)
+        check_frames(clip, clip.duration * rate, CURE)
         return resample(clip, rate)
     length = min(seconds or clip.duration, math.inf if clip.loop else clip.duration)
-    _check_frames(clip, length * rate)
+    check_frames(clip, length * rate, CURE)
     steps = math.floor(length * rate + 1e-6)
     if steps < 1:
         raise FileError(
@@ -229,19 +232,11 @@ def _repeated(clip: Clip, cycles: int) -> Clip:
         raise FileError(
             f"Clip {clip.source}: it does not loop, so it has no cycles to repeat; --seconds cuts it."
         )
-    _check_frames(clip, cycles * clip.num_frames)
+    check_frames(clip, cycles * clip.num_frames, CURE)
     starts = clip.duration * torch.arange(cycles, dtype=torch.float64)
     times = torch.cat(((starts[:, None] + clip.times[:-1]).flatten(), cycles * clip.times[-1:]))
     position, rotation = sample(clip, times)
     return replace(clip, times=times, root_position=position, rotations=rotation)
-
-
-def _check_frames(clip: Clip, frames: float) -> None:
-    if frames * len(clip.joint_names) > MAX_ROTATIONS:
-        raise FileError(
-            f"Clip {clip.source}: at this rate and length it has too many frames (times joints at "
-            f"most {MAX_ROTATIONS}); give a lower --rate, fewer --seconds or fewer --cycles."
-        )
 
 
 def _summary(clip: Clip, destination: Path, character: Character | None) -> str:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import Any
 
 from understudy.command.command import Command
-from understudy.errors import RunError
+from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy.running.evaluation import Evaluation, wilson_interval
 from understudy.running.warm_start import newest_state
+from understudy.setup.config import at
+from understudy.setup.plugins import installed
 from understudy_inspect.judging import load
 from understudy_jumping.arena import ArenaOptions
+from understudy_motion.arguments import positive
 
 #: In the run folder: what was found.
 FILE = "heights.json"
+#: Obstacles that are tried at most; each is an evaluation.
+_MOST = 1000
 
 
 class Heights(Command):
@@ -32,14 +36,14 @@ class Heights(Command):
         parser.usage = "understudy jumping heights RUN [--success SHARE] [--step METRES] [--from METRES] [KEY=VALUE …]"
         parser.add_argument("run", help="run folder")
         parser.add_argument(
-            "--success", type=float, default=0.5, help="share of attempts (default: 0.5)"
+            "--success", type=_share, default=0.5, help="share of attempts (default: 0.5)"
         )
         parser.add_argument(
-            "--step", type=float, default=0.05, help="m, lower or narrower (default: 0.05)"
+            "--step", type=positive, default=0.05, help="m, lower or narrower (default: 0.05)"
         )
         parser.add_argument(
             "--from",
-            type=float,
+            type=positive,
             dest="first",
             metavar="METRES",
             help="height of the bar, or width of the box, that is tried first",
@@ -77,22 +81,30 @@ _ADJECTIVES = {"height": "high", "width": "wide"}
 
 def _trained(path: str) -> tuple[float, ArenaOptions]:
     """m: the obstacle that the training of the run came to; and its arena."""
-    curriculum = newest_state(path).get("environment", {}).get("curriculum", {})
-    reached = curriculum.get("difficulty")
-    experiment = runs.open_run(path).config
-    if not reached or "arena" not in experiment:
+    arena = runs.open_run(path).experiment(installed().registry).sections.get("arena")
+    reached = at(newest_state(path), "environment.curriculum.difficulty")
+    # curricula of several groups have a difficulty for each
+    levels = reached if isinstance(reached, list) else [reached]
+    if (
+        not isinstance(arena, ArenaOptions)
+        or not levels
+        or not all(isinstance(level, (int, float)) and 0 <= level <= 1 for level in levels)
+    ):
         raise RunError(f"{path} is no run of a jump whose bar rises (task=jumping/high).")
-    arena = ArenaOptions(**{k: _pair(v) for k, v in experiment["arena"].items()})
     low, high = getattr(arena, _grows(arena))
     if low == high:
         raise RunError(
             f"{path}: its obstacle has one size, {low} m. Judge it by understudy evaluate."
         )
-    return low + max(reached) * (high - low), arena
+    return low + max(levels) * (high - low), arena
 
 
-def _pair(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+def _share(text: str) -> float:
+    """An argument's type: a share above 0."""
+    value = float(text)
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0 and at most 1")
+    return value
 
 
 def _grows(arena: ArenaOptions) -> str:
@@ -103,6 +115,11 @@ def _grows(arena: ArenaOptions) -> str:
 def _ladder(first: float, step: float, arena: ArenaOptions) -> Iterator[float]:
     """m: from `first` down to the least of the arena."""
     least = getattr(arena, _grows(arena))[0]
+    if not (first - least) / step <= _MOST:
+        raise ConfigError(
+            f"--step {step:g} is not possible: it tries more than {_MOST} obstacles from {first:g} m "
+            f"to {least:g} m; give a longer step, or less to --from."
+        )
     size = first
     while size > least + 1e-6:
         yield size

@@ -18,15 +18,17 @@ from understudy.setup.building import build_sections
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_basics import rotations
-from understudy_characters.recording import recorded_clips
+from understudy_characters.recording import check_frames, recorded_clips, recorded_fields
 from understudy_characters.scene import CharacterScene
 from understudy_motion.clip import Clip
-from understudy_motion.readers.npz import Archive
 from understudy_motion.writing import write_clip
 from understudy_report.video import write_video
 
 #: Frames a second of the video.
 RATE = 30.0
+#: Frames times joints of the video at most: ten minutes of a humanoid. Where each limb is drawn takes
+#: more memory than its rotation.
+_MOST = 270_000
 
 
 class Join(Command):
@@ -54,6 +56,8 @@ class Join(Command):
 
 def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
     """The motion drawn in the scene of the run `jump`, its obstacle as recorded there."""
+    cure = "record runs of fewer seconds, or write a clip (jump.npz)"
+    check_frames(clip, clip.duration * RATE, cure, _MOST)
     run = runs.open_run(jump)
     experiment = run.experiment(installed().registry)
     control = experiment.root.control
@@ -68,12 +72,10 @@ def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
     )
     scene = experiment.need("scene").build(context)
     assert isinstance(scene, CharacterScene)  # else its recording had been no clip
-    archive = Archive(run.path / "recording.npz")
     times = torch.arange(0.0, clip.duration, 1.0 / RATE, dtype=torch.float64)
     tracks = {"qpos": scene.character.qpos(clip, times).numpy()}
-    for name in scene.recorded:
-        if name in archive.names and name not in tracks:
-            tracks[name] = np.repeat(archive.floats(name, None)[:1], len(times))
+    for name, recorded in recorded_fields(run, scene).items():
+        tracks[name] = np.repeat(recorded[:1], len(times), axis=0)
     return scene.draw(tracks)
 
 

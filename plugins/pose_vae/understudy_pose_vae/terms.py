@@ -50,15 +50,11 @@ class PoseDistance:
         if not shared:
             raise ConfigError(f"{options.run} has no joint that {scene.character.name} has.")
         given = Path(options.run) / POSES
-        try:
-            kept = context.inputs.file(f"poses of {options.run}", lambda: [given])
-            found = np.load(kept, allow_pickle=False)
-        except (OSError, ValueError) as error:
-            raise RunError(
-                f"{options.run} has no poses to compare with; finish it first."
-            ) from error
+        if not (kept := context.inputs.file(f"poses of {options.run}", lambda: [given])).is_file():
+            raise RunError(f"{options.run} has no poses to compare with; finish it first.")
         own = [trained.joints.index(name) for name in shared]
-        poses = rotations.normalize(torch.from_numpy(found[:, own].astype(np.float32)))
+        found = learned_poses(kept, len(trained.joints))[:, own]
+        poses = rotations.normalize(torch.from_numpy(found))
         self._poses = poses.to(context.device)
         self._known = rotations.tangent_normal(self._poses).flatten(1)
         self._rows = torch.tensor([names.index(name) for name in shared], device=context.device)
@@ -72,6 +68,31 @@ class PoseDistance:
         nearest = torch.cdist(seen, self._known).argmin(1)
         angle = rotations.angle_between(pose, self._poses[nearest]).mean(1)
         return angle * (180 / math.pi)
+
+
+def learned_poses(file: Path, joints: int) -> np.ndarray:
+    """The poses (P, joints, 4) float32 that an auto-encoder learned from.
+
+    Raises
+    ------
+    RunError
+        if the file holds anything else.
+    """
+    try:
+        with np.errstate(over="ignore"):
+            # mapped, since a header can claim any size: one larger than the file is refused
+            found = np.lib.format.open_memmap(file, mode="r")
+            if found.dtype.kind == "f" and found.shape[1:] == (joints, 4) and len(found):
+                poses = found.astype(np.float32)
+                if (np.abs(np.linalg.norm(poses, axis=2) - 1.0) < 0.1).all():
+                    return poses
+        reason = f"it holds {found.dtype} of shape {found.shape}"
+    except Exception as error:  # numpy raises whatever its parsing of damage raises
+        reason = " ".join(str(error).split())[:200]
+    raise RunError(
+        f"{file} is damaged: it should hold poses of {joints} unit quaternions, and {reason}; train "
+        "the auto-encoder again."
+    )
 
 
 class Jerk(Memory):

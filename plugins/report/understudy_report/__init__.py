@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from understudy.records.observer import RunObserver
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("motion",)
 
 _HERE = "understudy_report"
 

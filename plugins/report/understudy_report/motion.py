@@ -11,12 +11,21 @@ import numpy as np
 
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
+from understudy_motion.readers.npz import Archive
 from understudy_report.section import ReportSection
 from understudy_report.stick_figures import stick_figure_animation, stick_figure_svg
 
 #: Files of the run folder.
 VIDEO = "video.mp4"
 FIGURES = "stick_figures.npz"
+
+
+class Numbers(Archive):
+    """An NPZ file that a run left, by a stranger maybe: no more of it is unpacked than of a clip."""
+
+    def array(self, name: str) -> np.ndarray:
+        """The array `name` of any shape; a simulation that blew up left numbers that are not finite."""
+        return self._array(name, "fib", None)
 
 
 @dataclass(frozen=True)
@@ -38,12 +47,12 @@ class Figures:
 
     @staticmethod
     def load(path: Path) -> Figures | None:
-        """Those of the file `path`, or None if there is none; numpy's errors if it is damaged."""
+        """Those of the file `path`, or None if there is none; a FileError if it is damaged."""
         if not path.is_file():
             return None
-        with np.load(path, allow_pickle=False) as arrays:
-            reference = arrays.get("reference")
-            return Figures(arrays["learned"], reference, float(arrays["dt"]))
+        archive = Numbers(path)
+        reference = archive.array("reference") if "reference" in archive.names else None
+        return Figures(archive.array("learned"), reference, archive.number("dt"))
 
 
 class Motion(ReportSection):

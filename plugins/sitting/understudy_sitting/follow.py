@@ -15,6 +15,7 @@ from torch import Tensor
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.composition import load_experiment
+from understudy_motion.arguments import positive
 from understudy_play.command import add_page_arguments, film, record, serve
 from understudy_play.player import World
 from understudy_play.skill import open_skill, unpack
@@ -46,8 +47,7 @@ class Follower(World):
     """
 
     def __init__(self, runs: Sequence[str], seed: int = 0) -> None:
-        if len(runs) not in (1, 3):
-            raise ConfigError("Give the run of walk, or those of walk, turn_left and turn_right.")
+        _count(runs)
         named = ",".join(f"'{run}'" for run in runs)
         experiment = load_experiment(["task=sitting/follow", f"actuation.runs=[{named}]"])
         super().__init__(f"walking to a target, {runs[0]}", experiment, seed)
@@ -95,13 +95,14 @@ class Follow(Command):
             "--video", metavar="FILE", type=Path, help="write a video (.mp4) of a square instead"
         )
         parser.add_argument(
-            "--seconds", type=float, default=24.0, help="of the video (%(default)s)"
+            "--seconds", type=positive, default=24.0, help="of the video (%(default)s)"
         )
         add_page_arguments(parser)
 
     def run(self, options: argparse.Namespace) -> int:
+        _count(options.runs)
         with tempfile.TemporaryDirectory() as folder:
-            runs = [_folder(name, Path(folder)) for name in options.runs]
+            runs = [_folder(name, Path(folder) / str(k)) for k, name in enumerate(options.runs)]
             if options.video is None:
                 return serve(lambda: Follower(runs), options)
             return self._film(runs, options)
@@ -119,6 +120,11 @@ class Follow(Command):
         film(world, tracks, options.video)
         print(f"{options.video}: {options.seconds:g} s, {world.falls} falls")
         return 0
+
+
+def _count(runs: Sequence[str]) -> None:
+    if len(runs) not in (1, 3):
+        raise ConfigError("Give the run of walk, or those of walk, turn_left and turn_right.")
 
 
 def _folder(source: str, within: Path) -> str:

@@ -168,7 +168,11 @@ def _banked(
     Raises:
         ConfigError: if one is of another figure, or has no chair.
     """
-    found = [bank.load(file) for file in banks]
+
+    def load(given: str) -> dict[str, Tensor]:
+        return bank.load(context.inputs.file(f"bank {given}", lambda: bank.files(given)))
+
+    found = [load(file) for file in banks]
     wanted = {
         "qpos": scene.model.nq,
         "qvel": scene.model.nv,

@@ -1,8 +1,19 @@
-"""Meshes of furniture as convex parts, which is what a physics engine collides."""
+"""Meshes of furniture as convex parts, which is what a physics engine collides.
+
+A mesh may be a stranger's, and a few bytes of glTF have its reader compute for minutes or allocate without
+end. So it is read in a process of its own, within bounds; what ends there costs that process alone.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +21,18 @@ import trimesh
 
 from understudy.errors import FileError
 
+#: Formats that are read: no archives, which unpack to any size.
+FORMATS = (".obj", ".stl", ".ply", ".gltf", ".glb")
 #: Parts, and vertices of one of them, that a simulation on a GPU still carries easily.
 MOST_PARTS, MOST_VERTICES = 16, 64
+#: Bytes of a file, and faces (and vertices) in it: more than any chair needs.
+MOST_BYTES, MOST_FACES = 128 * 2**20, 300_000
+#: For reading it: s of processor time, s of the clock, bytes of address space.
+CPU_SECONDS, WALL_SECONDS, MEMORY = 30, 300, 4 * 2**30
+
+_REFUSED = 3
+#: By the digest of format and content: the hulls, which are asked for at each building of the scene.
+_known: dict[bytes, list[np.ndarray]] = {}
 
 
 def convex_parts(path: Path, scale: float = 1.0) -> list[np.ndarray]:
@@ -23,29 +44,85 @@ def convex_parts(path: Path, scale: float = 1.0) -> list[np.ndarray]:
     Raises
     ------
     FileError
-        if it is missing, no mesh, empty, or has more than ``MOST_PARTS`` parts.
+        if it is missing, of another format, no mesh, empty, not read within the bounds, or has more
+        than ``MOST_PARTS`` parts.
     """
     if not path.is_file():
         raise FileError(f"There is no mesh {path}.")
+    kind = path.suffix.lower()
+    if kind not in FORMATS:
+        raise FileError(
+            f"The mesh {path} is of no format that is read; export it as {', '.join(FORMATS)}."
+        )
+    try:
+        too_large = path.stat().st_size > MOST_BYTES
+        content = b"" if too_large else path.read_bytes()
+    except OSError as error:
+        raise FileError(f"The mesh {path} cannot be read: {error.strerror}.") from error
+    if too_large:
+        raise FileError(f"The mesh {path} has more than {MOST_BYTES >> 20} MiB; make it smaller.")
+    digest = hashlib.sha256(kind.encode() + b"\0" + content).digest()
+    if digest not in _known:
+        _known[digest] = _read_apart(path, content)
+    return [hull * scale for hull in _known[digest]]
+
+
+def _read_apart(path: Path, content: bytes) -> list[np.ndarray]:
+    """:func:`_hulls`, in a process of its own."""
+    # not from the working folder (-P), and not ended by the terminal's signals, which are ours to see to
+    command = [sys.executable, "-P", "-m", __name__, str(path), str(CPU_SECONDS), str(MEMORY)]
+    alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # its threads would take address space
+    try:
+        done = subprocess.run(
+            command, input=content, capture_output=True, start_new_session=True,
+            timeout=WALL_SECONDS, env=alone,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired as error:
+        raise FileError(_beyond(path, f"{WALL_SECONDS} s")) from error
+    if done.returncode == _REFUSED:
+        raise FileError(done.stdout.decode(errors="replace").strip())
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise FileError(_beyond(path, f"{CPU_SECONDS} s of processor time"))
+    if done.returncode:
+        raise FileError(
+            f"The mesh {path} cannot be used: it ends its reader (status {done.returncode})."
+        )
+    return [np.array(hull, dtype=np.float64) for hull in json.loads(done.stdout)]
+
+
+def _beyond(path: Path, bound: str) -> str:
+    return f"The mesh {path} cannot be read within {bound}; make it smaller."
+
+
+def _hulls(path: Path, content: bytes) -> list[np.ndarray]:
+    """The hulls of the parts of the mesh `content`, whose name is `path`."""
     try:
         # From memory, so that what the file refers to is not followed.
-        kind = path.suffix.removeprefix(".")
-        scene = trimesh.load(io.BytesIO(path.read_bytes()), file_type=kind, skip_materials=True)
+        kind = path.suffix.lower().removeprefix(".")
+        scene = trimesh.load(io.BytesIO(content), file_type=kind, skip_materials=True)
         mesh = scene.to_mesh() if isinstance(scene, trimesh.Scene) else scene
-        assert isinstance(mesh, trimesh.Trimesh)
+        if not isinstance(mesh, trimesh.Trimesh):
+            raise FileError(f"The mesh {path} has no faces.")
+        if max(len(mesh.faces), len(mesh.vertices)) > MOST_FACES:
+            raise FileError(
+                f"The mesh {path} has more than {MOST_FACES} faces or vertices; make it coarser."
+            )
         mesh.merge_vertices()
-        parts = mesh.split(only_watertight=False)
-        hulls = [_coarse(part.convex_hull) for part in parts if len(part.vertices) >= 4]
+        parts = [p for p in mesh.split(only_watertight=False) if len(p.vertices) >= 4]
+        if not parts:
+            raise FileError(f"The mesh {path} has no part with a volume.")
+        if len(parts) > MOST_PARTS:
+            raise FileError(
+                f"The mesh {path} has {len(parts)} parts; {MOST_PARTS} is the most. Join some of them."
+            )
+        return [np.asarray(_coarse(part.convex_hull).vertices) for part in parts]
+    except FileError:
+        raise
+    except MemoryError as error:
+        raise FileError(_beyond(path, f"{MEMORY >> 30} GiB")) from error
     except Exception as error:  # whatever the reader of that format raises
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise FileError(f"The mesh {path} cannot be used: {reason}") from error
-    if not hulls:
-        raise FileError(f"The mesh {path} has no part with a volume.")
-    if len(hulls) > MOST_PARTS:
-        raise FileError(
-            f"The mesh {path} has {len(hulls)} parts; {MOST_PARTS} is the most. Join some of them."
-        )
-    return [np.asarray(hull.vertices, dtype=np.float64) * scale for hull in hulls]
 
 
 def _coarse(hull: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -57,3 +134,16 @@ def _coarse(hull: trimesh.Trimesh) -> trimesh.Trimesh:
     out = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
     chosen = np.unique((hull.vertices @ out).argmax(axis=0))
     return trimesh.convex.convex_hull(hull.vertices[chosen])
+
+
+if __name__ == "__main__":
+    seconds, memory = map(int, sys.argv[2:])
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    try:
+        found = _hulls(Path(sys.argv[1]), sys.stdin.buffer.read())
+    except FileError as error:
+        print(error)
+        sys.exit(_REFUSED)
+    print(json.dumps([hull.tolist() for hull in found]))

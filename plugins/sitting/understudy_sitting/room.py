@@ -90,7 +90,9 @@ def read_scene(path: Path) -> Scene:
         data = json.loads(path.read_text(encoding="utf-8"))
         boxes = tuple(_box(item) for item in data["objects"])
         camera = _camera(data["camera"], path.parent)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (
+        OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError
+    ) as error:  # fmt: skip
         reason = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
         raise FileError(f"{path} is no scene of boxes with a camera: {reason}.") from error
     if not 0 < len(boxes) <= MOST:
@@ -122,26 +124,51 @@ def _camera(item: Mapping[str, Any], folder: Path) -> Camera:
     if not (16 <= width <= 4096 and 16 <= height <= 4096):
         raise ValueError(f"a picture of {width} x {height} pixels is not possible")
     if "rotation" in item:
-        rotation = np.array([_numbers(row, 3) for row in item["rotation"]])
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+        rotation, inside = _matrix(item, "rotation"), _matrix(item, "intrinsics")
+        turned = np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
+        if not turned or np.linalg.det(rotation) < 0:
             raise ValueError("rotation is no rotation")
-        rows = [_numbers(row, 3) for row in item["intrinsics"]]
-        focal, centre = (rows[0][0], rows[1][1]), (rows[0][2], rows[1][2])
+        focal, centre = (inside[0, 0], inside[1, 1]), (inside[0, 2], inside[1, 2])
     else:
-        ahead = np.array(_numbers(item["look_at"], 3)) - position
-        ahead /= np.linalg.norm(ahead)
-        right = np.cross(ahead, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(ahead, right), ahead], axis=1)
+        rotation = _looking(np.array(_numbers(item["look_at"], 3)) - position)
         (fov,) = _numbers([item["fov"]], 1)
+        if not 1e-3 <= fov < 180:  # less is no angle to compute with
+            raise ValueError(f"fov {fov:g} is not between 0 and 180 degrees")
         length = 0.5 * height / math.tan(math.radians(fov) / 2)
         focal, centre = (length, length), (0.5 * width, 0.5 * height)
-    photo = item.get("photo")
-    if photo is not None:
-        photo = (folder / str(photo)).resolve()
-        if not photo.is_relative_to(folder.resolve()) or not photo.is_file():
-            raise ValueError(f"the photo {item['photo']} is not in the scene's folder")
+    if not all(1e-3 <= length <= 1e6 for length in focal):
+        raise ValueError(f"a focal length of {min(focal):g} pixels is not possible")
+    photo = _photo(item["photo"], folder) if item.get("photo") is not None else None
     return Camera(position, rotation, focal, centre, (width, height), photo)
+
+
+def _matrix(item: Mapping[str, Any], name: str) -> np.ndarray:
+    rows = [_numbers(row, 3) for row in item[name]]
+    if len(rows) != 3:
+        raise ValueError(f"{name} has {len(rows)} rows in place of 3")
+    return np.array(rows)
+
+
+def _looking(ahead: np.ndarray) -> np.ndarray:
+    """The rotation of a camera that looks `ahead`, level."""
+    distance = np.linalg.norm(ahead)
+    if distance < 1e-6:
+        raise ValueError("the camera looks at itself: look_at is its position")
+    ahead = ahead / distance
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-6:  # straight up or down: y is the picture's top
+        right = np.cross(ahead, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(ahead, right), ahead], axis=1)
+
+
+def _photo(name: Any, folder: Path) -> Path:
+    """Below `folder` as it is named, so that a copy of the folder's files is found, too."""
+    path, below = folder / str(name), Path(str(name))
+    inside = not below.is_absolute() and ".." not in below.parts
+    if not inside or not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():
+        raise ValueError(f"the photo {name} is not in the scene's folder")
+    return path
 
 
 def around(scene: Scene, number: int) -> tuple[list[Box], Camera]:
@@ -189,7 +216,12 @@ class Room(Surroundings):
 
     def __init__(self, options: RoomOptions, registry: Registry, inputs: Inputs) -> None:
         path = Path(options.file) if options.file else EXAMPLE
-        self.scene = read_scene(inputs.file(f"room.file={options.file}", lambda: [path]))
+
+        def files() -> list[Path]:
+            photo = read_scene(path).camera.photo
+            return [path] if photo is None else [path, photo]
+
+        self.scene = read_scene(inputs.file(f"room.file={options.file}", files))
         if options.chair >= len(self.scene.chairs):
             raise FileError(
                 f"room.chair={options.chair}: the scene has {len(self.scene.chairs)} chairs, from 0."

@@ -15,16 +15,15 @@ from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.running.warm_start import newest_state
-from understudy.setup.building import Built, build_environment, build_policy
+from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_mujoco.drawing import open_renderer
 from understudy_report.video import write_video
 from understudy_sitting.room import EXAMPLE, Camera, Room, chair_sizes, read_scene
-from understudy_sitting.trials import SEATED
+from understudy_sitting.trials import SEATED, learned
 
 #: Frames per second of the video; physics gives 60 states.
 _RATE, _EVERY = 30, 2
@@ -61,7 +60,7 @@ class SitInRoom(Command):
         ]
         placed = replaced(run.info["overrides"], furnished)
         config = compose_raw(replaced(placed, options.overrides))
-        experiment = validate(config, installed().registry)
+        experiment = run.experiment(installed().registry, config)
         built = build_environment(
             experiment, num_worlds=max(1, options.trials), evaluating=True,
             episode_seconds=experiment.root.evaluation.seconds,
@@ -83,8 +82,7 @@ def _act(built: Built, run: Run, experiment: Experiment) -> tuple[np.ndarray, to
     """The motion (T, nq), a state each control period, of the trial that sat longest, and how long each
     sat, (N,) s."""
     environment = built.environment
-    policy = build_policy(run.experiment(installed().registry), built.context)
-    policy.load_state_dict(newest_state(str(run.path))["policy"])
+    policy, _ = learned(experiment, built.context, run)
     environment.reset(experiment.root.seed, "room")
     seated = torch.zeros(environment.num_worlds, device=environment.device)
     running = torch.ones_like(seated, dtype=torch.bool)

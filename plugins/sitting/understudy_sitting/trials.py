@@ -20,17 +20,17 @@ import torch
 from torch import Tensor
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.evaluation import wilson_interval
-from understudy.running.warm_start import newest_state
+from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import build_environment, build_policy
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
-from understudy.task import Policy
+from understudy.task import Context, Policy
 from understudy_report.section import ReportSection
 
 #: s of uninterrupted sitting, or contact.
@@ -55,13 +55,12 @@ class Trials(Command):
         config: Mapping[str, Any] = run.config
         if options.overrides:
             config = compose_raw(replaced(run.info["overrides"], options.overrides))
-        experiment = validate(config, installed().registry)
-        found = judge(experiment, run, options.trials)
-        root = experiment.root
+        experiment = run.experiment(installed().registry, config)
+        found, samples = judge(experiment, run, options.trials)
         judged = {
             "overrides": options.overrides,
-            "seed": root.seed,
-            "samples": newest_state(str(run.path))["progress"]["samples"],
+            "seed": experiment.root.seed,
+            "samples": samples,
         }
         found = {"judged": judged, **found}
         run.write_json(FILE, found)
@@ -69,9 +68,32 @@ class Trials(Command):
         return 0
 
 
+def learned(experiment: Experiment, context: Context, run: Run) -> tuple[Policy, int]:
+    """The newest policy of `run`, as `experiment` builds it, and from how many samples it learned.
+
+    Raises
+    ------
+    RunError
+        if the run has none, or it has another shape here.
+    """
+    state = newest_state(str(run.path))
+    policy = build_policy(experiment, context)
+    own = dict(policy.state_dict())
+    misfits = [*misshapen(own, state.get("policy"), "policy")]
+    misfits = misfits or [f"'policy/{name}' is only there" for name in state["policy"].keys() - own]
+    if misfits:
+        raise RunError(
+            f"The checkpoint of {run.path} does not fit this configuration: {min(misfits)}. Use the "
+            "policy and the skills that it was trained with."
+        )
+    policy.load_state_dict(state["policy"])
+    return policy, int(state["progress"]["samples"])
+
+
 @torch.no_grad()
-def judge(experiment: Experiment, run: Run, trials: int) -> dict[str, Any]:
-    """The figures of `trials` trials by the newest policy of `run`, acting by its mode."""
+def judge(experiment: Experiment, run: Run, trials: int) -> tuple[dict[str, Any], int]:
+    """The figures of `trials` trials by the newest policy of `run`, acting by its mode, and from how
+    many samples that learned."""
     built = build_environment(
         experiment, num_worlds=trials, episode_seconds=experiment.root.evaluation.seconds, evaluating=True
     )  # fmt: skip
@@ -84,9 +106,8 @@ def judge(experiment: Experiment, run: Run, trials: int) -> dict[str, Any]:
                 f"{run.path} is no controller that sits down: it has no {missing[0]}."
             )
         context = replace(built.context, num_worlds=trials)
-        policy = build_policy(experiment, context)
-        policy.load_state_dict(newest_state(str(run.path))["policy"])
-        return _figures(*_carry_out(environment, policy, experiment))
+        policy, samples = learned(experiment, context, run)
+        return _figures(*_carry_out(environment, policy, experiment)), samples
     finally:
         environment.close()
 

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from understudy.errors import RunError, UnderstudyError
+from understudy.errors import FileError, RunError, UnderstudyError
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.building import build_sections
 from understudy.task import Context, Scene
+from understudy_report.motion import Numbers
 from understudy_report.video import write_video
 
 #: Of a tile, in pixels, by the number of columns: drawn without a GPU, a pixel costs time.
@@ -99,17 +100,12 @@ class _Take:
 
     @classmethod
     def load(cls, tile: Tile) -> _Take:
+        if not tile.recording.exists():
+            raise RunError(f"nothing was recorded of {tile.name}")
         try:
-            with np.load(tile.recording, allow_pickle=False) as arrays:
-                tracks = {k: arrays[k] for k in arrays.files}
-            dt = float(tracks.pop("control_dt"))
-            tracks.pop("first_episode")
-        except FileNotFoundError:
-            raise RunError(f"nothing was recorded of {tile.name}") from None
-        except (OSError, ValueError, KeyError) as error:
-            raise RunError(f"the recording of {tile.name} is damaged") from error
-        if not tracks or dt <= 0 or not all(map(len, tracks.values())):
-            raise RunError(f"the recording of {tile.name} is empty")
+            tracks, dt, _ = recorded_tracks(tile.recording)
+        except FileError as error:
+            raise RunError(f"the recording of {tile.name} is damaged or empty") from error
         return cls(scene_of(tile.run), tracks, dt)
 
     @property
@@ -129,6 +125,26 @@ class _Take:
             left -= 1
         for _ in range(left):
             yield frame
+
+
+def recorded_tracks(file: Path) -> tuple[dict[str, np.ndarray], float, int]:
+    """Of a recording: the fields, each (T, …); s between frames; and how many frames, one at least, the
+    first episode has.
+
+    Raises
+    ------
+    FileError
+        if it is missing, damaged, empty, or larger than a clip may be.
+    """
+    archive = Numbers(file)
+    dt, first = archive.number("control_dt"), archive.number("first_episode")
+    names = sorted(archive.names - {"control_dt", "first_episode"})
+    tracks = {name: archive.array(name) for name in names}
+    lengths = {track.shape[:1] for track in tracks.values()}
+    if dt <= 0 or len(lengths) != 1 or lengths <= {(), (0,)}:
+        raise FileError(f"{file}: its fields are not of one number of frames, 1 or more.")
+    frames = len(next(iter(tracks.values())))
+    return tracks, dt, int(np.clip(first, 1, frames))
 
 
 def scene_of(folder: Path) -> Scene:

@@ -15,15 +15,17 @@ from scipy.spatial.transform import Rotation
 
 import understudy_amorphous
 from understudy.command import cli
-from understudy.errors import UnderstudyError
+from understudy.errors import FileError, UnderstudyError
 from understudy.records import runs
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_amorphous.character import GRIPS, TABLE, TOOL, Figure, Grip, figure, placed
 from understudy_amorphous.character_command import TOLERANCE, limits_met, top_speed
 from understudy_amorphous.character_drawing import draw
+from understudy_amorphous.report import MapsSection
 from understudy_amorphous.scene import TOOLS, AmorphousScene
 from understudy_characters.character import load_character
+from understudy_motion.readers import npz
 from understudy_motion.reading import read_clip
 
 pytest.importorskip("mink", reason="mink is not installed (pip install 'understudy[ik]')")
@@ -392,6 +394,8 @@ def test_turning_in_the_hand_is_an_option(
         (["--hand", "root"], "no joint between"),
         (["--character", "amorphous/cok"], "Did you mean 'amorphous/cook'"),
         (["--relax", "-1"], "relax"),
+        (["--facing", "nan"], "nan is not a finite number"),
+        (["--table", "0", "inf", "0"], "inf is not a finite number"),
         (["cook.fbx", "--no-video"], "no format is written to '.fbx'"),
     ],
 )
@@ -426,6 +430,49 @@ def test_damaged_recordings(
     assert status == 2
     assert reason in error
     assert not (run / "character.npz").exists()
+
+
+def test_without_material_there_is_no_video_and_nothing_is_written(
+    recorded: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = recorded(circle(1.0, 0.1, seconds=0.5))
+    with np.load(run / "recording.npz") as arrays:
+        left = {name: arrays[name] for name in arrays.files if name != "particle_position"}
+    np.savez(run / "recording.npz", **left)
+    status, _, error = command(capsys, run)
+    assert status == 2
+    assert "no material to draw (particle_position); leave the video out" in error
+    assert not (run / "character.npz").exists()
+    assert command(capsys, run, "--no-video")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({}, ""),
+        ({"first_episode": 1e300}, ""),
+        ({"particle_position": np.zeros((3, 16, 3))}, "'particle_position': its shape is"),
+        ({"goal": np.full((16, 2), np.nan)}, "'goal' is not finite"),
+        ({"tool_position": np.zeros((10**5, 3))}, "the arrays are larger than"),
+    ],
+    ids=["sound", "episode", "frames", "nan", "large"],
+)
+def test_maps_of_a_recording(
+    recorded: Callable[..., Path],
+    changed: dict[str, Any],
+    reason: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(npz, "MAX_ARRAY_BYTES", 10**6)
+    run = runs.open_run(recorded(circle(1.0, 0.1, seconds=0.5), **changed))
+    run.config["encoder"] = {"maps": {"name": "amorphous/maps"}}
+    if reason:
+        with pytest.raises(FileError, match=reason):
+            MapsSection().html(run)
+    else:
+        html = MapsSection().html(run)
+        assert html is not None
+        assert "Density" in html
 
 
 def test_a_run_without_a_recording(

@@ -81,6 +81,8 @@ def test_a_run_without_a_recording_says_how_to_make_one(tmp_path: Path) -> None:
         ({"qpos": np.array([{}])}, "qpos.*holds object"),
         ({"control_dt": 0.0}, "time does not increase"),
         ({"reference_qpos": np.zeros((5, NQ), np.float32)}, "a rotation is not finite"),
+        ({"reference_qpos": track(3)}, "of 'reference_qpos' 3 frames were recorded, of 'qpos' 5"),
+        ({"phase": np.zeros(3)}, "of 'phase' 3 frames were recorded, of 'qpos' 5"),
     ],
 )
 def test_a_damaged_recording_is_named(tmp_path: Path, changed: Any, reason: str) -> None:

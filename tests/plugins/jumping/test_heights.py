@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from worlds import SMALL
@@ -58,9 +61,19 @@ def test_the_highest_bar_is_the_first_at_which_enough_succeed(
     assert "--from" not in said
 
 
-def test_bars_above_the_target(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The arena of a run up to 2 m is made greater; all attempts of so short a training fail."""
-    words = ["--from", "2.3", "--step", "2", "--success", "0"]
+def test_bars_above_the_target(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The arena of a run up to 2 m is made greater; all attempts of so short a training fail, and count
+    as successes here."""
+    judged = heights._judged
+
+    def generous(path: str, wanted: float, words: list[str]) -> tuple:
+        found, samples = judged(path, 0.0, words)
+        return replace(found, success_rate=1.0), samples
+
+    monkeypatch.setattr(heights, "_judged", generous)
+    words = ["--from", "2.3", "--step", "2"]
     assert main(["jumping", "heights", str(run), *words]) == 0
     said = capsys.readouterr().out
     assert said.startswith("2.30 m high: ")
@@ -68,6 +81,67 @@ def test_bars_above_the_target(run: Path, capsys: pytest.CaptureFixture[str]) ->
     found = json.loads((run / heights.FILE).read_text())["highest"]
     assert found["height"] == 2.3
     assert found["evaluation"]["measures"]["obstacle_height"]["mean"] == pytest.approx(2.3)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--step 0", "--step -0.1", "--step nan", "--step 1e-300", "--from inf", "--from nan",
+        "--from 1e300", "--success 2", "--success 0", "--success nan",
+    ],
+)  # fmt: skip
+def test_impossible_numbers_are_refused(
+    run: Path, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(heights, "_judged", lambda *_: pytest.fail("it was judged"))
+    assert main(["jumping", "heights", str(run), *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert "not above 0" in said or "tries more than 1000 obstacles" in said
+
+
+def at_difficulty(monkeypatch: pytest.MonkeyPatch, curriculum: Any) -> None:
+    state = {"environment": {"curriculum": curriculum}}
+    monkeypatch.setattr(heights, "newest_state", lambda _: state)
+
+
+@pytest.mark.parametrize("difficulty", [0.5, [0.5], [0.2, 0.5]])
+def test_curricula_of_one_difficulty_and_of_several(
+    run: Path, difficulty: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_difficulty(monkeypatch, {"difficulty": difficulty})
+    assert heights._trained(str(run))[0] == pytest.approx(1.25)
+
+
+@pytest.mark.parametrize(
+    "curriculum", [None, {}, *({"difficulty": d} for d in (None, [], "high", [None], [2.0]))]
+)
+def test_a_run_without_a_rising_bar_is_refused(
+    run: Path, curriculum: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at_difficulty(monkeypatch, curriculum)
+    assert main(["jumping", "heights", str(run)]) == 2
+    assert "is no run of a jump whose bar rises" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arena", "sentence"),
+    [
+        (None, "is no run of a jump whose bar rises"),
+        ({"heigth": [0.5, 2.0]}, "Did you mean"),
+        ({"height": [2.0, 0.5]}, "the first is the lower one"),
+        ({"height": None}, "arena.height"),
+        ([], "arena=[] is not possible"),
+    ],
+)
+def test_arenas_of_strangers_are_data(
+    run: Path, tmp_path: Path, arena: Any, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    info = json.loads((run / "run.json").read_text())
+    info["config"]["arena"] = arena
+    (tmp_path / "run" / "run.json").write_text(json.dumps(info))
+    assert main(["jumping", "heights", str(tmp_path / "run")]) == 2
+    assert sentence in capsys.readouterr().err
 
 
 def test_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy_basics import rotations
-from understudy_jumping.join import joined
+from understudy_jumping.join import _frames, joined
 from understudy_motion.clip import Clip
 
 
@@ -91,3 +92,10 @@ def test_a_run_up_is_moved_to_its_jump() -> None:
 def test_motions_of_two_figures_are_not_joined() -> None:
     with pytest.raises(FileError, match="same character"):
         joined(clip("run_up", 0), replace(clip("jump", 1), joint_names=("root", "elbow")))
+
+
+def test_a_video_has_frames_of_minutes_at_most(tmp_path: Path) -> None:
+    """However much time a recording says is between its frames."""
+    slow = clip("jump", 1)
+    with pytest.raises(FileError, match=r"too many frames .* write a clip"):
+        _frames(replace(slow, times=1e5 * slow.times), tmp_path)

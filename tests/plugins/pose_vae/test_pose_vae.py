@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,16 +13,17 @@ import torch
 from worlds import assert_same_state
 
 from understudy.command.cli import main
-from understudy.errors import UnderstudyError
+from understudy.errors import FileError, RunError, UnderstudyError
 from understudy.records.runs import Run
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment, replaced
 from understudy.testing import check_environment
 from understudy_basics import rotations
+from understudy_motion.readers import npz
 from understudy_pose_vae.job import LearnPoses, PoseVAE, explained, needed
 from understudy_pose_vae.report import PosesSection
-from understudy_pose_vae.terms import naturalness
+from understudy_pose_vae.terms import learned_poses, naturalness
 
 SMALL = (
     "experiment=pose_vae/generated",
@@ -256,6 +258,52 @@ def test_a_known_pose_is_at_no_distance(run: Path) -> None:
     assert measure(rotations.normalize(poses)).max() < 0.1
     turn = rotations.from_axis_angle(torch.tensor([1.0, 0.0, 0.0]), torch.tensor(3.0))
     assert measure(rotations.multiply(turn, poses)).min() > 5
+
+
+@pytest.mark.parametrize(
+    "poses",
+    [
+        np.full((3, 14, 4), np.nan, np.float16), np.zeros((3, 14, 4), np.float16),
+        np.full((3, 14, 4), 3e38, np.float32), np.zeros((0, 14, 4), np.float16),
+        np.ones((3, 14, 3), np.float16), np.ones(4), np.ones((3, 14, 4), np.int64),
+        np.array([{}]), b"", b"PK", None,
+    ],
+    ids=[
+        "nan", "zero", "large", "none", "shape", "dimensions", "integers", "objects", "empty",
+        "archive", "header",
+    ],
+)  # fmt: skip
+def test_poses_of_strangers_are_data(tmp_path: Path, poses: Any) -> None:
+    file = tmp_path / "poses.npy"
+    if isinstance(poses, bytes):
+        file.write_bytes(poses)
+    elif poses is None:
+        with open(file, "wb") as stream:
+            header = {"descr": "<f4", "fortran_order": False, "shape": (10**11, 14, 4)}
+            np.lib.format.write_array_header_1_0(stream, header)
+            stream.write(bytes(1000))
+    else:
+        np.save(file, poses)
+    with pytest.raises(RunError, match=r"poses\.npy is damaged: .* train the auto-encoder again"):
+        learned_poses(file, 14)
+
+
+def test_damaged_and_missing_poses_are_one_sentence(run: Path, tmp_path: Path) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    words = f"+measure.unusual={{name: pose_vae/distance, run: '{tmp_path / 'run'}'}}"
+    file = tmp_path / "run" / "poses.npy"
+    np.save(file, np.load(file)[:, :3])
+    with pytest.raises(RunError, match=r"poses\.npy is damaged: it should hold poses of"):
+        in_task(run, words)
+    file.unlink()
+    with pytest.raises(RunError, match="has no poses to compare with; finish it first"):
+        in_task(run, words)
+
+
+def test_pictures_no_larger_than_a_clip(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(npz, "MAX_ARRAY_BYTES", 1000)
+    with pytest.raises(FileError, match="the arrays are larger than"):
+        PosesSection().html(Run(run, {}))
 
 
 def test_a_stronger_figure_of_the_same_joints_takes_it(run: Path) -> None:

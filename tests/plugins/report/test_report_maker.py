@@ -13,10 +13,11 @@ import pytest
 from report_runs import Page, make_run
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from understudy.errors import RunError
+from understudy.errors import FileError, RunError
 from understudy.records.recording import Recording
 from understudy.records.runs import Run
 from understudy.task import Scene
+from understudy_motion.readers import npz
 from understudy_report import understudy_run_observers
 from understudy_report.maker import HEIGHT, WIDTH, ReportMaker
 from understudy_report.motion import FIGURES, VIDEO, Figures
@@ -116,6 +117,20 @@ def test_a_scene_that_breaks_costs_its_picture_only(tmp_path: Path) -> None:
     assert messages[0] == "No stick figures: KeyError: 'qpos'"
     assert "video" in page.tags
     assert "Provenance" in page.headings
+
+
+def test_figures_of_any_numbers_but_no_larger_than_a_clip(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A simulation that blew up is drawn as far as it can be."""
+    learned = np.full((3, 2, 2, 3), np.nan)
+    Figures(learned, learned, 0.1).save(tmp_path / FIGURES)
+    figures = Figures.load(tmp_path / FIGURES)
+    assert figures is not None
+    np.testing.assert_array_equal(figures.reference, learned)
+    monkeypatch.setattr(npz, "MAX_ARRAY_BYTES", 200)
+    with pytest.raises(FileError, match="the arrays are larger than"):
+        Figures.load(tmp_path / FIGURES)
 
 
 def test_nothing_recorded(tmp_path: Path) -> None:

@@ -6,11 +6,14 @@ One skill of a few samples stands for all: what it can do is no matter here.
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from understudy.command.cli import main
+from understudy.records import checkpoint, runs
 from understudy_sitting.trials import FILE
 
 TINY = (
@@ -54,3 +57,78 @@ def test_a_room_is_filmed(controller: Path, tmp_path: Path) -> None:
     words = ("--trials", "2", "evaluation.seconds=1")
     assert main(["sitting", "room", str(controller), str(film), *words]) == 0
     assert film.stat().st_size > 1000
+
+
+TRIALS, ROOM = ("trials", "--trials", "2"), ("room", "room.mp4", "--trials", "2")
+UNDRAWN = "understudy_sitting.room_command.write_video"
+meta = pytest.mark.parametrize("controller", ["sitting/meta"], indirect=True)
+
+
+def carry_out(command: tuple[str, ...], run: Path, *words: str) -> int:
+    """Carry out `command` for `run`, in the test's own folder."""
+    name, *options = command
+    return main(["sitting", name, str(run), *options, "evaluation.seconds=1", *words])
+
+
+@meta
+@pytest.mark.parametrize(
+    ("command", "change"),
+    [
+        (TRIALS, "actuation.runs=['{0}','{0}']"),
+        (TRIALS, "policy.hidden=[7]"),
+        (TRIALS, "policy.hidden=[]"),
+        (ROOM, "actuation.runs=['{0}','{0}']"),
+    ],
+)
+def test_a_configuration_that_the_policy_does_not_fit_is_refused(
+    controller: Path, skill: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...], change: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert carry_out(command, controller, change.format(skill)) == 2
+    assert "does not fit this configuration: 'policy/" in capsys.readouterr().err
+
+
+@meta
+@pytest.mark.parametrize("command", [TRIALS, ROOM])
+def test_a_checkpoint_without_a_policy_is_refused(
+    controller: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    run = shutil.copytree(controller, tmp_path / "run")
+    for path in checkpoint.newest(run / "checkpoints"):
+        state, about = checkpoint.load(path)
+        del state["policy"]
+        checkpoint.save(path, state, about)
+    assert carry_out(command, run) == 2
+    assert "'policy' is a dict here and nothing there" in capsys.readouterr().err
+
+
+@meta
+def test_a_run_is_judged_with_the_files_that_it_carries(
+    controller: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The chair's mesh is gone from where it was."""
+    monkeypatch.setattr(UNDRAWN, lambda *frames: None)
+    mesh, run = tmp_path / "chair.ply", tmp_path / "run"
+    trimesh.creation.box((0.4, 0.4, 0.45)).export(mesh)
+    overrides = runs.open_run(controller).info["overrides"]
+    words = [word for word in overrides if not word.startswith("run.dir")]
+    assert main(["train", *words, f"chair.mesh='{mesh}'", f"run.dir={run}"]) == 0
+    mesh.unlink()
+    assert carry_out(TRIALS, run) == 0
+    assert carry_out(ROOM, run) == 0
+
+
+@meta
+def test_a_room_is_filmed_with_another_simulator(
+    controller: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the one that the run was trained with is missing."""
+    monkeypatch.setattr(UNDRAWN, lambda *frames: None)
+    run = shutil.copytree(controller, tmp_path / "run")
+    info = json.loads((run / "run.json").read_text())
+    info["config"]["simulator"] = {"name": "elsewhere"}
+    (run / "run.json").write_text(json.dumps(info))
+    assert carry_out(ROOM, run, "simulator=mujoco") == 0

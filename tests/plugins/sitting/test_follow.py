@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy_sitting.follow import LEFT, RIGHT, WALK, Follower
+from understudy.records.runs import open_run
+from understudy_sitting.follow import LEFT, RIGHT, WALK, Follow, Follower
 
 HOST = "127.0.0.1"
 TINY = (
@@ -60,9 +62,35 @@ def test_turns_act_where_the_target_is_behind(skill: str) -> None:
     assert seen == [WALK, LEFT, LEFT, WALK, WALK, RIGHT, WALK, LEFT, LEFT, WALK]
 
 
-def test_two_runs_are_refused(tmp_path: Path) -> None:
+def test_two_runs_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ConfigError, match="walk, turn_left and turn_right"):
         Follower(["a", "b"])
+    assert main(["sitting", "follow", "sitting/walk", "sitting/walk"]) == 2
+    assert "Give the run of walk, or those of" in capsys.readouterr().err
+
+
+def test_skills_of_the_same_name_are_kept_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[str] = []
+
+    def film(self: Follow, runs: Sequence[str], options: argparse.Namespace) -> int:
+        found.extend(str(open_run(run).path) for run in runs)
+        return 0
+
+    monkeypatch.setattr(Follow, "_film", film)
+    video = str(tmp_path / "x.mp4")
+    assert main(["sitting", "follow", *["sitting/walk"] * 3, "--video", video]) == 0
+    assert len(set(found)) == 3
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
+def test_a_video_lasts_for_a_while(
+    tmp_path: Path, seconds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["sitting", "follow", "--video", str(tmp_path / "x.mp4"), f"--seconds={seconds}"]
+    assert main(words) == 2
+    assert f"{seconds} is not above 0" in capsys.readouterr().err
 
 
 def test_a_click_in_the_browser_sends_it(skill: str) -> None:

@@ -88,6 +88,19 @@ def test_the_second_stage_begins_where_others_ended(states: Path) -> None:
     assert math.radians(60) >= float(rotations.heading(table["chair_rotation"]).abs().max()) > 0.05
 
 
+def test_a_run_keeps_the_bank_that_it_began_with(states: Path, tmp_path: Path) -> None:
+    own = tmp_path / "bank"
+    bank.save(own, bank.load(states), {})
+    words = ["experiment=sitting/sit_tuned", "num_worlds=2", "start.run=x"]
+    experiment = load_experiment([*words, f"initial_states.banks=['{own}']"])
+    build_environment(experiment)
+    kept = experiment.inputs.copy(tmp_path / "inputs")
+    assert len(kept[f"bank {own}"]) == 2
+    for path in bank.files(own):
+        path.unlink()
+    build_environment(experiment)
+
+
 def test_the_second_stage_may_begin_slower(states: Path) -> None:
     """Whole velocities are scaled, uniformly; they were 1 m/s."""
     given = [f"initial_states.banks=['{states}']", "initial_states.share=1.0", "start.run=x"]

@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 from sitting_tasks import build
 
 from understudy.errors import FileError, UnderstudyError
-from understudy_sitting.room import EXAMPLE, Box, Camera, Room, around, chair_sizes, read_scene
+from understudy.inputs import Inputs
+from understudy.setup.plugins import installed
+from understudy_sitting.room import (
+    EXAMPLE,
+    Box,
+    Camera,
+    Room,
+    RoomOptions,
+    around,
+    chair_sizes,
+    read_scene,
+)
 from understudy_sitting.room_command import add_camera, draw
 
 CHAIR = {
@@ -21,6 +34,13 @@ CHAIR = {
     "centre": [2.0, 1.0, 0.5],
     "size": [0.5, 0.6, 1.0],
     "heading": math.pi / 2,
+}
+#: Cameras: one that looks along x, and one as a detector reports it.
+AHEAD = {"position": [0, 0, 1], "look_at": [1, 0, 1], "fov": 50}
+DETECTED = {
+    "position": [0, 0, 1],
+    "rotation": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "intrinsics": [[50, 0, 32], [0, 55, 24], [0, 0, 1]],
 }
 TABLE = {"label": "table", "centre": [2.0, 2.5, 0.4], "size": [1.0, 0.5, 0.8], "heading": 0.0}
 
@@ -91,14 +111,56 @@ def test_a_chairs_box_says_how_large_it_is() -> None:
         ({"objects": [{**CHAIR, "size": [1, 1]}]}, "is not 3 numbers"),
         ({"objects": [{**CHAIR, "size": [1, 1, -1]}]}, "is not positive"),
         ({"objects": [{**CHAIR, "centre": [0, 0, math.nan]}]}, "is not 3 numbers"),
+        ({"objects": [{**CHAIR, "centre": [10**400, 0, 0]}]}, "too large"),
         ({"camera": {"look_at": [0, 0, 0]}}, "position is missing"),
-        ({"camera": {"position": [0, 0, 1], "look_at": [1, 0, 1], "fov": 50, "photo": "../x.png"}},
-         "not in the scene's folder"),
+        ({"camera": {**AHEAD, "photo": "../x.png"}}, "not in the scene's folder"),
+        ({"camera": {**AHEAD, "look_at": AHEAD["position"]}}, "looks at itself"),
+        *(({"camera": {**AHEAD, "fov": fov}}, "is not between 0 and 180 degrees")
+          for fov in (0, 180, -50, 360, 1e-320)),
+        ({"camera": {**DETECTED, "intrinsics": [[50, 0, 32]]}}, "intrinsics has 1 rows in place of 3"),
+        ({"camera": {**DETECTED, "intrinsics": [[0, 0, 32], [0, 55, 24], [0, 0, 1]]}},
+         "a focal length of 0 pixels"),
+        ({"camera": {**DETECTED, "rotation": [[1, 0, 0]]}}, "rotation has 1 rows"),
+        ({"camera": {**DETECTED, "rotation": [[1, 0, 0], [0, 0, 1], [0, 1, 0]]}},
+         "rotation is no rotation"),
     ],
 )  # fmt: skip
 def test_what_is_no_scene_is_refused(tmp_path: Path, changes: dict[str, Any], why: str) -> None:
     with pytest.raises(FileError, match=why):
         read_scene(scene(tmp_path, **changes))
+
+
+def test_a_scene_without_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "room.json"
+    path.write_text("[" * 100_000)
+    with pytest.raises(FileError, match="is no scene of boxes with a camera"):
+        read_scene(path)
+
+
+@pytest.mark.parametrize("above", [3.0, -3.0])
+def test_a_camera_may_look_straight_down_or_up(tmp_path: Path, above: float) -> None:
+    camera = {"position": [0, 0, above], "look_at": [0, 0, 0], "fov": 60}
+    rotation = read_scene(scene(tmp_path, camera=camera)).camera.rotation
+    assert rotation[:, 2] == pytest.approx([0, 0, -math.copysign(1, above)])
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+def test_a_run_keeps_the_photo_of_its_room(tmp_path: Path) -> None:
+    """Also where the scene's folder is reached through a link."""
+    real, linked, kept = (tmp_path / name for name in ("real", "linked", "kept"))
+    (real / "photos").mkdir(parents=True)
+    Image.new("RGB", (64, 48), (10, 20, 30)).save(real / "photos" / "p.png")
+    linked.symlink_to(real)
+    options = RoomOptions(file=str(scene(linked, camera={**AHEAD, "photo": "photos/p.png"})))
+    inputs, registry = Inputs(), installed().registry
+    Room(options, registry, inputs)
+    inputs.copy(kept)
+    shutil.rmtree(real)
+    photo = Room(options, registry, inputs).camera.photo
+    assert photo is not None
+    assert photo.is_relative_to(kept)
+    assert Image.open(photo).getpixel((0, 0)) == (10, 20, 30)
 
 
 def test_the_example_room_is_in_the_way() -> None:

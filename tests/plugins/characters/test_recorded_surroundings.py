@@ -1,0 +1,102 @@
+"""What stands around a character, from recordings that fit it and from others."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import recorded_runs
+from recorded_runs import record
+
+from understudy.errors import FileError
+from understudy.records import runs
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import Registrar
+from understudy.testing import fake
+from understudy_characters import recording, scene
+from understudy_characters.recording import recorded_surroundings
+from understudy_characters.surroundings import Surroundings
+
+
+@dataclass(frozen=True)
+class StoolOptions:
+    radius: float = 0.2  #: m
+
+
+class Stool(Surroundings):
+    recorded = ("stool_position", "stool_height")
+
+    def __init__(self, options: StoolOptions, *_: object) -> None:
+        self.options = options
+
+    def add(self, spec: mujoco.MjSpec) -> None:
+        body = spec.worldbody.add_body(name="stool", mocap=True)
+        size = [self.options.radius, 0.2, 0.0]
+        body.add_geom(name="stool", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size)
+
+    def place(
+        self, model: mujoco.MjModel, data: mujoco.MjData, recorded: Mapping[str, np.ndarray]
+    ) -> None:
+        data.mocap_pos[0] = recorded["stool_position"]
+        model.geom("stool").size[1] = 0.5 * float(recorded["stool_height"])
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    register.section("stool", StoolOptions, Stool)
+
+
+@pytest.fixture
+def plugins(monkeypatch: pytest.MonkeyPatch) -> Plugins:
+    extra = [("fake", fake), ("croucher", recorded_runs), ("stool", sys.modules[__name__])]
+    found = load(extra=extra)
+    for module in (recording, scene):
+        monkeypatch.setattr(module, "installed", lambda: found)
+    return found
+
+
+@pytest.fixture
+def run(plugins: Plugins, tmp_path: Path) -> Path:
+    folder = tmp_path / "run"
+    overrides = [
+        "+scene={name: character, character: croucher}", "+stool={radius: 0.3}",
+        *fake.FAKE_TASK[1:], f"run.dir={folder}",
+    ]  # fmt: skip
+    runs.create(load_experiment(overrides, plugins), overrides, {}).unlock()
+    return folder
+
+
+SOUND = {"stool_position": np.tile([1.0, 2.0, 0.2], (5, 1)), "stool_height": np.full(5, 0.4)}
+
+
+def test_it_stands_where_it_was_recorded(run: Path) -> None:
+    record(run, **SOUND)
+    (stool,) = recorded_surroundings(run)
+    np.testing.assert_allclose(stool.clip.root_position, SOUND["stool_position"][:4])
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"stool_position": np.zeros((3, 3))}, "of 'stool_position' 3 frames .* of 'qpos' 5"),
+        ({"stool_height": np.zeros(9)}, "of 'stool_height' 9 frames .* of 'qpos' 5"),
+        ({"stool_position": np.zeros((5, 5))}, r"\(ValueError: .*\); make another"),
+        ({"stool_height": np.zeros((5, 5))}, r"\(TypeError: .*\); make another"),
+        ({"stool_height": None}, r"\(KeyError: 'stool_height'\); make another"),
+        ({"stool_height": np.full(5, np.nan)}, "not finite"),
+    ],
+)
+def test_a_recording_that_does_not_fit_is_one_sentence(
+    run: Path, changed: dict[str, Any], reason: str
+) -> None:
+    record(run, **{**SOUND, **changed})
+    with pytest.raises(FileError, match=reason) as error:
+        recorded_surroundings(run)
+    assert "\n" not in str(error.value)
