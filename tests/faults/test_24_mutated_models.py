@@ -18,7 +18,7 @@ import pytest
 from worlds import python
 
 from understudy.errors import FileError
-from understudy_mujoco import trial
+from understudy_mujoco import apart, trial
 from understudy_mujoco.scene import MjcfFile
 
 #: Attributes and elements of every kind that models of characters have.
@@ -154,9 +154,7 @@ def load(folder: Path, text: str) -> MjcfFile:
 def test_what_computes_or_allocates_without_end(
     content: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trial, "CPU_SECONDS", 2)
-    monkeypatch.setattr(trial, "WALL_SECONDS", 60)
-    monkeypatch.setattr(trial, "MEMORY", 2**30)
+    monkeypatch.setattr(trial, "BOUNDS", apart.Bounds(cpu=2, wall=60, memory=2**30))
     with pytest.raises(FileError, match=rf"model\.xml does not (load|compile).*{reason}"):
         load(tmp_path, f"<mujoco>{content}</mujoco>")
 
@@ -165,8 +163,8 @@ def test_what_ends_or_stops_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     for command, reason in (("kill -SEGV $$", r"status -11"), ("exec sleep 60", "within 1 s")):
         (tmp_path / "python").write_text(f"#!/bin/sh\n{command}\n")
         (tmp_path / "python").chmod(0o700)
-        monkeypatch.setattr(trial.sys, "executable", str(tmp_path / "python"))
-        monkeypatch.setattr(trial, "WALL_SECONDS", 1)
+        monkeypatch.setattr(apart.sys, "executable", str(tmp_path / "python"))
+        monkeypatch.setattr(trial, "BOUNDS", apart.Bounds(wall=1))
         with pytest.raises(FileError, match=reason):
             load(tmp_path, f"<mujoco model='{command}'>{SLIDER}</mujoco>")
 
@@ -184,13 +182,13 @@ def test_a_model_is_tried_once_and_again_when_it_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trial, "_passed", set())
-    tried, run = [], trial.subprocess.run
+    tried, run = [], apart.subprocess.run
 
     def counted(*arguments: Any, **options: Any) -> Any:
         tried.append(arguments)
         return run(*arguments, **options)
 
-    monkeypatch.setattr(trial.subprocess, "run", counted)
+    monkeypatch.setattr(apart.subprocess, "run", counted)
     for _ in range(2):
         load(tmp_path, MODEL)
     assert len(tried) == 1

@@ -40,8 +40,9 @@ F06, F08 = "tests/faults/test_06_replay.py", "tests/faults/test_08_disk_full.py"
 NN, WARP = "plugins/basics/understudy_basics/nn.py", "tests/integration/test_mujoco_warp.py"
 F24 = "tests/faults/test_24_mutated_models.py"
 INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluation.py"
-TRIAL, MODELS = (
+TRIAL, APART, MODELS = (
     "plugins/mujoco/understudy_mujoco/trial.py",
+    "plugins/mujoco/understudy_mujoco/apart.py",
     "plugins/mujoco/understudy_mujoco/scene.py",
 )
 JOURNAL, SWEEP, POOL, PROCESSES = (f"plugins/sweeps/understudy_sweeps/{n}.py" for n in ("journal", "sweep", "pool", "processes"))  # fmt: skip
@@ -224,17 +225,17 @@ MUTANTS = (
            F13),
     # Models that compute without end.
     Mutant("a model is not tried first", MODELS, "        try_out(self._path, self._mjcf)\n", "", f"{F24} -k leaves"),
-    Mutant("a model may compute for ever", TRIAL, "    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))\n", "",
+    Mutant("a model may compute for ever", APART, "    resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 5))\n", "",
            f"{F24} -k without_end"),
-    Mutant("a model may take all memory", TRIAL, "    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))\n", "",
+    Mutant("a model may take all memory", APART, "    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))\n", "",
            f"{F24} -k without_end"),
-    Mutant("a model may hang", TRIAL, "start_new_session=True, timeout=WALL_SECONDS", "start_new_session=True",
+    Mutant("a model may hang", APART, "            timeout=bounds.wall, env=alone,\n", "            env=alone,\n",
            f"{F24} -k ends_or_stops"),
-    Mutant("a model that crashes MuJoCo passes", TRIAL, "    if done.returncode:\n", "    if done.returncode == _REFUSED:\n",
+    Mutant("a model that crashes MuJoCo passes", APART, "    if done.returncode:\n", "    if done.returncode == _REFUSED:\n",
            f"{F24} -k ends_or_stops"),
     Mutant("a changed model is not tried again", TRIAL, "digest = hashlib.sha256(model.text.encode())", "digest = hashlib.sha256()",
            f"{F24} -k tried_once"),
-    Mutant("the working folder is imported", TRIAL, 'sys.executable, "-P", "-m",', 'sys.executable, "-m",',
+    Mutant("the working folder is imported", APART, 'sys.executable, "-P", "-m",', 'sys.executable, "-m",',
            f"{F24} -k working_folder"),
     Mutant("models of any depth", MJCF, "        if depth > MAX_DEPTH:", "        if False:", F22),
     Mutant("includes of any depth", MJCF, "self._include(included, (*within, path), depth + 1)",
@@ -254,8 +255,6 @@ MUTANTS = (
            "                file.write(json.dumps(row) + \"\\n\")\n        except ZeroDivisionError as error:", f"{F08} -k status_2"),
     Mutant("a dump that does not fit stops the run", TRAINING, "except RunError as error:  # the training can go on",
            "except ZeroDivisionError as error:  # the training can go on", f"{F08} -k dump"),
-    Mutant("arrays of objects are read", "plugins/report/understudy_report/motion.py", "allow_pickle=False", "allow_pickle=True",
-           F20),
     Mutant("damaged archives are a traceback", NPZ, "except Exception as error:  # zipfile raises",
            "except ZeroDivisionError as error:  # zipfile raises", "tests/faults/test_24_mutated_clips.py"),
     Mutant("the phase does not wrap", "plugins/characters/understudy_characters/reference.py",

@@ -8,24 +8,17 @@ the next warning never returns. What ends here costs that process alone.
 from __future__ import annotations
 
 import hashlib
-import resource
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import mujoco
 
 from understudy.errors import FileError
+from understudy_mujoco.apart import Bounds, read_apart, serve
 from understudy_mujoco.mjcf import Mjcf, read_mjcf
 
-CPU_SECONDS = 60
-"""Of processor time, for reading and compiling a model."""
-WALL_SECONDS = 600
-MEMORY = 4 * 2**30
-"""Bytes of address space."""
+BOUNDS = Bounds()
+"""For reading and compiling a model."""
 
-_REFUSED = 3
 _passed: set[bytes] = set()
 
 
@@ -40,31 +33,12 @@ def try_out(path: Path, model: Mjcf) -> None:
         digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
     if digest.digest() in _passed:
         return
-    # not from the working folder (-P), and not ended by the terminal's signals, which are ours to see to
-    command = [sys.executable, "-P", "-m", __name__, str(path), str(CPU_SECONDS), str(MEMORY)]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, start_new_session=True, timeout=WALL_SECONDS
-        )
-    except subprocess.TimeoutExpired as error:
-        raise FileError(_beyond(path, f"{WALL_SECONDS} s")) from error
-    if done.returncode == _REFUSED:
-        raise FileError(done.stdout.decode(errors="replace").strip())
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise FileError(_beyond(path, f"{CPU_SECONDS} s of processor time"))
-    if done.returncode:
-        raise FileError(
-            f"The model {path} does not compile: it ends MuJoCo (status {done.returncode})."
-        )
+    read_apart(__name__, path, f"The model {path} does not compile", BOUNDS)
     _passed.add(digest.digest())
 
 
-def _beyond(path: Path, bound: str) -> str:
-    return f"The model {path} does not compile within {bound}; make it smaller."
-
-
-def attempt(path: Path) -> None:
-    """Read and compile the model at `path` in this process.
+def attempt(path: Path) -> str:
+    """Read and compile the model at `path` in this process; nothing to tell.
 
     Raises:
         FileError: it does not load or compile.
@@ -80,15 +54,8 @@ def attempt(path: Path) -> None:
         if not said or said == "Caught an unknown exception!":
             said = "MuJoCo gives no reason, which may be that it needs more memory."
         raise FileError(f"The model {path} does not {doing}: {said}") from error
+    return ""
 
 
 if __name__ == "__main__":
-    seconds, memory = map(int, sys.argv[2:])
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    try:
-        attempt(Path(sys.argv[1]))
-    except FileError as error:
-        print(error)
-        sys.exit(_REFUSED)
+    serve(attempt)

@@ -9,10 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
-import resource
-import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -20,6 +16,7 @@ import numpy as np
 import trimesh
 
 from understudy.errors import FileError
+from understudy_mujoco.apart import Bounds, read_apart, serve
 
 #: Formats that are read: no archives, which unpack to any size.
 FORMATS = (".obj", ".stl", ".ply", ".gltf", ".glb")
@@ -27,10 +24,9 @@ FORMATS = (".obj", ".stl", ".ply", ".gltf", ".glb")
 MOST_PARTS, MOST_VERTICES = 16, 64
 #: Bytes of a file, and faces (and vertices) in it: more than any chair needs.
 MOST_BYTES, MOST_FACES = 128 * 2**20, 300_000
-#: For reading it: s of processor time, s of the clock, bytes of address space.
-CPU_SECONDS, WALL_SECONDS, MEMORY = 30, 300, 4 * 2**30
+#: For reading it.
+BOUNDS = Bounds(cpu=30, wall=300)
 
-_REFUSED = 3
 #: By the digest of format and content: the hulls, which are asked for at each building of the scene.
 _known: dict[bytes, list[np.ndarray]] = {}
 
@@ -69,29 +65,8 @@ def convex_parts(path: Path, scale: float = 1.0) -> list[np.ndarray]:
 
 def _read_apart(path: Path, content: bytes) -> list[np.ndarray]:
     """:func:`_hulls`, in a process of its own."""
-    # not from the working folder (-P), and not ended by the terminal's signals, which are ours to see to
-    command = [sys.executable, "-P", "-m", __name__, str(path), str(CPU_SECONDS), str(MEMORY)]
-    alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # its threads would take address space
-    try:
-        done = subprocess.run(
-            command, input=content, capture_output=True, start_new_session=True,
-            timeout=WALL_SECONDS, env=alone,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired as error:
-        raise FileError(_beyond(path, f"{WALL_SECONDS} s")) from error
-    if done.returncode == _REFUSED:
-        raise FileError(done.stdout.decode(errors="replace").strip())
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise FileError(_beyond(path, f"{CPU_SECONDS} s of processor time"))
-    if done.returncode:
-        raise FileError(
-            f"The mesh {path} cannot be used: it ends its reader (status {done.returncode})."
-        )
-    return [np.array(hull, dtype=np.float64) for hull in json.loads(done.stdout)]
-
-
-def _beyond(path: Path, bound: str) -> str:
-    return f"The mesh {path} cannot be read within {bound}; make it smaller."
+    found = read_apart(__name__, path, f"The mesh {path} cannot be read", BOUNDS, content)
+    return [np.array(hull, dtype=np.float64) for hull in json.loads(found)]
 
 
 def _hulls(path: Path, content: bytes) -> list[np.ndarray]:
@@ -119,7 +94,9 @@ def _hulls(path: Path, content: bytes) -> list[np.ndarray]:
     except FileError:
         raise
     except MemoryError as error:
-        raise FileError(_beyond(path, f"{MEMORY >> 30} GiB")) from error
+        raise FileError(
+            f"The mesh {path} cannot be read within {BOUNDS.memory >> 30} GiB; make it smaller."
+        ) from error
     except Exception as error:  # whatever the reader of that format raises
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise FileError(f"The mesh {path} cannot be used: {reason}") from error
@@ -136,14 +113,9 @@ def _coarse(hull: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(hull.vertices[chosen])
 
 
+def _told(path: Path) -> str:
+    return json.dumps([hull.tolist() for hull in _hulls(path, sys.stdin.buffer.read())])
+
+
 if __name__ == "__main__":
-    seconds, memory = map(int, sys.argv[2:])
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    try:
-        found = _hulls(Path(sys.argv[1]), sys.stdin.buffer.read())
-    except FileError as error:
-        print(error)
-        sys.exit(_REFUSED)
-    print(json.dumps([hull.tolist() for hull in found]))
+    serve(_told)

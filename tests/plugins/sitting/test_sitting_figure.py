@@ -22,6 +22,7 @@ from understudy_characters.character import load_character
 from understudy_characters.scene import CharacterScene
 from understudy_humanoid.clips import generated_turn_left, generated_turn_right
 from understudy_motion.mirror import mirrored
+from understudy_mujoco.apart import Bounds
 from understudy_sitting import meshes
 from understudy_sitting.chair import SEAT, Chair, ChairOptions, slabs
 from understudy_sitting.figure import BODIES
@@ -147,7 +148,7 @@ def endless(folder: Path, count: int) -> Path:
 def test_a_mesh_that_takes_too_much_costs_its_reader_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, why: str
 ) -> None:
-    monkeypatch.setattr(meshes, "CPU_SECONDS", 3)
+    monkeypatch.setattr(meshes, "BOUNDS", Bounds(cpu=3, wall=300))
     path = endless(tmp_path, count)
     with pytest.raises(FileError, match=rf"chair\.gltf {why}\.$"):
         convex_parts(path)
