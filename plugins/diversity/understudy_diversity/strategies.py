@@ -23,6 +23,8 @@ from understudy_bayes.space import Parameter, check_paths
 from understudy_sweeps.journal import Journal
 
 SUCCESS = "success_rate"
+#: Of a feature: larger ones are a simulation's that blew up, and their distances no numbers.
+_MOST = 1e30
 Metric = Literal["euclidean", "rotation"]
 
 
@@ -313,7 +315,7 @@ def feature_of(report: Report, options: Told) -> tuple[float, ...] | None:
             )
     shown = tuple(report.measures[name] for name in options.features)
     succeeded = report.measures.get(SUCCESS, 1.0) >= options.success
-    if not succeeded or not all(map(math.isfinite, shown)):
+    if not succeeded or not all(abs(value) < _MOST for value in shown):  # false for NaN, too
         return None
     return nearest_rotation(shown) if options.metric == "rotation" else shown
 

@@ -279,6 +279,7 @@ def test_axes_that_cancel_out_are_no_rotation() -> None:
     assert shown_rotation([0.0] * 6) is None
     assert shown_rotation([1.0, 0.0, 0.0, 0.5, 0.0, 0.0]) is None
     assert shown_rotation([1.0, 0.0, math.nan, 0.0, 0.0, 1.0]) is None
+    assert shown_rotation([1.0, 0.0, 1e300, 0.0, 0.0, 1.0]) is None
 
 
 def test_a_search_of_rotations_finds_them() -> None:

@@ -42,13 +42,13 @@ STRANGE = ["x" * 300, "\ud800", "", 3, ["a"], None]
     "report",
     [
         *({"key": key} for key in STRANGE),
-        *({"measures": m} for m in (None, ["f"], {"f": "x"}, {"f": 10**400}, {"f": 1e300})),
+        *({"measures": m} for m in (None, ["f"], {"f": "x"}, {"f": 10**400})),
         {"status": None}, {"objective": "x"}, {"cost": True}, {"run": 1}, {"else": 1},
     ],
 )  # fmt: skip
 def test_reports_of_other_types_are_left_out(report: dict[str, Any], tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
-    good = {"key": "a", "status": "ok", "measures": {"f": math.nan}, "objective": -math.inf}
+    good = {"key": "a", "status": "ok", "measures": {"f": math.nan, "g": 1e300}, "objective": -math.inf}
     rows = [{"event": "finished", "report": {**good, **found}} for found in (report, {})]
     path.write_text("".join(json.dumps(row) + "\n" for row in rows))
     assert [event.key for event in Journal.read(path).events] == ["a"]
