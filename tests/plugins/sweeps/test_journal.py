@@ -48,7 +48,12 @@ STRANGE = ["x" * 300, "\ud800", "", 3, ["a"], None]
 )  # fmt: skip
 def test_reports_of_other_types_are_left_out(report: dict[str, Any], tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
-    good = {"key": "a", "status": "ok", "measures": {"f": math.nan, "g": 1e300}, "objective": -math.inf}
+    good = {
+        "key": "a",
+        "status": "ok",
+        "measures": {"f": math.nan, "g": 1e300},
+        "objective": -math.inf,
+    }
     rows = [{"event": "finished", "report": {**good, **found}} for found in (report, {})]
     path.write_text("".join(json.dumps(row) + "\n" for row in rows))
     assert [event.key for event in Journal.read(path).events] == ["a"]
