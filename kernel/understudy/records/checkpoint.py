@@ -105,8 +105,6 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise RunError(f"{tensor_file} is damaged: {error}.") from error
     try:
         state, meta = _put_tensors(document["state"], tensors, _Room()), dict(document["meta"])
-        if not isinstance(state, dict):
-            raise TypeError
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError, zlib.error) as error:
         raise RunError(f"{file} is damaged: its state is not readable.") from error
     return state, meta
@@ -209,12 +207,11 @@ def newest(folder: Path) -> list[Path]:
 def load_newest(
     folder: Path, warn: Any = lambda text: None
 ) -> tuple[dict[str, Any], dict[str, Any], Path]:
-    """The newest checkpoint of the run's `folder` that is intact; `warn` is told of each damaged one."""
+    """The newest checkpoint of `folder` that is intact; `warn` is told of each damaged one."""
     reasons = []
     for path in newest(folder):
         try:
             state, meta = load(path)
-            _check_progress(state, path)
             return state, meta, path
         except RunError as error:
             if "checkpoint format" in str(error):
@@ -223,13 +220,6 @@ def load_newest(
             warn(f"{error} Falling back to the one before it.")
     detail = f" The newest: {reasons[0]}" if reasons else ""
     raise RunError(f"{folder} has no usable checkpoint.{detail}")
-
-
-def _check_progress(state: Mapping[str, Any], path: Path) -> None:
-    """What every training saves, whatever it learns."""
-    progress = state.get("progress")
-    if not isinstance(progress, dict) or type(progress.get("samples")) is not int:
-        raise RunError(f"{path} is damaged: it does not say after how many samples it was made.")
 
 
 def prune(folder: Path, keep: int) -> None:

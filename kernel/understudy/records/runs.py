@@ -23,7 +23,7 @@ import platform
 import re
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -31,6 +31,7 @@ from typing import Any
 
 from understudy.errors import RunError
 from understudy.inputs import Inputs
+from understudy.records import checkpoint
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.registry import Registry
@@ -108,6 +109,22 @@ class Run:
     def judged(self) -> int | None:
         """After how many samples it was judged and its pictures were made; None before that."""
         return self.info.get("judged")
+
+    def newest(
+        self, warn: Callable[[str], None] = lambda text: None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The ``(state, meta)`` of the newest intact checkpoint; `warn` is told of damaged ones.
+
+        Raises:
+            RunError: if there is none, or it does not say after how many samples it was made.
+        """
+        state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
+        progress = state.get("progress") if isinstance(state, dict) else None
+        if not isinstance(progress, dict) or type(progress.get("samples")) is not int:
+            raise RunError(
+                f"{path} is damaged: it does not say after how many samples it was made."
+            )
+        return state, meta
 
     def metrics(self) -> list[dict[str, Any]]:
         """The rows of the metrics file; a row cut short by a crash is left out."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import RunError
-from understudy.records import checkpoint, runs
+from understudy.records import runs
 from understudy.setup.config import StartOptions
 from understudy.task import Curriculum, InitialStates, Policy, State
 
@@ -31,8 +31,7 @@ def policy_parts(policy: Policy) -> dict[str, set[str]]:
 
 def newest_state(path: str) -> State:
     """The state of the newest intact checkpoint of the run folder `path`."""
-    run = runs.open_run(path)
-    state, _, _ = checkpoint.load_newest(run.checkpoints, lambda text: print(text, file=sys.stderr))
+    state, _ = runs.open_run(path).newest(lambda text: print(text, file=sys.stderr))
     return state
 
 

@@ -104,7 +104,7 @@ def load(
     if chosen:
         state, chosen = _checkpoint(run, chosen)
     else:
-        state, _, _ = checkpoint.load_newest(run.checkpoints, reporter.message)
+        state, _ = run.newest(reporter.message)
         if run.metrics() and not state["progress"]["samples"]:
             raise RunError(
                 f"{path}: only the checkpoint before training is intact. Resume it first."

@@ -102,7 +102,7 @@ def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
     if overrides:
         words = replaced(words, overrides)
         config = compose_raw(words)
-    state, meta, _ = checkpoint.load_newest(run.checkpoints)
+    state, meta = run.newest()
     policy = state.get("policy")
     if not isinstance(policy, dict) or not all(isinstance(t, Tensor) for t in policy.values()):
         raise RunError(f"{path} is a run that learns no policy.")

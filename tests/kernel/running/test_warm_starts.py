@@ -17,7 +17,7 @@ from understudy.errors import ConfigError, RunError
 from understudy.random import WorldStreams
 from understudy.records import checkpoint
 from understudy.running.training import Training
-from understudy.running.warm_start import policy_parts
+from understudy.running.warm_start import newest_state, policy_parts
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Actuation, Context, Curriculum, Encoder, Rollout, State, box
@@ -317,3 +317,13 @@ def test_a_controller_of_another_scene(tmp_path: Path) -> None:
     here = build_environment(load_experiment(TASK, loaded)).context
     with pytest.raises(ConfigError, match=r"^encoder 'my/picky' needs a scene of type FakeScene"):
         Controller.load(str(run), here)
+
+
+@pytest.mark.parametrize(
+    "state", [{}, [], {"progress": 3}, {"progress": {"samples": "many"}}], ids=str
+)
+def test_a_checkpoint_that_does_not_say_after_how_many_samples(state: Any, tmp_path: Path) -> None:
+    run = trained(tmp_path / "first")
+    checkpoint.save(run / "checkpoints" / "00009999", state, {})
+    with pytest.raises(RunError, match="after how many samples"):
+        newest_state(str(run))
