@@ -55,8 +55,7 @@ def draw(
     count = len(model.positions)
     radius = np.broadcast_to(np.asarray(model.radius, float), count)
     colours = particle_colours(model, count)
-    # the camera sees where most of the particles ever are
-    low, high = (np.quantile(positions.reshape(-1, 3), q, axis=0) for q in (0.02, 0.98))
+    low, high = _mostly_within(positions, tracks.get("tool_position"))
     centre, size = 0.5 * (low + high), float(np.linalg.norm(high - low)) + 8 * float(radius.max())
     table = f'<geom type="plane" size="0 0 {0.5 * size}" material="table"/>' if model.table else ""
     world = _WORLD.format(width=width, height=height, high=10 * size, table=table)
@@ -84,10 +83,18 @@ def draw(
                 at = tracks["tool_position"][frame].reshape(-1, 3)
                 turned = tracks["tool_orientation"][frame].reshape(-1, 4)
                 for layer, (number, shape) in enumerate(shapes):
-                    _add_shape(drawn, layer, shape, at[number], turned[number])
+                    inner = layer / len(shapes)
+                    _add_shape(drawn, inner, shape, at[number], turned[number])
             yield renderer.render()
     finally:
         renderer.close()
+
+
+def _mostly_within(*places: np.ndarray | None) -> np.ndarray:
+    """The corners (2, 3) of the box in which most of each of the `places` (T, …), world frame, m, ever
+    are: what the camera looks at."""
+    found = [np.quantile(p.reshape(-1, 3), (0.02, 0.98), axis=0) for p in places if p is not None]
+    return np.stack([np.min(found, axis=(0, 1)), np.max(found, axis=(0, 1))])
 
 
 def particle_colours(model: ParticleModel, count: int) -> np.ndarray:
@@ -101,8 +108,9 @@ def particle_colours(model: ParticleModel, count: int) -> np.ndarray:
     return np.concatenate([np.clip(rgb * shade[:, None], 0, 1), np.ones((count, 1))], axis=1)
 
 
-def _add_shape(drawn: Any, layer: int, shape: Shape, at: np.ndarray, turned: np.ndarray) -> None:
-    """Boxes of a tool may share a side; `layer` makes them so little thinner that one is in front."""
+def _add_shape(drawn: Any, inner: float, shape: Shape, at: np.ndarray, turned: np.ndarray) -> None:
+    """Boxes of a tool may share a side: those with more `inner`, below 1, are a little smaller, so that
+    one of them is in front."""
     tool = _matrix(turned)
     if isinstance(shape, Grid):  # the points just inside its surface, as small boxes
         inside = np.argwhere(np.abs(shape.distances) <= 0.5 * shape.spacing)
@@ -114,7 +122,7 @@ def _add_shape(drawn: Any, layer: int, shape: Shape, at: np.ndarray, turned: np.
     point, turn = at + tool @ np.asarray(shape.position), tool @ _matrix(shape.orientation)
     if isinstance(shape, Box):
         half = np.array(shape.half_extents)
-        half[half.argmin()] *= 1 - 0.02 * (layer % 8)
+        half -= 0.2 * inner * half.min()
         add_geom(drawn, mujoco.mjtGeom.mjGEOM_BOX, half, point, turn, _TOOL)
     elif isinstance(shape, Capsule):
         size = (shape.radius, shape.half_length, shape.half_length)
