@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import math
 import shlex
 import sys
 import typing
@@ -25,7 +24,7 @@ from understudy.task import Context
 from understudy_amorphous.character import GRIPS, TOOL, Figure, Grip, figure, placed
 from understudy_amorphous.scene import AmorphousScene
 from understudy_characters.shapes import shapes
-from understudy_motion.arguments import positive
+from understudy_motion.arguments import finite, positive
 from understudy_motion.clip import Clip
 from understudy_motion.readers.npz import Archive
 from understudy_motion.writing import write_clip
@@ -59,18 +58,18 @@ class HoldTool(Command):
         add(
             "--grip",
             nargs=6,
-            type=_finite,
+            type=finite,
             metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
             help="the tool in the hand's frame, m and degrees",
         )
         add(
             "--table",
             nargs=3,
-            type=_finite,
+            type=finite,
             metavar=("X", "Y", "Z"),
             help="the table's middle, in front of the figure, to its left, above its floor, m",
         )
-        add("--facing", type=_finite, metavar="DEGREES", help="where the tool faces on average")
+        add("--facing", type=finite, metavar="DEGREES", help="where the tool faces on average")
         add(
             "--scale",
             type=positive,
@@ -81,7 +80,7 @@ class HoldTool(Command):
         add(
             "--cost", choices=("mass", "equal"), default="mass", help="of a joint's turn, in eq. 13"
         )
-        add("--relax", type=_finite, default=2.0, metavar="S", help="time in which joints that need not move return; 0: never")  # fmt: skip
+        add("--relax", type=finite, default=2.0, metavar="S", help="time in which joints that need not move return; 0: never")  # fmt: skip
         add("--speed", type=positive, default=10.0, metavar="RAD/S", help="the most of any joint")
         add("--nearest", action="store_true", help="also where the tool is out of reach")
         add("--no-video", action="store_true", help="only the clip")
@@ -216,14 +215,6 @@ def _scene(run: Run) -> AmorphousScene:
             "amorphous/gather, amorphous/spread or amorphous/flip."
         )
     return scene
-
-
-def _finite(text: str) -> float:
-    """An argument's type: a finite number."""
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
-    return value
 
 
 def _grip(options: argparse.Namespace, scene: AmorphousScene) -> Grip:

@@ -14,7 +14,7 @@ from understudy.setup.config import at
 from understudy.setup.plugins import installed
 from understudy_inspect.judging import load
 from understudy_jumping.arena import ArenaOptions
-from understudy_motion.arguments import positive
+from understudy_motion.arguments import positive, share
 
 #: In the run folder: what was found.
 FILE = "heights.json"
@@ -36,7 +36,7 @@ class Heights(Command):
         parser.usage = "understudy jumping heights RUN [--success SHARE] [--step METRES] [--from METRES] [KEY=VALUE …]"
         parser.add_argument("run", help="run folder")
         parser.add_argument(
-            "--success", type=_share, default=0.5, help="share of attempts (default: 0.5)"
+            "--success", type=share, default=0.5, help="share of attempts (default: 0.5)"
         )
         parser.add_argument(
             "--step", type=positive, default=0.05, help="m, lower or narrower (default: 0.05)"
@@ -97,14 +97,6 @@ def _trained(path: str) -> tuple[float, ArenaOptions]:
             f"{path}: its obstacle has one size, {low} m. Judge it by understudy evaluate."
         )
     return low + max(levels) * (high - low), arena
-
-
-def _share(text: str) -> float:
-    """An argument's type: a share above 0."""
-    value = float(text)
-    if not 0.0 < value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0 and at most 1")
-    return value
 
 
 def _grows(arena: ArenaOptions) -> str:

@@ -54,6 +54,22 @@ def positive(text: str) -> float:
     return value
 
 
+def finite(text: str) -> float:
+    """An argument's type: a finite number."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
+    return value
+
+
+def share(text: str) -> float:
+    """An argument's type: a share above 0."""
+    value = float(text)
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0 and at most 1")
+    return value
+
+
 def port(text: str) -> int:
     """An argument's type: a port to serve at; 0 for any that is free."""
     value = int(text)

@@ -20,14 +20,6 @@ VIDEO = "video.mp4"
 FIGURES = "stick_figures.npz"
 
 
-class Numbers(Archive):
-    """An NPZ file that a run left, by a stranger maybe: no more of it is unpacked than of a clip."""
-
-    def array(self, name: str) -> np.ndarray:
-        """The array `name` of any shape; a simulation that blew up left numbers that are not finite."""
-        return self._array(name, "fib", None)
-
-
 @dataclass(frozen=True)
 class Figures:
     """Stick figures of a recorded motion and of its reference: line segments, world frame, z up."""
@@ -50,9 +42,9 @@ class Figures:
         """Those of the file `path`, or None if there is none; a FileError if it is damaged."""
         if not path.is_file():
             return None
-        archive = Numbers(path)
-        reference = archive.array("reference") if "reference" in archive.names else None
-        return Figures(archive.array("learned"), reference, archive.number("dt"))
+        archive = Archive(path)
+        reference = archive.numbers("reference") if "reference" in archive.names else None
+        return Figures(archive.numbers("learned"), reference, archive.number("dt"))
 
 
 class Motion(ReportSection):

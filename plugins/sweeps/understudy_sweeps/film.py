@@ -17,7 +17,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.building import build_sections
 from understudy.task import Context, Scene
-from understudy_report.motion import Numbers
+from understudy_motion.readers.npz import Archive
 from understudy_report.video import write_video
 
 #: Of a tile, in pixels, by the number of columns: drawn without a GPU, a pixel costs time.
@@ -136,10 +136,10 @@ def recorded_tracks(file: Path) -> tuple[dict[str, np.ndarray], float, int]:
     FileError
         if it is missing, damaged, empty, or larger than a clip may be.
     """
-    archive = Numbers(file)
+    archive = Archive(file)
     dt, first = archive.number("control_dt"), archive.number("first_episode")
     names = sorted(archive.names - {"control_dt", "first_episode"})
-    tracks = {name: archive.array(name) for name in names}
+    tracks = {name: archive.numbers(name) for name in names}
     lengths = {track.shape[:1] for track in tracks.values()}
     if dt <= 0 or len(lengths) != 1 or lengths <= {(), (0,)}:
         raise FileError(f"{file}: its fields are not of one number of frames, 1 or more.")

@@ -54,6 +54,10 @@ class Archive:
             raise FileError(f"Clip {self._path}: {where}'{name}' is not finite.")
         return array
 
+    def numbers(self, name: str) -> np.ndarray:
+        """The array `name` of numbers or truth values, of any shape, which need not be finite."""
+        return self._array(name, "fib", None)
+
     def number(self, name: str) -> float:
         """The single number `name`."""
         array = self._array(name, "fi", None)
