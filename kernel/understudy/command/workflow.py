@@ -112,11 +112,11 @@ def _carry_out(training: Training) -> int:
     return 0
 
 
-def judge(training: Training, run: Run, reporter: Reporter) -> None:
+def judge(training: Training, run: Run, reporter: Reporter, changed: Sequence[str] = ()) -> None:
     """The last evaluation while recording: ``evaluation.json``, ``recording.npz``, and whatever the
-    observers make of them."""
+    observers make of them. `changed` are overrides with which the run was not trained."""
     evaluation, recording = training.judge(training.experiment.root.run.video_seconds)
-    run.write_json("evaluation.json", evaluation.as_json(training.progress.samples))
+    run.write_json("evaluation.json", evaluation.as_json(training.progress.samples, changed))
     if recording is not None:
         recording.save(run.path / "recording.npz")
     reporter.notify("judged", run, recording, reporter.message)

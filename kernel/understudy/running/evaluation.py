@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -76,7 +76,8 @@ class Evaluation:
             found[f"{kind}/{name}"] = self.success_rate
         return found
 
-    def as_json(self, samples: int) -> dict[str, Any]:
+    def as_json(self, samples: int, changed: Sequence[str] = ()) -> dict[str, Any]:
+        """After so many `samples`; `changed` are overrides with which the run was not trained."""
         found: dict[str, Any] = {
             "episodes": self.episodes,
             "seconds": self.seconds,
@@ -96,7 +97,7 @@ class Evaluation:
                 "success_rate": self.success_rate,
                 "success_rate_95": [low, high],
             }
-        return found
+        return found | ({"changed": list(changed)} if changed else {})
 
     def sentence(self) -> str:
         """The result in words."""

@@ -29,9 +29,14 @@ _PICTURE = {
 }
 
 
+#: Keys that say where a run is judged, not what of it.
+_WHERE = ("device", "num_worlds")
+
+
 class Evaluate(Command):
     """Judges a checkpoint on starts that no training drew; writes ``evaluation.json``, or for an older
-    checkpoint ``evaluation-ITERATION.json``."""
+    checkpoint ``evaluation-ITERATION.json``. What is judged with other settings than it was trained
+    with (``scene.material=granular``) is printed, and in ``evaluation-changed.json``."""
 
     takes_overrides = True
 
@@ -47,8 +52,10 @@ class Evaluate(Command):
             evaluation, _ = training.judge()
         finally:
             training.close()
-        result = evaluation.as_json(training.progress.samples)
-        run.write_json(f"evaluation-{chosen}.json" if chosen else "evaluation.json", result)
+        changed = _changed(options.overrides, _EVALUATION)
+        result = evaluation.as_json(training.progress.samples, changed)
+        which = chosen or ("changed" if changed else "")
+        run.write_json(f"evaluation-{which}.json" if which else "evaluation.json", result)
         print(json.dumps(result, indent=1))
         return 0
 
@@ -69,11 +76,17 @@ class Render(Command):
         training, run, reporter, _ = load(options.run, options.overrides, _PICTURE)
         reporter.observers = installed().observers()
         try:
-            judge(training, run, reporter)
+            judge(training, run, reporter, _changed(options.overrides, _PICTURE))
         finally:
             training.close()
         print(f"run: {run.path}")
         return 0
+
+
+def _changed(words: Sequence[str], short: Mapping[str, str]) -> list[str]:
+    """Those of the `words` of a command line that make another task of what was trained."""
+    aside = {*short, *short.values(), "checkpoint", *_WHERE}
+    return [word for word in words if word.partition("=")[0] not in aside]
 
 
 def load(

@@ -21,6 +21,8 @@ class Headline(ReportSection):
     def html(self, run: Run) -> str:
         evaluation, rows = read_evaluation(run), run.metrics()
         meaning = _meaning(run.info, evaluation)
+        if changed := words.text(evaluation.get("changed") or ""):
+            meaning = f"Judged with other settings than it was trained with: {changed}. {meaning}"
         explained = f"<p>{escape(meaning)}</p>" if meaning else ""
         return (
             f'<p class="headline">{escape(_sentence(run.info, evaluation, rows))}</p>{explained}'

@@ -153,7 +153,18 @@ def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_pat
     assert (run / "evaluation.json").stat().st_mtime_ns == before
     assert "checkpoint=7" in complaint(capsys, "evaluate", str(run), "checkpoint=7")
     assert "WIDTHxHEIGHT" in complaint(capsys, "render", str(run), "size=big")
+    slower = "episode.seconds=0.4"
+    assert main(["evaluate", str(run), *words, "device=cpu", "num_worlds=2", slower]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["changed"] == [slower]
+    assert json.loads((run / "evaluation-changed.json").read_text()) == found
+    assert (run / "evaluation.json").stat().st_mtime_ns == before, "the run's own result stays"
+    assert main(["render", str(run), *words, slower, "run.video_seconds=0"]) == 0
+    assert json.loads((run / "evaluation.json").read_text())["changed"] == [slower]
+    report = (run / "report.html").read_text(encoding="utf-8")
+    assert f"with other settings than it was trained with: {slower}." in report
     assert main(["render", str(run), *words, "size=160x90", "camera=90"]) == 0
+    assert "changed" not in json.loads((run / "evaluation.json").read_text())
     assert json.loads((run / "evaluation.json").read_text())["episodes"] == 1
     assert json.loads((run / "run.json").read_text())["config"] == info["config"], "as trained"
     video = run / "video.mp4"
