@@ -22,7 +22,7 @@ from understudy.task.terms import Reduction
 
 @dataclass(frozen=True)
 class Measured:
-    """One measure over the episodes of an evaluation."""
+    """One measure over the episodes of an evaluation; NaN where no episode has it."""
 
     reduce: str  #: how an episode's values became one
     mean: float
@@ -32,16 +32,19 @@ class Measured:
 
     @classmethod
     def of(cls, reduce: str, values: Tensor) -> Measured:
-        """From one value an episode, (E,); episodes that went wrong in their first step have none."""
+        """From one value an episode, (E,); what is not finite is none, as of episodes that went wrong in
+        their first step."""
         values = values[values.isfinite()].double()
         if not len(values):
-            return cls(reduce, 0.0, 0.0, 0.0, 0.0)
+            return cls(reduce, *[math.nan] * 4)
         mean, n = float(values.mean()), len(values)
         spread = float(values.std()) if n > 1 else 0.0
         reach = 1.96 * spread / math.sqrt(n)
         return cls(reduce, mean, spread, mean - reach, mean + reach)
 
     def as_json(self) -> dict[str, Any]:
+        if math.isnan(self.mean):
+            return {"reduce": self.reduce, "mean": None, "spread": None, "mean_95": None}
         found = {"reduce": self.reduce, "mean": self.mean, "spread": self.spread}
         return {**found, "mean_95": [self.low, self.high]}
 
@@ -66,7 +69,8 @@ class Evaluation:
     def objective_value(self) -> float | None:
         if self.objective == "success_rate":
             return self.success_rate
-        return self.measures[self.objective].mean
+        value = self.measures[self.objective].mean
+        return None if math.isnan(value) else value
 
     def row(self, kind: str = "evaluation") -> dict[str, float]:
         """The figures for a row of metrics: KIND/success_rate, or KIND/success_rate_at_most alone."""
@@ -101,8 +105,10 @@ class Evaluation:
 
     def sentence(self) -> str:
         """The result in words."""
-        named = [n for n in self.measures if n != "return" and self.complete]
-        figures = [f"{name} {self.measures[name].mean:.3g}" for name in named]
+        known = {n: m.mean for n, m in self.measures.items() if not math.isnan(m.mean)}
+        figures = [
+            f"{n} {mean:.3g}" for n, mean in known.items() if n != "return" and self.complete
+        ]
         if self.success_rate is None:
             return "; ".join(figures) + "."
         bound, early = ("", "") if self.complete else ("at most ", ", stopped early")

@@ -61,22 +61,29 @@ def take_over(
                 )
             own[name] = given[name]
     policy.load_state_dict(own)
-    environment = state.get("environment", {})
     for name, part in (("initial_states", initial_states), ("curriculum", curriculum)):
         if name not in start.parts:
             continue
         if part is None:
             raise RunError(f"start.parts names the {name}, and this task has none ({name}=…).")
-        try:
-            for misfit in misshapen(part.state_dict(), environment[name], name):
-                raise ValueError(misfit)
-            part.load_state_dict(environment[name])
-        except (KeyError, ValueError, TypeError, RuntimeError) as error:
-            raise RunError(
-                f"start.parts: the {name} of {start.run} do not fit those of this task: {error}."
-            ) from error
+        load_part(part, state, name, f"start.parts: the {name} of {start.run}")
     samples = state["progress"]["samples"]
     return {"run": start.run, "parts": list(start.parts), "samples": samples}
+
+
+def load_part(part: Curriculum | InitialStates, state: State, name: str, what: str) -> None:
+    """Put what a checkpoint's `state` says of the environment's part `name` into `part`.
+
+    Raises:
+        RunError: if it says nothing that fits; calls it `what`.
+    """
+    try:
+        given = state["environment"][name]
+        for misfit in misshapen(part.state_dict(), given, name):
+            raise ValueError(misfit)
+        part.load_state_dict(given)
+    except (LookupError, ValueError, TypeError, RuntimeError) as error:
+        raise RunError(f"{what} do not fit those of this task: {error}.") from error
 
 
 def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:

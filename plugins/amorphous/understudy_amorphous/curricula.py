@@ -10,9 +10,11 @@ import torch
 from torch import Tensor
 
 from understudy import distributed
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_amorphous.scene import AmorphousScene
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,12 @@ class Clusters(Curriculum):
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
+        scene = context.need_scene(AmorphousScene, "curriculum 'amorphous/clusters'")
+        if options.most > scene.options.blocks:
+            raise ConfigError(
+                f"curriculum.most={options.most} is not possible: there are {scene.options.blocks} "
+                f"clusters (scene.blocks). Give curriculum.most={scene.options.blocks}, or more blocks."
+            )
         self._on_device = torch.zeros(context.num_worlds, device=context.device)
         self._ended, self._total = 0, 0.0
         self._move(options.most if context.evaluating else options.start)
@@ -131,4 +139,4 @@ class Clusters(Curriculum):
 
     def load_state_dict(self, state: State) -> None:
         self._ended, self._total = state["ended"], state["total"]
-        self._move(state["clusters"])
+        self._move(min(state["clusters"], self.options.most))

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory
 from understudy_pbd.scene import ParticleScene
@@ -104,6 +105,11 @@ class Turned(Memory):
         scene = context.need_scene(ParticleScene, "memory 'amorphous/turned'")
         rest = np.asarray(scene.model().positions, np.float32)
         along = rest[:, 2] - rest[:, 2].mean()  # the disk's axis
+        if np.ptp(along) < 1e-4 * np.ptp(rest[:, 0]):
+            raise ConfigError(
+                "memory 'amorphous/turned' cannot tell the two sides of a flat piece of one layer. Give "
+                "scene.block two layers or more, such as [5,5,2]."
+            )
         self._along = torch.from_numpy(along).to(context.device)
 
     def _angle(self, position: Tensor) -> Tensor:

@@ -29,6 +29,7 @@ def understudy_register(register: Registrar) -> None:
     add("memory", "timer", f"{memories}:Timer", "how long a condition has held")
     add("memory", "latch", f"{memories}:Latch", "a field as it was when a condition first held")
     add("memory", "running_mean", f"{memories}:RunningMean", "a field's mean over the episode")
+    add("memory", "extremes", f"{memories}:Extremes", "the least and the most that a field was")
     add("memory", "redrawn_target", f"{memories}:RedrawnTarget", "a random point in a box")
     add("memory", "history", f"{memories}:History", "a field's last values")
     add("curriculum", "linear", "understudy_basics.curricula:Linear", "difficulty by samples")

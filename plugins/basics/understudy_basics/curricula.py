@@ -191,14 +191,12 @@ class Adaptive(Curriculum):
     def state_dict(self) -> State:
         return {
             "difficulty": self._stage.difficulty, "ended": self._ended, "total": self._total,
-            "older": self._older.clone(),
+            "older": self._older.nonzero().flatten().tolist(),
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
         self._ended, self._total = state["ended"], state["total"]
         self._stage.move(state["difficulty"])
-        older = state.get("older")  # of as many worlds, else all begin anew
-        if older is not None and older.shape == self._older.shape:
-            self._older.copy_(older)
-        else:
-            self._older.zero_()
+        older = torch.tensor(state["older"], dtype=torch.long, device=self._older.device)
+        self._older.zero_()
+        self._older[older[older < len(self._older)]] = True  # there may be fewer worlds now

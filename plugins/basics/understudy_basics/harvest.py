@@ -18,7 +18,7 @@ from understudy.running.environment import Environment
 from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
 from understudy.running.recorded import Recorded
-from understudy.running.warm_start import newest_state
+from understudy.running.warm_start import load_part, newest_state
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Policy, State
@@ -40,12 +40,16 @@ class Harvest(Job):
         #: ``truncation``), or ``any``: also the states of episodes that go wrong.
         ending: str = "success"
         #: ``end``: the state in which it ended; ``anywhere``: one of all its states, each as likely;
-        #: ``change``: every state in which a decision changes ``field`` to ``value``, whatever the ending.
+        #: ``change``: every state in which a decision changes ``field`` to ``value``, whatever the ending;
+        #: the first decision of an episode changes nothing.
         moment: Literal["end", "anywhere", "change"] = "end"
         field: str | None = None  #: of shape (N,), of a change
         value: float = 0.0  #: of ``field`` after the change
         fields: tuple[str, ...] = ()  #: kept beside the simulator's state
         deterministic: bool = False  #: act by the policy's mode instead of sampling
+        #: In the task as it is judged, at its target difficulty and from the starts of evaluations; else as
+        #: it was trained, at the difficulty that its curriculum came to.
+        evaluating: bool = False
         decisions: int = 64  #: of every world, in an iteration
         patience: int = 50  #: iterations without any state after which there is no hope
 
@@ -77,7 +81,10 @@ class Harvest(Job):
         self._barren = 0  #: iterations in a row that found nothing
 
     def prepare(self) -> None:
-        built = self._built = build_environment(self._experiment)
+        judged = self._experiment.root.evaluation.seconds if self.options.evaluating else None
+        built = self._built = build_environment(
+            self._experiment, episode_seconds=judged, evaluating=self.options.evaluating
+        )
         self.environment = environment = built.environment
         simulator, table = environment.parts.simulator, environment.table
         self._names = list(dict.fromkeys((*simulator.state_fields, *self.options.fields)))
@@ -101,9 +108,12 @@ class Harvest(Job):
                 f"job.ending={self.options.ending} is no ending of {self.options.run}."
                 + suggestion(self.options.ending, [*outcomes, *terms])
             )
+        state = newest_state(self.options.run)
+        if environment.parts.curriculum is not None and not self.options.evaluating:
+            what = f"job.run: the curriculum of {self.options.run}"
+            load_part(environment.parts.curriculum, state, "curriculum", what)
         environment.reset()
         self.policy = build_policy(self._experiment, built.context)
-        state = newest_state(self.options.run)
         self.policy.load_state_dict(state["policy"])
         self.policy.schedule(state["progress"]["samples"])
         self._streams = WorldStreams(
@@ -111,6 +121,7 @@ class Harvest(Job):
         )
         self._decide = Recorded(self._advance, environment)
         self._age = torch.zeros(environment.num_worlds, device=self.device)
+        self._begun = torch.zeros_like(self._age, dtype=torch.bool)  # by a decision
         self._kept: dict[str, Tensor] = {}  # of each world's present episode
 
     def _advance(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
@@ -132,8 +143,9 @@ class Harvest(Job):
             states = {name: table[name].clone() for name in self._names}
             counts = which[options.ending] & step.ended
         else:
-            counts = (table[field] == options.value) & (was != options.value)
+            counts = (table[field] == options.value) & (was != options.value) & self._begun
         counts, ended = counts & ~step.unsound, step.ended.clone()
+        self._begun.copy_(~ended)
         environment.begin(step.ended)
         return states, counts, ended
 
@@ -228,6 +240,7 @@ class Harvest(Job):
             "found": dict(self._found),
             "barren": self._barren,
             "age": self._age,
+            "begun": self._begun.clone(),
             "kept": dict(self._kept),
         }
 
@@ -235,6 +248,7 @@ class Harvest(Job):
         self.environment.load_state_dict(state["environment"])
         self._streams.load_state_dict(state["streams"])
         self._age = state["age"].to(self.device)
+        self._begun.copy_(state["begun"])
         self._kept = {name: value.to(self.device) for name, value in state["kept"].items()}
         self.load_learned(state, 0)
 
@@ -243,6 +257,7 @@ class Harvest(Job):
 
     def forget_worlds(self) -> None:
         self.environment.reset()
+        self._begun.zero_()
 
     def close(self) -> None:
         if self._built is not None:

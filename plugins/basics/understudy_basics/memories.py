@@ -86,6 +86,23 @@ class RunningMean(Memory):
         return {"mean": kept["mean"] + (value - kept["mean"]) * share}
 
 
+class Extremes(Memory):
+    """The least and the most that ``value`` (N,) was at the end of a control period of the episode so
+    far; its first value before. What measures read at the end of a decision misses those within it."""
+
+    reads = ("value",)
+    keeps = {"least": (), "most": ()}
+
+    def __init__(self, options: None, context: Context) -> None:
+        pass
+
+    def begin(self, value: Tensor) -> dict[str, Tensor]:
+        return {"least": value.float(), "most": value.float()}
+
+    def advance(self, kept: Mapping[str, Tensor], value: Tensor) -> dict[str, Tensor]:
+        return {"least": kept["least"].minimum(value), "most": kept["most"].maximum(value)}
+
+
 class RedrawnTarget(Memory):
     """A point drawn uniformly in a box, and drawn again after a while or once it is reached.
 

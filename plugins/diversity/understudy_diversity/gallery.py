@@ -133,8 +133,10 @@ def _headline(
     if known:
         novel = sum(e.novel for e in exhibits)
         text = f"{many}, {novel} of them new in {trials} trials from those of the earlier search"
-    failed = sum(s.feature is None for s in strategies)
-    repeated = sum(s.feature is not None for s in strategies) - len(exhibits)
+    kinds = [s.kind for s in strategies]
+    own = range(len(known), len(strategies))
+    failed = sum(kinds[k] is None for k in own)
+    repeated = sum(kinds[k] is not None and kinds[k] in kinds[:k] for k in own)
     text += f"; {repeated} repeated one, {failed} failed."
     if exhibits and exhibits[0].value is not None:
         best = exhibits[0]

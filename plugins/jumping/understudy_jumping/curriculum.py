@@ -94,5 +94,12 @@ class Accumulated(Curriculum):
         return {"difficulty": list(self._difficulty), "sums": list(self._sums)}
 
     def load_state_dict(self, state: State) -> None:
-        self._difficulty, self._sums = list(state["difficulty"]), list(state["sums"])
+        for name in ("difficulty", "sums"):
+            if len(state[name]) != self._options.groups:
+                raise ValueError(
+                    f"'curriculum/{name}' is of {self._options.groups} groups here and "
+                    f"{len(state[name])} there"
+                )
+        self._difficulty = [min(self._target, float(d)) for d in state["difficulty"]]
+        self._sums = [float(total) for total in state["sums"]]
         self._set()

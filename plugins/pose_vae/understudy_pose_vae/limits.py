@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,13 +17,16 @@ Range = tuple[float, float]
 
 
 def servo_axes(model: mujoco.MjModel) -> list[tuple[str, int]]:
-    """Of each servo the joint that it drives, by the name of its body, and about which of its axes."""
-    seen: Counter[str] = Counter()
+    """Of each servo the joint that it drives, by the name of its body, and about which of its axes: the
+    hinge's place among the body's, or the axis of a ball joint."""
     found = []
     for servo in range(model.nu):
-        name = model.body(int(model.jnt_bodyid[model.actuator_trnid[servo, 0]])).name
-        found.append((name, seen[name]))
-        seen[name] += 1
+        joint = int(model.actuator_trnid[servo, 0])
+        body = model.body(int(model.jnt_bodyid[joint]))
+        axis = joint - int(model.body_jntadr[body.id])
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
+            axis = int(np.abs(model.actuator_gear[servo, :3]).argmax())
+        found.append((body.name, axis))
     return found
 
 

@@ -21,7 +21,7 @@ from understudy.task import Context, Encoder, Fields, Shape
 from understudy_basics import rotations
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene
-from understudy_sitting.chair import BODY, FEET, SEAT, SEATED, THICKNESS
+from understudy_sitting.chair import BODY, FEET, SEAT, SEATED, THICKNESS, Chair
 
 #: Link of the humanoids that the paper calls root.
 TORSO = "chest"
@@ -272,8 +272,9 @@ class Seat(Fields):
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "fields 'sitting/seat'")
         self._options = options
-        self._pelvis = scene.character.root
         self._chair, self._seat = chair_of(scene.model)
+        pelvis = context.need_section("chair", Chair, "fields 'sitting/seat'").options.pelvis
+        self._pelvis = scene.model.body(pelvis).id
 
     def compute(
         self,

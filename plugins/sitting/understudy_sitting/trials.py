@@ -136,8 +136,9 @@ def _carry_out(
         for name in ("seated", "contact"):
             longest = found[name].maximum(table[f"{name}_seconds"])
             found[name] = torch.where(running, longest, found[name])
-        nearest = found["distance"].minimum(table["seat_distance"])
-        found["distance"] = torch.where(running, nearest, found["distance"])
+        distance = table["seat_distance"]
+        nearer = running & (distance < found["distance"])  # never NaN, of a world that went wrong
+        found["distance"] = torch.where(nearer, distance, found["distance"])
 
     environment.on_period = see
     before = None

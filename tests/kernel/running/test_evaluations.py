@@ -59,7 +59,12 @@ def test_measured() -> None:
     assert found.low == pytest.approx(mean - 1.96 * spread / 2)
     assert found.high == pytest.approx(mean + 1.96 * spread / 2)
     assert Measured.of("last", torch.tensor([3.0])) == Measured("last", 3, 0, 3, 3)
-    assert Measured.of("min", torch.tensor([math.inf])) == Measured("min", 0, 0, 0, 0)
+    none = Measured.of("min", torch.tensor([math.inf, math.nan]))
+    assert math.isnan(none.mean)
+    assert none.as_json()["mean"] is None
+    unknown = Evaluation(2, measures={"least": none, "return": none}, objective="least")
+    assert unknown.objective_value is None, "a measure that no episode has is not 0"
+    assert unknown.sentence() == "."
 
 
 @pytest.mark.parametrize(

@@ -7,17 +7,20 @@ from typing import Any
 import pytest
 import torch
 
+from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.task import Context, Rollout
 from understudy_amorphous.curricula import Between, Clusters
+from understudy_amorphous.scene import AmorphousScene
 
 CPU = torch.device("cpu")
 
 
-def curriculum(*, evaluating: bool = False, **options: Any) -> Clusters:
+def curriculum(*, evaluating: bool = False, blocks: int = 4, **options: Any) -> Clusters:
     context = Context(
         seed=0, device=CPU, num_worlds=4, control_dt=0.1, substeps=1, evaluating=evaluating
     )
+    context.scene = AmorphousScene(AmorphousScene.Options(blocks=blocks), context)
     return Clusters(
         Clusters.Options(
             **{
@@ -90,3 +93,13 @@ def test_episodes_have_different_lengths() -> None:
 def test_fewer_at_the_end_than_at_the_start_is_refused() -> None:
     with pytest.raises(ValueError, match="most=1 is not possible"):
         Clusters.Options(seconds=Between(1.0, 1.0), start=2, most=1)
+
+
+def test_there_are_no_more_than_the_scene_has() -> None:
+    with pytest.raises(
+        ConfigError, match=r"curriculum\.most=4 is not possible: there are 2 clusters"
+    ):
+        curriculum(blocks=2)
+    fewer = curriculum(most=2)
+    fewer.load_state_dict({"clusters": 4, "ended": 0, "total": 0.0})
+    assert fewer.clusters == 2, "those of a run that had more"

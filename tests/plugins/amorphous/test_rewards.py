@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
+from understudy.errors import ConfigError
 from understudy.task import Context
 from understudy_amorphous import flipping, gathering, spreading
 from understudy_amorphous.scene import AmorphousScene
@@ -176,3 +177,11 @@ def test_a_disk_that_turns_about_its_own_axis_is_not_turned_over() -> None:
     for angle in (0.5, 1.0, 1.5, 2.0, 2.5, math.pi):  # and over, from whatever it had turned to
         kept = memory.advance(kept, **seen(angle, 0.3, yaw=7.4))
     assert float(kept["turned"]) == pytest.approx(math.pi, abs=1e-3)
+
+
+def test_a_disk_of_one_layer_has_no_sides_to_tell_apart() -> None:
+    context = Context(seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=0.1, substeps=1)
+    options = AmorphousScene.Options("elastic", blocks=1, block=(5, 5, 1), round=True, tool="pan")
+    context.scene = AmorphousScene(options, context)
+    with pytest.raises(ConfigError, match="two layers or more"):
+        flipping.Turned(flipping.Turned.Options(), context)

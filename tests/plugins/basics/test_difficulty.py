@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -129,12 +130,15 @@ def test_state_continues_exactly_and_in_place() -> None:
         one.update(rollout(4, 3))
     one.update(rollout(1, 0))
     state = one.state_dict()
-    assert state["older"].tolist() == [False, True]
+    assert state["older"] == [1]
     two.load_state_dict(state)
     for _ in range(4):
         assert one.update(rollout(4, 3)) == two.update(rollout(4, 3))
     assert_close(dict(one.state_dict()), dict(two.state_dict()), rtol=0, atol=0)
     assert two.begin(STREAMS)["difficulty"].data_ptr() == where
+    alone = Adaptive(options, replace(context(), num_worlds=1))
+    alone.load_state_dict(one.state_dict())
+    assert alone.stage() == one.stage(), "of fewer worlds, too"
 
 
 @pytest.mark.parametrize(

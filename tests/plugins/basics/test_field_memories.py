@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from understudy.task import Context, Memory
-from understudy_basics.memories import History, Latch, RedrawnTarget, RunningMean, Timer
+from understudy_basics.memories import Extremes, History, Latch, RedrawnTarget, RunningMean, Timer
 
 DT = 0.1
 
@@ -101,3 +101,12 @@ def test_targets_are_redrawn_where_they_are_reached() -> None:
     torch.testing.assert_close(kept["target"], torch.tensor([[0.9], [0.5]]))
     assert kept["target_age"].tolist()[0] == 0
     assert kept["target_age"].tolist()[1] > 0
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-10, 10, width=32), min_size=1, max_size=20))
+def test_extremes_are_those_of_the_episode_so_far(values: list[float]) -> None:
+    found = carried(Extremes(None, context(1)), [{"value": torch.tensor([v])} for v in values])
+    for k, kept in enumerate(found):
+        assert float(kept["least"]) == min(values[: k + 1])
+        assert float(kept["most"]) == max(values[: k + 1])

@@ -130,7 +130,12 @@ def test_novel_policies_of_the_search(whole: Path, tmp_path: Path) -> None:
         config = json.loads((folder / str(trial["key"]) / "run.json").read_text())["config"]
         assert config["reward"]["terms"]["novelty"]["found"]
         assert config["start"]["run"].startswith(str(whole))
-    assert "of them new" in (folder / "gallery.html").read_text()
+    page = (folder / "gallery.html").read_text()
+    assert "of them new" in page
+    own = len(asked(folder))
+    repeated, failed = map(int, re.search(r"(\d+) repeated one, (\d+) failed", page).groups())  # type: ignore[union-attr]
+    novel, trials = map(int, re.search(r"(\d+) of them new in (\d+) trials", page).groups())  # type: ignore[union-attr]
+    assert trials == own == novel + repeated + failed, "not those of the search before"
 
 
 def test_other_sweeps_have_no_gallery(tmp_path: Path) -> None:

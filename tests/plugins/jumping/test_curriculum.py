@@ -108,3 +108,13 @@ def test_it_goes_on_where_it_was() -> None:
         assert first.update(of(0.6)) == second.update(of(0.6))
     streams = WorldStreams(0, "a test", 4, "cpu")
     torch.testing.assert_close(first.begin(streams), second.begin(streams))
+
+
+def test_bars_of_another_number_of_groups_are_refused() -> None:
+    many = Accumulated(Accumulated.Options(groups=2), context())
+    for here, there in ((1, 2), (2, 1)):
+        state = Accumulated(Accumulated.Options(groups=there), context()).state_dict()
+        with pytest.raises(ValueError, match=f"{here} groups here and {there} there"):
+            Accumulated(Accumulated.Options(groups=here), context()).load_state_dict(state)
+    many.load_state_dict({"difficulty": [2.0, 0.5], "sums": [0.0, 0.0]})
+    assert many.state_dict()["difficulty"] == [1.0, 0.5], "beyond this task's there is nothing"

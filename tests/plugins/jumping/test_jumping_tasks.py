@@ -254,6 +254,7 @@ def test_an_evaluation_in_which_nobody_crosses_is_written(plugins: Plugins) -> N
     )  # fmt: skip
     row = training.job.evaluate("here", 4).as_json(0)
     assert json.dumps(row, allow_nan=False), "of no attempt at all"
+    assert row["measures"]["strategy_angle"]["mean"] is None, "0 would be: on its back"
     training.close()
 
 

@@ -12,6 +12,7 @@ import torch
 from miniatures import QUICK, overrides_of, train
 
 from understudy.errors import ConfigError, RunError, TrainingError
+from understudy.records.runs import open_run
 from understudy.running.training import Training
 from understudy.running.trials import Report
 from understudy.setup.building import build_environment
@@ -128,7 +129,7 @@ def test_a_harvest_of_changes_keeps_the_states_that_a_decision_changed(
     assert isinstance(harvest, Harvest)
     table = harvest.environment.table
     for switches, changed in (
-        ([1, 0, 1, 0], [1, 0, 1, 0]),
+        ([1, 0, 1, 0], [0, 0, 0, 0]),  # the first decision of an episode
         ([1, 1, 0, 0], [0, 1, 0, 0]),
         ([0, 1, 1, 0], [0, 0, 1, 0]),
     ):
@@ -138,6 +139,26 @@ def test_a_harvest_of_changes_keeps_the_states_that_a_decision_changed(
         assert counts.long().tolist() == changed
         torch.testing.assert_close(states["positions"], before)
         assert not torch.equal(table["positions"], before)
+
+
+def test_a_harvest_is_as_hard_as_the_training_came_to_or_as_the_task_is_judged(
+    built_on: Path, tmp_path: Path
+) -> None:
+    above = tmp_path / "above"
+    easy = ("curriculum.threshold=-1000", "curriculum.episodes=1", "curriculum.step=0.25")
+    train(
+        *overrides_of("sitting", built_on), *easy, "budget.samples=2000", *QUICK, f"run.dir={above}"
+    )
+    came_to = open_run(above).newest()[0]["environment"]["curriculum"]["difficulty"]
+    assert came_to > 0.0
+    for evaluating, expected in (("false", came_to), ("true", 1.0)):
+        harvest = prepared(
+            *("experiment=miniature/sleeve_bank", f"job.run={above}", "job.moment=change"),
+            *("job.field=switch", "job.value=1", "job.fields=[]", "num_worlds=4"),
+            f"job.evaluating={evaluating}",
+        ).job
+        assert isinstance(harvest, Harvest)
+        assert harvest.environment.table["difficulty"].tolist() == [expected] * 4
 
 
 def test_dressing_begins_in_the_bank_with_what_was_learned(built_on: Path) -> None:

@@ -313,3 +313,11 @@ def test_the_whole_chain_composes(search: str) -> None:
     for given in stages.values():
         overrides = [o.replace("{", "").replace("}", "") for o in given]
         load_experiment([chain, *overrides, "outer_loop=null", "executor=null"])
+
+
+def test_bounds_and_imitation_are_judged_alike() -> None:
+    found = []
+    grid = load_experiment(["ablation=sitting/bounds"]).need("outer_loop").options
+    for overrides in grid.variants.values():
+        found.append(load_experiment(["ablation=sitting/bounds", *overrides]).failures)
+    assert found == [("low", "off_course")] * 2
