@@ -31,8 +31,8 @@ EXTERNAL = ROOT / "tests" / "external" / "understudy-balance"
 def commands(page: Path) -> list[list[str]]:
     """The overrides of every train and sweep command of `page`."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-    found = re.findall(r"^understudy (?:train|sweep) (.*)$", text, re.M)
-    return [shlex.split(line, comments=True) for line in found]
+    found = re.findall(r"(?:^[ \t]*|`)understudy (?:train|sweep) ([^`\n]+)", text, re.M)
+    return [shlex.split(line.rstrip("& "), comments=True) for line in found]
 
 
 COMMANDS = [
@@ -40,7 +40,9 @@ COMMANDS = [
     for page in PAGES
     if page != TUTORIAL
     for overrides in commands(page)
-    if not any(o.startswith("motion.file") or "SKILL" in o or "=S" in o for o in overrides)
+    if not any(
+        o.startswith("motion.file") or re.search(r"SKILL|=S|PART|…|\$", o) for o in overrides
+    )
 ]
 
 

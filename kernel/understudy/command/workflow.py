@@ -13,7 +13,7 @@ from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment, replaced
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment, at, validate
 from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
 
@@ -44,7 +44,9 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     if overrides:
         run.info["overrides"] = replaced(run.info["overrides"], overrides)
         experiment = validate(compose_raw(run.info["overrides"]), installed().registry)
-        run.info["config"] = experiment.effective() | {"run": run.config["run"]}
+        config = experiment.effective()
+        config["run"] |= {"dir": at(run.config, "run.dir")}
+        run.info["config"] = config
     experiment = run.experiment(installed().registry)
     distributed.start(experiment.root.device)
     leading = distributed.rank() == 0
@@ -55,7 +57,8 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
     progress = training.progress
-    if training.ended() and not progress.pending and run.judged() == progress.samples:
+    judged = run.judged() == progress.samples and not training.changed
+    if training.ended() and not progress.pending and judged:
         more = {"criterion": "evaluation.criterion=null", "budget": "a larger budget.samples=…"}
         hint = f" With {more[training.outcome]} it goes on." if training.outcome in more else ""
         if leading:

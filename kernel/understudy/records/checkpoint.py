@@ -222,9 +222,10 @@ def load_newest(
     raise RunError(f"{folder} has no usable checkpoint.{detail}")
 
 
-def prune(folder: Path, keep: int) -> None:
-    """Delete all but the `keep` newest checkpoints, and leftovers of interrupted writes."""
-    for path in newest(folder)[keep:]:
+def prune(folder: Path, keep: int, last: Path | None = None) -> None:
+    """Delete all but the `keep` newest checkpoints and the `last` that was written, and leftovers of
+    interrupted writes. What is numbered higher than the last was damaged."""
+    for path in (p for p in newest(folder)[keep:] if p != last):
         path.with_suffix(".json").unlink(missing_ok=True)
         path.with_suffix(".safetensors").unlink(missing_ok=True)
     for path in folder.glob("*.safetensors"):

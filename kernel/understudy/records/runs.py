@@ -138,7 +138,7 @@ class Run:
 
     def keep_metrics_until(self, iteration: int) -> None:
         """Drop rows after `iteration`: the resumed training writes them again."""
-        rows = [row for row in self.metrics() if row.get("iteration", 0) <= iteration]
+        rows = [row for row in self.metrics() if _iteration(row) <= iteration]
         write_atomically(self.metrics_file, "".join(json.dumps(r) + "\n" for r in rows).encode())
 
     def append_metrics(self, row: Mapping[str, Any]) -> None:
@@ -152,6 +152,11 @@ class Run:
             ) from error
 
 
+def _iteration(row: Mapping[str, Any]) -> int:
+    found = row.get("iteration")
+    return found if isinstance(found, int) else 0
+
+
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
     """Make the run folder of a new training.
 
@@ -159,10 +164,18 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         RunError: if the folder holds a run already or cannot be written.
     """
     root = experiment.root
-    path = (
-        Path(root.run.dir) if root.run.dir else _free_folder(_name(overrides) or root.task or "run")
-    )
+    try:
+        path = Path(root.run.dir or _free_folder(_name(overrides) or root.task or "run"))
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(
+            f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}. Give run.dir "
+            "another one."
+        ) from error
+    run = Run(path, {})
+    run.lock()  # before anything is looked at: another process may be making the same one
     if (path / "run.json").exists():
+        run.unlock()
         raise RunError(
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
             "run.dir another folder."
@@ -193,8 +206,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         raise RunError(
             f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one."
         ) from error
-    run = Run(path, info)
-    run.lock()
+    run.info = info
     run.write_json("run.json", info)
     return run
 
@@ -206,10 +218,12 @@ def _name(overrides: Sequence[str]) -> str:
 
 
 def _free_folder(name: str) -> Path:
+    """A new folder of the next number, made at once, so that nobody else takes it."""
     stem = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")
     for number in range(1, 100_000):
         path = Path("runs") / f"{stem}-{number:03d}"
-        if not path.exists():
+        with contextlib.suppress(FileExistsError):
+            path.mkdir(parents=True)
             return path
     raise RunError("The folder runs/ is full of runs of this task. Give run.dir a folder.")
 

@@ -39,6 +39,8 @@ class Measured:
             return cls(reduce, *[math.nan] * 4)
         mean, n = float(values.mean()), len(values)
         spread = float(values.std()) if n > 1 else 0.0
+        if reduce == "any":
+            return cls(reduce, mean, spread, *wilson_interval(mean, n))
         reach = 1.96 * spread / math.sqrt(n)
         return cls(reduce, mean, spread, mean - reach, mean + reach)
 
@@ -145,7 +147,7 @@ class Success:
         if self.measure is not None:
             value = measures[self.measure]
             return (value >= self.at_least) & (value <= self.at_most)
-        return reached[self.term] if self.term is not None else ~failed
+        return reached[self.term] & ~failed if self.term is not None else ~failed
 
 
 def success_of(experiment: Experiment) -> Success | None:
@@ -212,8 +214,9 @@ class Reducer:
         self._steps += running
 
     def result(self) -> Tensor:
-        """(N,)"""
-        return self._value / self._steps.clamp(min=1) if self.reduce == "mean" else self._value
+        """(N,); NaN where there was no step."""
+        value = self._value / self._steps if self.reduce == "mean" else self._value
+        return torch.where(self._steps > 0, value, torch.nan)
 
 
 class Evaluator:
@@ -241,7 +244,7 @@ class Evaluator:
         def flags() -> Tensor:
             return torch.zeros(n, dtype=torch.bool, device=device)
 
-        self._running, self._failed = flags(), flags()
+        self._running, self._failed, self._unsound = flags(), flags(), flags()
         self._fired = {t.name: flags() for t in environment.parts.terminations}
         self._seconds = torch.zeros(n, device=device)
         self._reducers = {"return": Reducer("sum", n, device)}
@@ -262,6 +265,7 @@ class Evaluator:
         for name, value in {"return": step.rewards, **environment.measure()}.items():
             self._reducers[name].digest(value, counted)
         self._failed |= step.failed & running
+        self._unsound |= step.unsound & running
         ended = step.ended
         self._running &= ~ended
         if environment.device.type != "cpu" or bool(ended.any()):
@@ -291,7 +295,7 @@ class Evaluator:
             self.built.environment.parts.initial_states = part
             if give_up_below is None and self.success:
                 rows, _ = self._batch(policy, f"{draw}/{name}", self.built.environment.num_worlds)
-                begun[f"success_from_{name}"] = Measured.of("last", rows["success"].float())
+                begun[f"success_from_{name}"] = Measured.of("any", rows["success"].float())
         found: list[dict[str, Tensor]] = []
         lost = done = 0
         complete = True
@@ -347,6 +351,7 @@ class Evaluator:
         self._running[count:] = False
         self._seconds.zero_()
         self._failed.zero_()
+        self._unsound.zero_()
         for fired in self._fired.values():
             fired.zero_()
         for reducer in self._reducers.values():
@@ -380,7 +385,7 @@ class Evaluator:
         if self.success is None:
             return torch.ones_like(self._failed)
         measures = {name: reducer.result() for name, reducer in self._reducers.items()}
-        return self.success.of(self._failed, self._fired, measures)
+        return self.success.of(self._failed, self._fired, measures) & ~self._unsound
 
     def close(self) -> None:
         self.built.environment.close()

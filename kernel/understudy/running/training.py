@@ -11,7 +11,7 @@ import contextlib
 import math
 import signal
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.warm_start import misshapen
-from understudy.setup.config import Experiment, at
+from understudy.setup.config import Experiment
 from understudy.signals import StopRequest
 from understudy.task import State
 
@@ -78,6 +78,8 @@ class Training:
         self.job: Job = job.build(experiment) if job else Reinforcement(None, experiment)
         self.progress = Progress()
         self.outcome = ""
+        #: Whether a checkpoint that was resumed is of another task, learner or judgement.
+        self.changed = False
 
     def prepare(self) -> Training:
         """Build and check everything that iterations need, before anything is written."""
@@ -122,7 +124,7 @@ class Training:
         path = run.checkpoints / f"{self.progress.iteration:08d}"
         meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
         checkpoint.save(path, self.state_dict(), meta)
-        checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep)
+        checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep, path)
         return path
 
     def resume(self) -> None:
@@ -141,8 +143,8 @@ class Training:
             self.job.forget_worlds()
         else:
             self.run.keep_metrics_until(self.progress.iteration)
-        before = at(meta["config"], "evaluation.criterion")
-        self.progress.met &= before == self.experiment.root.evaluation.criterion
+        self.changed = _meaning(meta.get("config")) != _meaning(self.run.config)
+        self.progress.met &= not self.changed
 
     def iterate(self) -> dict[str, Any]:
         """One iteration of the job; returns its row of metrics."""
@@ -292,6 +294,14 @@ class Training:
 
     def close(self) -> None:
         self.job.close()
+
+
+def _meaning(config: Any) -> dict[str, Any]:
+    """What of a run's configuration says what is learned and judged, not where and for how long."""
+    aside = ("run", "budget", "checkpoint", "device")
+    return (
+        {k: v for k, v in config.items() if k not in aside} if isinstance(config, Mapping) else {}
+    )
 
 
 def _reaches(evaluation: Evaluation, criterion: float) -> bool:

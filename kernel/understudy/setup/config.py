@@ -38,7 +38,7 @@ class EpisodeOptions:
     seconds: float = 20.0  #: episodes are truncated at this length
 
     def __post_init__(self) -> None:
-        check_range(self, "seconds", above=0)
+        check_range(self, "seconds", above=0, most=1e7)
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ class EvaluationOptions:
     every_samples: int | None = None
 
     def __post_init__(self) -> None:
-        check_range(self, "episodes", "final_episodes", least=1)
-        check_range(self, "seconds", above=0)
+        check_range(self, "episodes", "final_episodes", least=1, most=10**7)
+        check_range(self, "seconds", above=0, most=1e7)
         check_range(self, "criterion", above=0, most=1)
         check_range(self, "gate", least=0, most=1)
         check_range(self, "every_samples", least=0)
@@ -162,7 +162,7 @@ class Root:
     termination: TerminationOptions = field(default_factory=TerminationOptions)
 
     def __post_init__(self) -> None:
-        check_range(self, "num_worlds", least=1)
+        check_range(self, "num_worlds", least=1, most=10**7)
         check_range(self, "seed", least=0, most=2**63 - 1)
         check_range(self, "difficulty", least=0, most=1)
 

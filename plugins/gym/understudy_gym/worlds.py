@@ -188,7 +188,7 @@ class Worlds:
             act: from observations by name, each (N, …), to a learner's actions (N, A).
             seed: where they begin. Whatever went on before in these worlds ends.
         """
-        observations = self.environment.reset(seed)
+        observations = self.environment.reset(seed, "trial")  # where no training began
         length = torch.zeros(self.num_worlds, device=self.device)
         returns, running = length.clone(), torch.ones_like(length, dtype=torch.bool)
         while bool(running.any()):

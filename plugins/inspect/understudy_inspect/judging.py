@@ -73,10 +73,12 @@ class Render(Command):
         parser.add_argument("run", help="run folder")
 
     def run(self, options: argparse.Namespace) -> int:
-        training, run, reporter, _ = load(options.run, options.overrides, _PICTURE)
+        training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)
         reporter.observers = installed().observers()
+        changed = _changed(options.overrides, _PICTURE)
+        changed += [f"checkpoint={int(chosen)}"] if chosen else []
         try:
-            judge(training, run, reporter, _changed(options.overrides, _PICTURE))
+            judge(training, run, reporter, changed)
         finally:
             training.close()
         print(f"run: {run.path}")

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.running.environment import sound
 from understudy.setup.building import build_environment
@@ -33,22 +34,31 @@ def replay_step(path: Path | str, plugins: Plugins | None = None) -> ReplayedSte
         if the dump is missing or damaged.
     """
     state, meta = checkpoint.load(Path(path))
+    try:
+        worlds, snapshot, controls = (
+            state["worlds"],
+            dict(state["snapshot"]),
+            list(state["controls"]),
+        )
+        substeps, count = state["substeps"], len(worlds)
+        if not isinstance(meta["config"], dict):
+            raise TypeError("its config is no mapping")
+    except (LookupError, TypeError, ValueError) as error:
+        raise RunError(f"{path} is no dump of a step that went wrong: {error}.") from error
     registry, folder = (plugins or installed()).registry, Path(path).parent.parent
     if (folder / "run.json").is_file():
         experiment = runs.open_run(folder).experiment(registry, meta["config"])
     else:
         experiment = validate(meta["config"], registry)
-    environment = build_environment(experiment, num_worlds=len(state["worlds"])).environment
+    environment = build_environment(experiment, num_worlds=count).environment
     simulator = environment.parts.simulator
     try:
         environment.reset()  # which lets worlds differ in what they differed in
-        simulator.restore(state["snapshot"])
-        good = torch.ones(len(state["worlds"]), dtype=torch.bool)
-        for control in state["controls"]:
+        simulator.restore(snapshot)
+        good = torch.ones(count, dtype=torch.bool)
+        for control in controls:
             good &= sound(control)
-            simulator.step(
-                torch.where(sound(control).unsqueeze(1), control, 0.0), state["substeps"]
-            )
-        return ReplayedStep(state["worlds"], simulator.failed() | ~good, simulator.snapshot())
+            simulator.step(torch.where(sound(control).unsqueeze(1), control, 0.0), substeps)
+        return ReplayedStep(worlds, simulator.failed() | ~good, simulator.snapshot())
     finally:
         environment.close()

@@ -123,6 +123,10 @@ def _pack(skill: Skill, path: Path) -> int:
     if not path.name:
         raise ConfigError(f"--pack {path} names no file. Give one: FILE.json.")
     small, file = rounded(skill), path.with_name(f"{path.name.removesuffix('.json')}.json")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--pack {path} cannot be written there: {error.strerror}.") from error
     training = Training(small.experiment)
     try:
         progress = {**training.progress.state_dict(), "samples": small.samples}

@@ -19,7 +19,7 @@ from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.plugins import installed
 from understudy.task import Policy
-from understudy_report.values import read_evaluation
+from understudy_report.values import own_evaluation
 
 _HERE = Path(__file__).parent / "skills"
 #: Of each row of a matrix: the largest weight.
@@ -85,9 +85,15 @@ def open_skill(source: str, overrides: Sequence[str] = ()) -> Skill:
         if the run or file is damaged.
     """
     path = Path(source)
+    packed = path.suffix == ".json" and path.is_file()
+    if (source in names() or packed) and overrides:
+        raise ConfigError(
+            f"{overrides[0]}: the skill {source} is packed and played as it is. Unpack it "
+            f"(understudy play {source} --unpack FOLDER) and play that."
+        )
     if source in names():
         return _packed(_HERE / source, source)
-    if path.suffix == ".json" and path.is_file():
+    if packed:
         return _packed(path, path.stem)
     if path.is_dir():
         return _of_run(path, overrides)
@@ -113,7 +119,7 @@ def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
         "samples": samples,
         "versions": meta.get("versions"),
         "sources": meta.get("sources"),
-        "evaluation": read_evaluation(run) or None,
+        "evaluation": None if overrides else own_evaluation(run) or None,
     }
     experiment = run.experiment(installed().registry, config)
     return Skill(str(path), experiment, policy, samples, card)

@@ -22,7 +22,7 @@ class Headline(ReportSection):
         evaluation, rows = read_evaluation(run), run.metrics()
         meaning = _meaning(run.info, evaluation)
         if changed := words.text(evaluation.get("changed") or ""):
-            meaning = f"Judged with other settings than it was trained with: {changed}. {meaning}"
+            meaning = f"Judged otherwise than it was trained: {changed}. {meaning}"
         explained = f"<p>{escape(meaning)}</p>" if meaning else ""
         return (
             f'<p class="headline">{escape(_sentence(run.info, evaluation, rows))}</p>{explained}'

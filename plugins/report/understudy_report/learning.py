@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from understudy.records.runs import Run
 from understudy_report.charts import Chart, Mark, draw_chart
 from understudy_report.section import ReportSection
-from understudy_report.values import Row, number, read_evaluation
+from understudy_report.values import Row, number, own_evaluation
 
 _USUAL = (
     Chart("Episode length", "episode/episode_seconds", "s", low=0.0),
@@ -35,7 +35,7 @@ class LearningCurves(ReportSection):
     order = 60
 
     def html(self, run: Run) -> str | None:
-        rows = with_success(run.metrics(), read_evaluation(run))
+        rows = with_success(run.metrics(), own_evaluation(run))
         marks = marks_of(rows)
         end = max((x for row in rows if (x := number(row.get("samples"))) is not None), default=0.0)
         ended = [

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy_report.values import mapping, number, read_evaluation
+from understudy_report.values import mapping, number, own_evaluation
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
@@ -38,7 +38,7 @@ class TensorBoard(RunObserver):
         """The figures of the last evaluation as ``final/…``, beside those of the training."""
         from torch.utils.tensorboard.writer import SummaryWriter
 
-        evaluation = read_evaluation(run)
+        evaluation = own_evaluation(run)
         samples, rate = number(evaluation.get("samples")), number(evaluation.get("success_rate"))
         means = {
             k: number(mapping(v).get("mean"))

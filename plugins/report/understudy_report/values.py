@@ -27,6 +27,12 @@ def sequence(value: Any) -> Sequence[Any]:
     return value if isinstance(value, list | tuple) else []
 
 
+def own_evaluation(run: Run) -> Row:
+    """The last evaluation of the run as it was trained; empty where the last was of something else."""
+    evaluation = read_evaluation(run)
+    return {} if evaluation.get("changed") else evaluation
+
+
 def number(value: Any) -> float | None:
     """`value` as a number that can be drawn, if it is one."""
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -47,7 +47,7 @@ class Reproduce(Command):
         table = whole.only(options.rows, options.columns, options.seeds)
         folder = Path("runs") / "reproduce" / options.table
         for override in options.overrides:
-            if override.startswith("run.dir="):
+            if override.lstrip("+").startswith("run.dir="):
                 folder = Path(override.partition("=")[2])
         if table.searches:
             comparison = Comparison(options.table, table, folder, options.overrides)

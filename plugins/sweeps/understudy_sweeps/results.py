@@ -8,7 +8,7 @@ from pathlib import Path
 
 from understudy.records.runs import Run
 from understudy.running.trials import Report, Trial
-from understudy_report.values import Row, mapping, number, read_evaluation
+from understudy_report.values import Row, mapping, number, own_evaluation
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.trial import folder_of
 
@@ -77,7 +77,7 @@ class Results:
             return self._finished[trial.key]
         path = folder_of(trial.key, self._folder)
         run = Run(path, {})
-        result = Result(trial, report, path, run.metrics(), read_evaluation(run))
+        result = Result(trial, report, path, run.metrics(), own_evaluation(run))
         if report is not None:
             self._finished[trial.key] = result
         return result

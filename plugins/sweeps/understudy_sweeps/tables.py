@@ -223,8 +223,11 @@ def _episodes(result: Result) -> str:
     rate = result.figure(SUCCESS)
     if rate is None:
         return _NOTHING
-    bounds = interval(mapping(result.evaluation).get("success_rate_95"))
-    episodes = int(number(mapping(result.evaluation).get("episodes")) or 0)
+    evaluation = mapping(result.evaluation)
+    if number(evaluation.get("success_rate")) != rate:  # made anew since, of something else
+        evaluation = {}
+    bounds = interval(evaluation.get("success_rate_95"))
+    episodes = int(number(evaluation.get("episodes")) or 0)
     if bounds is None and episodes:
         bounds = wilson_interval(rate, episodes)
     if bounds is None:  # its run is gone: the journal has the rate alone

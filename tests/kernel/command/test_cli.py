@@ -145,6 +145,15 @@ def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_pat
     assert captured.out == f"run: {run}\n"
     assert (run / "evaluation.json").stat().st_mtime_ns == before, "nothing was judged again"
 
+    other = ["evaluation.success={measure: return, at_least: 1000}", "run.video_seconds=0.1"]
+    assert main(["resume", str(run), *other]) == 0
+    found = json.loads((run / "evaluation.json").read_text())
+    assert found["success"] == "return at least 1000", "judged anew by what was asked"
+    info = json.loads((run / "run.json").read_text())
+    config = info["config"]
+    assert (config["run"]["video_seconds"], config["run"]["dir"]) == (0.1, str(run))
+    before = (run / "evaluation.json").stat().st_mtime_ns
+    capsys.readouterr()
     words = ["episodes=1", "seconds=0.1"]
     assert main(["evaluate", str(run), *words, "checkpoint=0"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -162,7 +171,9 @@ def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_pat
     assert main(["render", str(run), *words, slower, "run.video_seconds=0"]) == 0
     assert json.loads((run / "evaluation.json").read_text())["changed"] == [slower]
     report = (run / "report.html").read_text(encoding="utf-8")
-    assert f"with other settings than it was trained with: {slower}." in report
+    assert f"Judged otherwise than it was trained: {slower}." in report
+    assert main(["render", str(run), *words, "checkpoint=0", "run.video_seconds=0"]) == 0
+    assert json.loads((run / "evaluation.json").read_text())["changed"] == ["checkpoint=0"]
     assert main(["render", str(run), *words, "size=160x90", "camera=90"]) == 0
     assert "changed" not in json.loads((run / "evaluation.json").read_text())
     assert json.loads((run / "evaluation.json").read_text())["episodes"] == 1

@@ -76,6 +76,12 @@ def test_newest_and_prune(tmp_path: Path) -> None:
         "00000003.json", "00000003.safetensors", "00000010.json", "00000010.safetensors",
     ]  # fmt: skip
     assert checkpoint.load_newest(tmp_path)[0] == {"n": 10}
+    for name in ("00000003.json", "00000010.json"):
+        (tmp_path / name).write_bytes(b"damaged")
+    last = tmp_path / "00000002"
+    checkpoint.save(last, {"n": 2}, {})
+    checkpoint.prune(tmp_path, 2, last)
+    assert checkpoint.load_newest(tmp_path)[0] == {"n": 2}, "what was just saved stays"
 
 
 def test_a_name_may_have_dots(tmp_path: Path) -> None:

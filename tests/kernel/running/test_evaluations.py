@@ -208,6 +208,37 @@ def test_a_failure_in_the_same_step_is_no_success_term_of_another() -> None:
     assert found.success_rate == 0.0, "all that reach 6 end there"
 
 
+def test_what_fails_in_the_step_of_a_success_term_is_none() -> None:
+    """As in training."""
+    found = evaluated(far(6, "success", "there"), far(6, "failure", "fell"))
+    assert (found.success_rate, found.violated) == (0.0, {"fell": 0.5})
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_an_episode_that_went_wrong_is_no_success_by_what_was_measured_before(step: int) -> None:
+    made = evaluator(
+        far(50), "+measure.at={name: line/value}", "evaluation.success={measure: at, at_most: 9}"
+    )
+    assert made.run(policy(), "a", 4).success_rate == 1.0
+    seen = 0
+
+    def harm(counted: Tensor) -> None:
+        nonlocal seen
+        seen += 1
+        if seen == step:
+            made.built.environment.parts.simulator.read("x")[:2] = math.nan
+
+    found = made.run(policy(), "a", 4, on_period=harm)
+    assert found.success_rate == 0.5
+
+
+def test_shares_of_starts_have_an_interval_of_a_share() -> None:
+    found = evaluated(far(50), "evaluation.starts.here={name: my/rungs}").measures[
+        "success_from_here"
+    ]
+    assert (found.mean, found.low < 0.7, found.high) == (1.0, True, pytest.approx(1.0))
+
+
 @pytest.mark.parametrize(
     ("limits", "rate", "text"),
     [

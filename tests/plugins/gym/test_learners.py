@@ -280,6 +280,6 @@ def test_one_episode_in_each_world() -> None:
     worlds = Worlds(TASK, 3, CUT)
     length, returns = worlds.one_episode(lambda seen: torch.zeros(3, 2), seed=1)
     assert length.tolist() == [3.0] * 3
-    worlds.environment.reset(1)
+    worlds.environment.reset(1, "trial")
     rewards = [worlds.step(torch.zeros(3, 2)).rewards.clone() for _ in range(3)]
     torch.testing.assert_close(returns, torch.stack(rewards).sum(dim=0))
