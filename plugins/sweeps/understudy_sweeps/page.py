@@ -269,7 +269,9 @@ def _headline(results: Sequence[Result], variants: Sequence[Variant]) -> str:
             f"the best {objective.replace('_', ' ')} is {value}, of {best.trial.key} ({at})"
         )
         if done > 1:
-            parts.append("it was chosen by the starts that it is judged on, so it is rather too good")
+            parts.append(
+                "it was chosen by the starts that it is judged on, so it is rather too good"
+            )
     elif not variants and any(r.worth is not None for r in results):
         parts.append("none of them at full fidelity, so there is no answer")
     return "; ".join(parts) + "."
