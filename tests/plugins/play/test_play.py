@@ -302,3 +302,9 @@ def test_packing_keeps_the_overrides_that_made_a_run_and_no_folder(tmp_path: Pat
     assert "experiment=sitting/walk" in skill.card["overrides"]
     assert "seed=3" in skill.card["overrides"]
     assert not any("run.dir" in word for word in skill.card["overrides"])
+
+
+def test_a_packed_skill_is_played_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["play", "spacetime/walk", "scene.character=other", "--seconds", "0.1"]) == 2
+    said = capsys.readouterr().err
+    assert "scene.character=other: the skill spacetime/walk is packed and played as it is" in said
