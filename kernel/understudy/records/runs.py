@@ -172,14 +172,10 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
             f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}. Give run.dir "
             "another one."
         ) from error
+    _refuse_a_second(path)
     run = Run(path, {})
-    run.lock()  # before anything is looked at: another process may be making the same one
-    if (path / "run.json").exists():
-        run.unlock()
-        raise RunError(
-            f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
-            "run.dir another folder."
-        )
+    run.lock()
+    _refuse_a_second(path)  # that another process has made meanwhile
     used = {(c.kind, c.name): c for c in experiment.components()}
     facts = ("kind", "name", "plugin", "distribution", "version")
     info = {
@@ -209,6 +205,14 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
     run.info = info
     run.write_json("run.json", info)
     return run
+
+
+def _refuse_a_second(path: Path) -> None:
+    if (path / "run.json").exists():
+        raise RunError(
+            f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
+            "run.dir another folder."
+        )
 
 
 def _name(overrides: Sequence[str]) -> str:

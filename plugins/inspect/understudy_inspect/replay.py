@@ -12,7 +12,7 @@ from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.running.environment import sound
 from understudy.setup.building import build_environment
-from understudy.setup.config import validate
+from understudy.setup.config import refuse_code, validate
 from understudy.setup.plugins import Plugins, installed
 
 
@@ -34,22 +34,17 @@ def replay_step(path: Path | str, plugins: Plugins | None = None) -> ReplayedSte
         if the dump is missing or damaged.
     """
     state, meta = checkpoint.load(Path(path))
+    refuse_code(meta.get("config"))
     try:
-        worlds, snapshot, controls = (
-            state["worlds"],
-            dict(state["snapshot"]),
-            list(state["controls"]),
-        )
-        substeps, count = state["substeps"], len(worlds)
-        if not isinstance(meta["config"], dict):
-            raise TypeError("its config is no mapping")
+        config, worlds, substeps = dict(meta["config"]), state["worlds"], state["substeps"]
+        snapshot, controls, count = dict(state["snapshot"]), list(state["controls"]), len(worlds)
     except (LookupError, TypeError, ValueError) as error:
         raise RunError(f"{path} is no dump of a step that went wrong: {error}.") from error
     registry, folder = (plugins or installed()).registry, Path(path).parent.parent
     if (folder / "run.json").is_file():
-        experiment = runs.open_run(folder).experiment(registry, meta["config"])
+        experiment = runs.open_run(folder).experiment(registry, config)
     else:
-        experiment = validate(meta["config"], registry)
+        experiment = validate(config, registry)
     environment = build_environment(experiment, num_worlds=count).environment
     simulator = environment.parts.simulator
     try:
