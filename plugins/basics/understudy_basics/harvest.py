@@ -48,7 +48,8 @@ class Harvest(Job):
         fields: tuple[str, ...] = ()  #: kept beside the simulator's state
         deterministic: bool = False  #: act by the policy's mode instead of sampling
         #: In the task as it is judged, at its target difficulty and from the starts of evaluations; else as
-        #: it was trained, at the difficulty that its curriculum came to.
+        #: it was trained, at the difficulty that its curriculum came to (a packed skill does not say: where it
+        #: began).
         evaluating: bool = False
         decisions: int = 64  #: of every world, in an iteration
         patience: int = 50  #: iterations without any state after which there is no hope
@@ -109,9 +110,10 @@ class Harvest(Job):
                 + suggestion(self.options.ending, [*outcomes, *terms])
             )
         state = newest_state(self.options.run)
-        if environment.parts.curriculum is not None and not self.options.evaluating:
+        curriculum = environment.parts.curriculum
+        if curriculum is not None and not self.options.evaluating and "environment" in state:
             what = f"job.run: the curriculum of {self.options.run}"
-            load_part(environment.parts.curriculum, state, "curriculum", what)
+            load_part(curriculum, state, "curriculum", what)
         environment.reset()
         self.policy = build_policy(self._experiment, built.context)
         self.policy.load_state_dict(state["policy"])

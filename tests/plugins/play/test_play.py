@@ -15,6 +15,8 @@ import torch
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
 from understudy.records import checkpoint
+from understudy.running.training import Training
+from understudy.setup.composition import load_experiment
 from understudy_motion.library import data_folder
 from understudy_play import skill as skills
 from understudy_play.command import record
@@ -308,3 +310,14 @@ def test_a_packed_skill_is_played_as_it_is(capsys: pytest.CaptureFixture[str]) -
     assert main(["play", "spacetime/walk", "scene.character=other", "--seconds", "0.1"]) == 2
     said = capsys.readouterr().err
     assert "scene.character=other: the skill spacetime/walk is packed and played as it is" in said
+
+
+def test_an_unpacked_skill_is_harvested_where_its_curriculum_begins(tmp_path: Path) -> None:
+    """It says nothing of how far that came."""
+    run = tmp_path / "walk"
+    assert main(["play", "sitting/walk", "--unpack", str(run)]) == 0
+    words = ["experiment=sitting/ends", f"job.run={run}", "num_worlds=2", "simulator=mujoco"]
+    training = Training(load_experiment(words)).prepare()
+    table = training.job.environment.table  # type: ignore[attr-defined]
+    assert table["difficulty"].tolist() == [0.0, 0.0]
+    training.close()
