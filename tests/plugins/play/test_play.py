@@ -319,5 +319,6 @@ def test_an_unpacked_skill_is_harvested_where_its_curriculum_begins(tmp_path: Pa
     words = ["experiment=sitting/ends", f"job.run={run}", "num_worlds=2", "simulator=mujoco"]
     training = Training(load_experiment(words)).prepare()
     table = training.job.environment.table  # type: ignore[attr-defined]
-    assert table["difficulty"].tolist() == [0.0, 0.0]
+    start = json.loads((run / "run.json").read_text())["config"]["curriculum"]["start"]
+    assert table["difficulty"].tolist() == [start, start]
     training.close()
