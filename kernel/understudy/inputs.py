@@ -18,6 +18,7 @@ class Inputs:
     #: The copies' digests by name in the folder, that of the file that was asked for first.
     kept: dict[str, dict[str, str]] = field(default_factory=dict)
     _read: dict[str, list[Path]] = field(default_factory=dict)
+    _fills: dict[str, Callable[[Path], None]] = field(default_factory=dict)
 
     def file(self, asked: str, find: Callable[[], Iterable[Path]]) -> Path:
         """The file to open for what is `asked`: the run's copy, else the first that `find` gives. Its
@@ -36,6 +37,17 @@ class Inputs:
                 raise RunError(f"{path} is not what the run was made with: put that back.")
         return self.folder / next(iter(self.kept[asked]))
 
+    def folder_of(self, asked: str, source: Path, fill: Callable[[Path], None]) -> Path:
+        """The folder to read for what is `asked`: the run's copy, which `fill` writes, else `source`.
+
+        Raises:
+            RunError: as :meth:`file`.
+        """
+        if asked in self.kept:
+            return self.file(asked, list).parent
+        self._fills[asked] = fill
+        return source
+
     def copy(self, folder: Path) -> dict[str, dict[str, str]]:
         """Copy what was read into `folder`, and read it there from now on; all that is kept there."""
         for asked, paths in self._read.items():
@@ -46,5 +58,14 @@ class Inputs:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_bytes(content)
                 self.kept[asked][name] = hashlib.sha256(content).hexdigest()
-        self._read, self.folder = {}, folder
+        for asked, fill in self._fills.items():
+            fill(top := folder / str(len(self.kept)))
+            files = sorted(
+                (f for f in top.rglob("*") if f.is_file()), key=lambda f: (len(f.parts), f)
+            )
+            self.kept[asked] = {
+                f.relative_to(folder).as_posix(): hashlib.sha256(f.read_bytes()).hexdigest()
+                for f in files
+            }
+        self._read, self._fills, self.folder = {}, {}, folder
         return self.kept

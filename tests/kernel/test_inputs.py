@@ -87,3 +87,23 @@ def test_nothing_outside_the_folder_is_read(tmp_path: Path, name: str) -> None:
     digest = next(iter(inputs.kept["scene"].values()))
     with pytest.raises(RunError, match="not what the run was made with"):
         Inputs(tmp_path / "run", {"scene": {name: digest}}).file("scene", never)
+
+
+def test_a_folder_is_read_where_it_is_until_its_copy_is_written(tmp_path: Path) -> None:
+    def fill(copy: Path) -> None:
+        (copy / "deep").mkdir(parents=True)
+        (copy / "deep" / "a").write_text("weights")
+        (copy / "run.json").write_text("{}")
+
+    inputs = Inputs()
+    inputs.file("scene", lambda: files(tmp_path / "away"))
+    assert inputs.folder_of("skill", tmp_path / "skill", fill) == tmp_path / "skill"
+    again = Inputs(tmp_path / "run", json.loads(json.dumps(inputs.copy(tmp_path / "run"))))
+    for found in (inputs, again):
+        copy = found.folder_of("skill", tmp_path / "skill", fill)
+        assert copy.parent == tmp_path / "run"
+        assert (copy / "run.json").read_text() == "{}"
+        assert (copy / "deep" / "a").read_text() == "weights"
+    (copy / "deep" / "a").write_text("others")
+    with pytest.raises(RunError, match="is not what the run was made with"):
+        again.folder_of("skill", tmp_path / "skill", fill)

@@ -92,7 +92,7 @@ def test_the_wheel_has_what_is_not_python(built: Path) -> None:
     assert {
         "understudy/conf/config.yaml",
         "understudy_report/page.css",
-        "understudy_play/skills/spacetime/walk.safetensors",
+        "understudy_spacetime/skills/walk.safetensors",
         "understudy_spacetime/conf/experiment/spacetime/walk.yaml",
     } <= names
 

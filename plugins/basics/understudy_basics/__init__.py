@@ -12,6 +12,7 @@ REQUIRES: tuple[str, ...] = ()
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
+    register.kind("skill", "a trained policy that comes with a plugin")
     add = register.component
     add("policy", "mlp", "understudy_basics.policies:MLPPolicy", "MLP actor and critic")
     add("policy", "cnn", "understudy_basics.policies:CNNPolicy", "image and flat observation")

@@ -1,20 +1,21 @@
-"""A finished run's encoders, policy and actuation, at work inside another task."""
+"""A skill's or finished run's encoders, policy and actuation, at work inside another task."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor, nn
 
-from understudy.errors import ConfigError, RunError
-from understudy.records import runs
-from understudy.running.warm_start import newest_state
+from understudy.errors import ConfigError
 from understudy.setup.building import build_policy, build_sections
-from understudy.setup.config import Chosen, Experiment
+from understudy.setup.config import Chosen
 from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Bound, renamed
+from understudy_basics.skill import copy_run, open_skill
 
 
 class Controller(nn.Module):
@@ -33,24 +34,29 @@ class Controller(nn.Module):
         self.policy: Any = policy.requires_grad_(False)
 
     @classmethod
-    def load(cls, run: str, context: Context) -> Controller:
-        """The controller of the run folder `run`, with the weights of its newest checkpoint.
+    def load(cls, source: str, context: Context) -> Controller:
+        """The controller of the run folder `source`, with the weights of its newest checkpoint, or of the
+        skill of this name that comes with a plugin. A run that this task is trained in keeps a copy.
 
         Raises
         ------
         ConfigError
-            if its parts do not fit this task's scene or simulator.
+            if there is no such run or skill, or its parts do not fit this task's scene or simulator.
         RunError
-            if there is no such run, or its checkpoint does not fit its configuration.
+            if it is damaged, or its checkpoint does not fit its configuration.
         """
         assert context.registry is not None
-        source = runs.open_run(run)
-        config = {key: value for key, value in source.config.items() if key != "simulator"}
-        experiment = source.experiment(context.registry, config)  # it acts on this task's
+        place = source
+        if source not in context.registry.names("skill"):
+            fill = functools.partial(copy_run, source)
+            place = str(context.inputs.folder_of(f"controller {source}", Path(source), fill))
+        # It acts on this task's simulator.
+        skill = open_skill(place, registry=context.registry, without=("simulator",))
+        experiment = skill.experiment
         control = experiment.root.control
         if abs(1.0 / control.frequency - context.control_dt) > 1e-9 or control.decision != 1:
             raise ConfigError(
-                f"{run} decides {control.frequency / control.decision:g} times a second, and this "
+                f"{source} decides {control.frequency / control.decision:g} times a second, and this "
                 f"task's control periods are {1.0 / context.control_dt:g} a second. Set "
                 f"control.frequency={control.frequency:g}, or train that run for this task's rate."
             )
@@ -60,18 +66,19 @@ class Controller(nn.Module):
 
         def bound(chosen: Chosen) -> Bound[Any]:
             part = chosen.build(own)
-            where = f"{chosen.where} of {run}"
+            where = f"{chosen.where} of {source}"
             return Bound(where, part, renamed(where, "reads", part.reads, chosen.extras["reads"]))
 
         encoders = {c.name: bound(c) for c in experiment.many("encoder")}
         actuation = bound(experiment.need("actuation"))
         if actuation.part.keeps:
             raise ConfigError(
-                f"{run} cannot be a controller inside another task: its actuation keeps a state."
+                f"{source} cannot be a controller inside another task: its actuation keeps a state."
             )
         own.action_space = actuation.part.action_space
         own.observation_shapes = {name: e.part.shape for name, e in encoders.items()}
-        policy = _trained(run, experiment, own)
+        policy = build_policy(experiment, own)
+        replace(skill, name=source).give(policy)
         return cls(encoders, actuation, policy)
 
     @property
@@ -89,15 +96,3 @@ class Controller(nn.Module):
         action = self.policy.distribution(observations).mode()
         taken = {own: fields[f] for own, f in self.actuation.reads.items()}
         return self.actuation.part.control(action, **taken)
-
-
-def _trained(run: str, experiment: Experiment, context: Context) -> nn.Module:
-    policy = build_policy(experiment, context)
-    state = newest_state(run)
-    try:
-        policy.load_state_dict(state["policy"])
-    except (RuntimeError, KeyError) as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise RunError(f"The checkpoint of {run} does not fit this task: {reason}") from error
-    policy.schedule(state["progress"]["samples"])
-    return policy

@@ -12,9 +12,10 @@ import numpy as np
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
+from understudy.setup.plugins import installed
+from understudy_basics.skill import Skill, names, open_skill, pack, rounded, unpack
 from understudy_motion.arguments import port, positive
 from understudy_play.player import Player, World
-from understudy_play.skill import Skill, clip_of, names, open_skill, pack, rounded, unpack
 from understudy_report.values import mapping, number
 
 #: s between pushes, which go to the left and to the right in turn.
@@ -73,6 +74,13 @@ class Play(Command):
         if options.video is not None:
             return _film(skill, options)
         return serve(lambda: Player(skill), options)
+
+
+def clip_of(skill: Skill) -> str | None:
+    """The clip of the data folder that `skill` needs to be played; none where it is generated."""
+    name = (skill.card["config"].get("motion") or {}).get("name")
+    known = installed().registry.names("clip")
+    return name if isinstance(name, str) and name not in known else None
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
+from understudy_basics.packaged import register_skills
 
 #: Plugins that this one builds on.
 REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "play", "ppo", "report")
@@ -84,6 +85,7 @@ _PARTS = {
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
+    register_skills(register, Path(__file__).parent / "skills")
     for (module, kind), parts in _PARTS.items():
         for name, (target, summary) in parts.items():
             register.component(kind, name, f"{_HERE}.{module}:{target}", summary)

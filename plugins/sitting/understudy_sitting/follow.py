@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from understudy.setup.composition import load_experiment
 from understudy_motion.arguments import positive
 from understudy_play.command import add_page_arguments, film, record, serve
 from understudy_play.player import World
-from understudy_play.skill import open_skill, unpack
 
 WALK, LEFT, RIGHT = 0, 1, 2
 #: rad, of the target's azimuth: from the first on it turns in place, until the second is reached. The
@@ -41,9 +39,9 @@ class Follower(World):
     Raises
     ------
     ConfigError
-        if there are not one or three runs, or one does not fit the figure.
+        if there are not one or three runs or skills, or one does not fit the figure.
     RunError
-        if one is no run.
+        if one is neither.
     """
 
     def __init__(self, runs: Sequence[str], seed: int = 0) -> None:
@@ -101,14 +99,12 @@ class Follow(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         _count(options.runs)
-        with tempfile.TemporaryDirectory() as folder:
-            runs = [_folder(name, Path(folder) / str(k)) for k, name in enumerate(options.runs)]
-            if options.video is None:
-                return serve(lambda: Follower(runs), options)
-            return self._film(runs, options)
+        if options.video is None:
+            return serve(lambda: Follower(options.runs), options)
+        return self._film(options)
 
-    def _film(self, runs: Sequence[str], options: argparse.Namespace) -> int:
-        world = Follower(runs)
+    def _film(self, options: argparse.Namespace) -> int:
+        world = Follower(options.runs)
         try:
             parts = []
             for place in _ROUND:
@@ -125,13 +121,3 @@ class Follow(Command):
 def _count(runs: Sequence[str]) -> None:
     if len(runs) not in (1, 3):
         raise ConfigError("Give the run of walk, or those of walk, turn_left and turn_right.")
-
-
-def _folder(source: str, within: Path) -> str:
-    """The run folder `source`, or one in `within` of the skill of that name."""
-    if (Path(source) / "run.json").is_file():
-        return source
-    skill = open_skill(source)
-    path = within / skill.name.replace("/", "-")
-    unpack(skill, path)
-    return str(path)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
+from understudy_basics.packaged import register_skills
 
 #: Plugins that this one builds on.
 REQUIRES = ("basics", "characters", "motion", "mujoco", "ppo", "report")
@@ -13,6 +14,7 @@ _HERE = "understudy_spacetime"
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
+    register_skills(register, Path(__file__).parent / "skills")
     add = register.component
     add(
         "termination",

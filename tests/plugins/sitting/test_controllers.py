@@ -132,3 +132,30 @@ def test_a_room_is_filmed_with_another_simulator(
     info["config"]["simulator"] = {"name": "elsewhere"}
     (run / "run.json").write_text(json.dumps(info))
     assert carry_out(ROOM, run, "simulator=mujoco") == 0
+
+
+def test_a_controller_keeps_the_skills_that_it_was_trained_over(
+    skill: Path, tmp_path: Path
+) -> None:
+    """Of each its policy, so that the run can go to another machine without them."""
+    walk, run = tmp_path / "walk", tmp_path / "run"
+    shutil.copytree(skill, walk)
+    four = f"actuation.runs=['{walk}',sitting/turn_left,sitting/turn_right,sitting/sit]"
+    words = ("experiment=sitting/meta", *TINY, four, "num_worlds=4", "budget.samples=32")
+    assert main(["train", *words, f"run.dir={run}"]) == 0
+    shutil.rmtree(walk)
+    moved = run.rename(tmp_path / "moved")
+    assert main(["sitting", "trials", str(moved), "--trials", "2"]) == 0
+    (copy,) = {path.parent for path in (moved / "inputs").rglob("run.json")}
+    state, _ = checkpoint.load(copy / "checkpoints" / "00000001")
+    assert state.keys() == {"policy", "progress"}
+    assert sum(f.stat().st_size for f in copy.rglob("*") if f.is_file()) < 200_000
+    with (copy / "run.json").open("a") as file:
+        file.write(" ")
+    assert main(["sitting", "trials", str(moved), "--trials", "2"]) != 0
+
+
+def test_a_skill_that_there_is_not(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = ("experiment=sitting/meta", *TINY, "actuation.runs=[sitting/wlk]", "num_worlds=4")
+    assert main(["train", *words, f"run.dir={tmp_path / 'run'}"]) == 2
+    assert "sitting/walk" in capsys.readouterr().err

@@ -1,9 +1,11 @@
-"""Trained policies to play: those that come with the package, small files, and finished runs."""
+"""Trained policies and the tasks that they were trained for: those that come with a plugin, small files,
+and finished runs."""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,16 +14,16 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
+from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment, build_policy
 from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
 from understudy.task import Policy
-from understudy_report.values import own_evaluation
 
-_HERE = Path(__file__).parent / "skills"
 #: Of each row of a matrix: the largest weight.
 _STEPS = 127
 #: Overrides that say where and how a run was carried out, not what it was.
@@ -60,22 +62,22 @@ class Skill:
         policy.schedule(self.samples)
 
 
-def clip_of(skill: Skill) -> str | None:
-    """The clip of the data folder that `skill` needs to be played; none where it is generated."""
-    name = (skill.card["config"].get("motion") or {}).get("name")
-    known = installed().registry.names("clip")
-    return name if isinstance(name, str) and name not in known else None
-
-
 def names() -> list[str]:
-    """Of the skills that come with the package."""
-    return sorted(str(p.relative_to(_HERE).with_suffix("")) for p in _HERE.rglob("*.json"))
+    """Of the skills that come with the plugins."""
+    return installed().registry.names("skill")
 
 
-def open_skill(source: str, overrides: Sequence[str] = ()) -> Skill:
+def open_skill(
+    source: str,
+    overrides: Sequence[str] = (),
+    *,
+    registry: Registry | None = None,
+    without: Collection[str] = (),
+) -> Skill:
     """The skill of this name, of this packed file, or of this run folder.
 
-    `overrides` change the configuration of a run, as in ``understudy evaluate``.
+    `overrides` change the configuration of a run, as in ``understudy evaluate``; `without` names parts
+    of it that are not wanted, and may be missing here. `registry` is that of the installed plugins.
 
     Raises
     ------
@@ -84,25 +86,28 @@ def open_skill(source: str, overrides: Sequence[str] = ()) -> Skill:
     RunError
         if the run or file is damaged.
     """
-    path = Path(source)
+    path, registry = Path(source), registry or installed().registry
     packed = path.suffix == ".json" and path.is_file()
-    if (source in names() or packed) and overrides:
+    known = registry.names("skill")
+    if (source in known or packed) and overrides:
         raise ConfigError(
             f"{overrides[0]}: the skill {source} is packed and played as it is. Unpack it "
             f"(understudy play {source} --unpack FOLDER) and play that."
         )
-    if source in names():
-        return _packed(_HERE / source, source)
+    if source in known:
+        return _packed(registry.find("skill", source).factory(), source, registry, without)
     if packed:
-        return _packed(path, path.stem)
+        return _packed(path, path.stem, registry, without)
     if path.is_dir():
-        return _of_run(path, overrides)
+        return _of_run(path, overrides, registry, without)
     raise ConfigError(
-        f"There is no skill '{source}'.{suggestion(source, names())} The folder of a run will do, too."
+        f"There is no skill '{source}'.{suggestion(source, known)} The folder of a run will do, too."
     )
 
 
-def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
+def _of_run(
+    path: Path, overrides: Sequence[str], registry: Registry, without: Collection[str]
+) -> Skill:
     run = runs.open_run(path)
     config, words = run.config, list(run.info["overrides"])
     if overrides:
@@ -119,13 +124,26 @@ def _of_run(path: Path, overrides: Sequence[str]) -> Skill:
         "samples": samples,
         "versions": meta.get("versions"),
         "sources": meta.get("sources"),
-        "evaluation": None if overrides else own_evaluation(run) or None,
+        "evaluation": None if overrides else _evaluation(path),
     }
-    experiment = run.experiment(installed().registry, config)
+    experiment = run.experiment(registry, _less(config, without))
     return Skill(str(path), experiment, policy, samples, card)
 
 
-def _packed(path: Path, name: str) -> Skill:
+def _evaluation(path: Path) -> Any:
+    """What the run was judged by as it was trained; none where the last was of something else."""
+    try:
+        found = json.loads((path / "evaluation.json").read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and found and not found.get("changed") else None
+
+
+def _less(config: Mapping[str, Any], without: Collection[str]) -> dict[str, Any]:
+    return {key: value for key, value in config.items() if key not in without}
+
+
+def _packed(path: Path, name: str, registry: Registry, without: Collection[str]) -> Skill:
     state, card = checkpoint.load(path)
     try:
         for key in ("config", "sources", "evaluation"):
@@ -134,7 +152,7 @@ def _packed(path: Path, name: str) -> Skill:
         refuse_code(card["config"])
         tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
         samples = int(card["samples"])
-        experiment = validate(card["config"], installed().registry)
+        experiment = validate(_less(card["config"], without), registry)
     except ConfigError:
         raise
     except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
@@ -202,6 +220,29 @@ def unpack(skill: Skill, path: Path) -> None:
         run.write_json("evaluation.json", skill.card.get("evaluation") or {})
     finally:
         run.unlock()
+
+
+def copy_run(source: str, folder: Path) -> None:
+    """Write what serves as a skill of the run folder `source` into `folder`: its ``run.json``, the policy
+    alone of its newest checkpoint, and the copies of what its parts read.
+
+    Raises
+    ------
+    RunError
+        if one of these copies is not what the run was made with.
+    """
+    run = runs.open_run(source)
+    state, meta = run.newest()
+    (folder / "checkpoints").mkdir(parents=True)
+    kept = {"policy": state["policy"], "progress": {"samples": state["progress"]["samples"]}}
+    checkpoint.save(folder / "checkpoints" / "00000001", kept, meta)
+    (folder / "run.json").write_bytes((run.path / "run.json").read_bytes())
+    inputs = Inputs(run.path / "inputs", dict(run.info.get("inputs", {})))
+    for asked, names in inputs.kept.items():
+        inputs.file(asked, list)  # all inside that folder, and whole
+        for name in names:
+            (folder / "inputs" / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / "inputs" / name).write_bytes((inputs.folder / name).read_bytes())
 
 
 def rounded(skill: Skill) -> Skill:
