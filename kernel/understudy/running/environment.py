@@ -159,6 +159,8 @@ class Environment:
         self._varied = [*varies, *(n for n in set_by_curriculum if n in parameters)]
         if self._varied:
             parts.simulator.vary(self._varied)  # which names what it does not know
+        #: The model's values of these, where an evaluation's start varies less than the task's.
+        self._model = {name: parts.simulator.read(name).clone() for name in varies}
         constants: dict[str, Shape] = {"difficulty": (), "episode_limit": ()}
         constants |= {n: s for n, s in set_by_curriculum.items() if n not in parameters}
 
@@ -462,7 +464,7 @@ class Environment:
         given |= initial
         self._check_initial(given)
         self._hold(worlds, initial)
-        simulator = parts.simulator
+        simulator, given = parts.simulator, {**self._model, **given}
         simulator.set_state(worlds, {n: given[n] for n in (*simulator.state_fields, *self._varied)})
         if parts.initial_states.settle:
             others = simulator.snapshot()
@@ -536,9 +538,12 @@ class Environment:
     def _check_initial(self, given: Mapping[str, Tensor]) -> None:
         """What initial states and curriculum return: all that was promised, and nothing else."""
         parts, simulator = self.parts, self.parts.simulator
+        varied = [
+            n for n in self._varied if n not in self._model or n in parts.initial_states.varies
+        ]
         promised = {
             **{name: simulator.fields[name] for name in simulator.state_fields},
-            **{name: simulator.parameters[name] for name in self._varied},
+            **{name: simulator.parameters[name] for name in varied},
             **parts.initial_states.episode_fields,
             **(parts.curriculum.provides if parts.curriculum else {}),
         }

@@ -10,7 +10,9 @@ which, by the side of the chair (figure 7).
 from __future__ import annotations
 
 import argparse
+import base64
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from html import escape
@@ -35,6 +37,8 @@ from understudy_report.section import ReportSection
 
 #: s of uninterrupted sitting, or contact.
 SEATED = 3.0
+#: Trials of which some are filmed.
+_FILMED = 64
 FILE = "trials.json"
 SIDES = ("right", "left")
 
@@ -47,6 +51,10 @@ class Trials(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("run", help="a finished run's folder")
         parser.add_argument("--trials", type=int, default=10_000, help="how many; all at once")
+        parser.add_argument(
+            "--film", action="store_true",
+            help="film a success of each zone and the commonest failure, of 64 trials more, for the report",
+        )  # fmt: skip
 
     def run(self, options: argparse.Namespace) -> int:
         if options.trials < 1:
@@ -63,6 +71,10 @@ class Trials(Command):
             "samples": samples,
         }
         found = {"judged": judged, **found}
+        if options.film:
+            from understudy_sitting.examples import film
+
+            found["films"] = film(experiment, run, _FILMED)
         run.write_json(FILE, found)
         print(json.dumps(found, indent=1))
         return 0
@@ -120,7 +132,7 @@ def _carry_out(
     environment.reset(experiment.root.seed, "trials")
     table = environment.table
     n, device = environment.num_worlds, environment.device
-    skills = _skills(experiment)
+    skills = len(skills_of(experiment))
     side = table["side"].clone().long()
     found = {
         "zone": table["zone"].clone(),
@@ -156,13 +168,12 @@ def _carry_out(
     return found, counts.view(2, skills, skills).cpu()
 
 
-def _skills(experiment: Experiment) -> int:
-    """How many skills there are to choose from."""
-    options = experiment.need("actuation").options
-    count = len(getattr(options, "runs", ()))
-    if not count:
+def skills_of(experiment: Experiment) -> tuple[str, ...]:
+    """The skills that there are to choose from."""
+    skills = tuple(getattr(experiment.need("actuation").options, "runs", ()))
+    if not skills:
         raise ConfigError("This controller chooses among no skills (actuation.runs).")
-    return count
+    return skills
 
 
 def _figures(found: dict[str, Tensor], counts: Tensor) -> dict[str, Any]:
@@ -214,8 +225,20 @@ class TransitionsSection(ReportSection):
         judged = found.get("judged", {})
         words = escape(" ".join(map(str, judged.get("overrides", ()))))
         given = f"<p>Judged with {words}</p>" if words else ""
-        cards = (f"{given}{table}", ""), (matrices, f' style="{flow}"')
-        return "".join(f'<div class="card"{style}>{inside}</div>' for inside, style in cards)
+        films = "".join(_film(run, shown) for shown in found.get("films", ()))
+        cards = (f"{given}{table}", ""), (films, f' style="{flow}"'), (matrices, f' style="{flow}"')
+        return "".join(
+            f'<div class="card"{style}>{inside}</div>' for inside, style in cards if inside
+        )
+
+
+def _film(run: Run, shown: Mapping[str, Any]) -> str:
+    file = run.path / str(shown["file"])
+    if not re.fullmatch(r"trials_\d+\.mp4", str(shown["file"])) or not file.is_file():
+        return ""
+    data = base64.b64encode(file.read_bytes()).decode()
+    video = f'<video muted loop controls playsinline width="480" src="data:video/mp4;base64,{data}"></video>'
+    return f'<figure style="margin:0">{video}<figcaption>{escape(str(shown["title"]))}</figcaption></figure>'
 
 
 def _zone(name: str, row: Mapping[str, Any]) -> str:

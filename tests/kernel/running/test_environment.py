@@ -426,6 +426,25 @@ def test_simulator_parameters_vary_with_the_episode() -> None:
     assert env.table["x"][:, 0].tolist() == [2, 4, 13, 14]
 
 
+def test_starts_that_vary_less_have_the_models_values() -> None:
+    """As an evaluation's may, in the environment of a task that varies more."""
+    env = line(initial_states=Gains(), measures=[term(lambda gain: gain, "gain")])
+    env.reset()
+    assert env.measure()["gain"].tolist() == [1, 2, 3, 4]
+    env.parts.initial_states = Starts()
+    env.reset()
+    assert env.measure()["gain"].tolist() == [1, 1, 1, 1]
+
+
+def test_starts_that_leave_out_what_they_vary_are_refused() -> None:
+    class Forgetful(Starts):
+        varies = ("gain",)
+
+    env = line(initial_states=Forgetful())
+    with pytest.raises(ConfigError, match=r"initial_states promises 'gain' and does not return it"):
+        env.reset()
+
+
 def test_a_parameter_that_the_simulator_does_not_know() -> None:
     class Masses(Starts):
         varies = ("gian",)

@@ -6,6 +6,7 @@ One skill of a few samples stands for all: what it can do is no matter here.
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import trimesh
 
 from understudy.command.cli import main
 from understudy.records import checkpoint, runs
-from understudy_sitting.trials import FILE
+from understudy_sitting.trials import FILE, TransitionsSection
 
 TINY = (
     "simulator=mujoco", "device=cpu", "learner.minibatches=1", "evaluation.episodes=2",
@@ -159,3 +160,23 @@ def test_a_skill_that_there_is_not(capsys: pytest.CaptureFixture[str], tmp_path:
     words = ("experiment=sitting/meta", *TINY, "actuation.runs=[sitting/wlk]", "num_worlds=4")
     assert main(["train", *words, f"run.dir={tmp_path / 'run'}"]) == 2
     assert "sitting/walk" in capsys.readouterr().err
+
+
+def test_a_success_of_each_zone_and_the_commonest_failure_are_shown(
+    controller: Path, tmp_path: Path
+) -> None:
+    """Of these nobody sits, so there are failures alone."""
+    run = tmp_path / "run"
+    shutil.copytree(controller, run)
+    assert main(["sitting", "trials", str(run), "--trials", "2", "--film"]) == 0
+    (film,) = json.loads((run / FILE).read_text())["films"]
+    assert re.match(r"\d+ of 64 failures: it does not sit for long enough, walk at", film["title"])
+    assert (run / film["file"]).stat().st_size > 1000
+    page = TransitionsSection().html(runs.open_run(run))
+    assert page is not None
+    assert page.count("<video") == 1
+    assert " of 64 failures: it does not" in page
+    found = json.loads((run / FILE).read_text())
+    outside = [{"title": "<b>", "file": "../run.json"}]
+    (run / FILE).write_text(json.dumps({**found, "films": outside}))
+    assert "<video" not in (TransitionsSection().html(runs.open_run(run)) or "")
