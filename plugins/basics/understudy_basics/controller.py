@@ -35,8 +35,9 @@ class Controller(nn.Module):
 
     @classmethod
     def load(cls, source: str, context: Context) -> Controller:
-        """The controller of the run folder `source`, with the weights of its newest checkpoint, or of the
-        skill of this name that comes with a plugin. A run that this task is trained in keeps a copy.
+        """The controller of the run folder `source`, with the weights of its newest checkpoint, of the skill
+        of this name that comes with a plugin, or of the packed file `source`. A run that this task is
+        trained in keeps a copy of folder or file.
 
         Raises
         ------
@@ -46,10 +47,14 @@ class Controller(nn.Module):
             if it is damaged, or its checkpoint does not fit its configuration.
         """
         assert context.registry is not None
-        place = source
-        if source not in context.registry.names("skill"):
+        asked, place, path = f"controller {source}", source, Path(source)
+        if path.suffix == ".json":
+            place = str(
+                context.inputs.file(asked, lambda: [path, path.with_suffix(".safetensors")])
+            )
+        elif source not in context.registry.names("skill"):
             fill = functools.partial(copy_run, source)
-            place = str(context.inputs.folder_of(f"controller {source}", Path(source), fill))
+            place = str(context.inputs.folder_of(asked, path, fill))
         # It acts on this task's simulator.
         skill = open_skill(place, registry=context.registry, without=("simulator",))
         experiment = skill.experiment

@@ -8,22 +8,20 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import torch
 from PIL import Image
 
 from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.records import runs
-from understudy.records.runs import Run
-from understudy.setup.building import Built, build_environment
+from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_mujoco.drawing import open_renderer
 from understudy_report.video import write_video
+from understudy_sitting.examples import watch
 from understudy_sitting.room import EXAMPLE, Camera, Room, chair_sizes, read_scene
-from understudy_sitting.trials import SEATED, learned
+from understudy_sitting.trials import SEATED
 
 #: Frames per second of the video; physics gives 60 states.
 _RATE, _EVERY = 30, 2
@@ -66,43 +64,18 @@ class SitInRoom(Command):
             episode_seconds=experiment.root.evaluation.seconds,
         )  # fmt: skip
         try:
-            track, seated = _act(built, run, experiment)
+            watched = watch(built, run, experiment, "room")
         finally:
             built.environment.close()
-        share = float((seated >= SEATED - 1e-3).float().mean())
+        share = float(watched.success.float().mean())
+        track = watched.track(int(watched.seated.argmax()))["qpos"]
         room = built.context.need_section("room", Room, "understudy sitting room")
         frames = draw(built.scene, track, room.camera, plan=options.plan)
         write_video(options.video, frames, _RATE)
-        print(f"{share:.0%} of {len(seated)} trials sat for {SEATED:g} s; video: {options.video}")
+        print(
+            f"{share:.0%} of {len(watched.seated)} trials sat for {SEATED:g} s; video: {options.video}"
+        )
         return 0
-
-
-@torch.no_grad()
-def _act(built: Built, run: Run, experiment: Experiment) -> tuple[np.ndarray, torch.Tensor]:
-    """The motion (T, nq), a state each control period, of the trial that sat longest, and how long each
-    sat, (N,) s."""
-    environment = built.environment
-    policy, _ = learned(experiment, built.context, run)
-    environment.reset(experiment.root.seed, "room")
-    seated = torch.zeros(environment.num_worlds, device=environment.device)
-    running = torch.ones_like(seated, dtype=torch.bool)
-    states = []
-
-    def see() -> None:
-        states.append(environment.table["qpos"].clone())
-        longest = torch.maximum(seated, environment.table["seated_seconds"])
-        seated.copy_(torch.where(running, longest, seated))
-
-    environment.on_period = see
-    seconds = environment.decision * environment.control_dt
-    for _ in range(round(experiment.root.evaluation.seconds / seconds)):
-        action = policy.distribution(environment.observations).mode()
-        ended = environment.advance(action).ended
-        see()
-        running &= ~ended
-        states.pop()  # the next decision begins in it
-    best = int(seated.argmax())
-    return torch.stack([state[best] for state in states]).cpu().numpy(), seated.cpu()
 
 
 def draw(

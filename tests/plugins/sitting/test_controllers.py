@@ -15,6 +15,7 @@ import trimesh
 
 from understudy.command.cli import main
 from understudy.records import checkpoint, runs
+from understudy.setup.plugins import installed
 from understudy_sitting.trials import FILE, TransitionsSection
 
 TINY = (
@@ -139,12 +140,16 @@ def test_a_controller_keeps_the_skills_that_it_was_trained_over(
     skill: Path, tmp_path: Path
 ) -> None:
     """Of each its policy, so that the run can go to another machine without them."""
-    walk, run = tmp_path / "walk", tmp_path / "run"
+    walk, run, turn = tmp_path / "walk", tmp_path / "run", tmp_path / "turn.json"
     shutil.copytree(skill, walk)
-    four = f"actuation.runs=['{walk}',sitting/turn_left,sitting/turn_right,sitting/sit]"
+    packed = installed().registry.find("skill", "sitting/turn_left").factory()
+    for suffix in (".json", ".safetensors"):
+        shutil.copy(packed.with_suffix(suffix), turn.with_suffix(suffix))
+    four = f"actuation.runs=['{walk}','{turn}',sitting/turn_right,sitting/sit]"
     words = ("experiment=sitting/meta", *TINY, four, "num_worlds=4", "budget.samples=32")
     assert main(["train", *words, f"run.dir={run}"]) == 0
     shutil.rmtree(walk)
+    turn.unlink()
     moved = run.rename(tmp_path / "moved")
     assert main(["sitting", "trials", str(moved), "--trials", "2"]) == 0
     (copy,) = {path.parent for path in (moved / "inputs").rglob("run.json")}
