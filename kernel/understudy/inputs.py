@@ -32,7 +32,8 @@ class Inputs:
             return self._read[asked][0]
         for name, digest in self.kept[asked].items():
             path = self.folder / name
-            inside = path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
+            inside = ".." not in Path(name).parts and not Path(name).is_absolute()
+            inside &= path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
             if not inside or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
                 raise RunError(f"{path} is not what the run was made with: put that back.")
         return self.folder / next(iter(self.kept[asked]))

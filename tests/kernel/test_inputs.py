@@ -107,3 +107,12 @@ def test_a_folder_is_read_where_it_is_until_its_copy_is_written(tmp_path: Path) 
     (copy / "deep" / "a").write_text("others")
     with pytest.raises(RunError, match="is not what the run was made with"):
         again.folder_of("skill", tmp_path / "skill", fill)
+
+
+def test_a_name_that_leads_out_and_in_again_is_refused(tmp_path: Path) -> None:
+    """Where the copies are copied on, it would lead somewhere else."""
+    inputs = kept(tmp_path)
+    (name, digest), *_ = inputs.kept["scene"].items()
+    again = Inputs(tmp_path / "run", {"scene": {f"../run/{name}": digest}})
+    with pytest.raises(RunError, match="is not what the run was made with"):
+        again.file("scene", never)
