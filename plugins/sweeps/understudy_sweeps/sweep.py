@@ -13,9 +13,12 @@ import math
 import re
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from understudy import distributed
 from understudy.errors import ConfigError, PreemptedError, RunError
@@ -66,7 +69,8 @@ def sweep(overrides: Sequence[str]) -> int:
             _carry_out(_Talk(loop, journal, work), executor, page, progress)
         book.write_json("summary.json", loop.summary())
         page.write(journal, loop.summary(), film=True)
-        more = page.more(journal, experiment)
+        with _one_thread():
+            more = page.more(journal, experiment)
     except KeyboardInterrupt as stop:  # when no trial is under way
         raise _interrupted(f"Stopped by {stop}", folder) from None
     finally:
@@ -81,6 +85,18 @@ def sweep(overrides: Sequence[str]) -> int:
             print(f"page: {path}")
     print(f"sweep: {folder}")
     return 0
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One torch thread, for the models of searches: they are so small that more would gain nothing, and
+    idle ones would spin on the cores that trials need."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class _Talk:
@@ -107,7 +123,8 @@ class _Talk:
         return unfinished
 
     def ask(self) -> Trial | None:
-        trial = self.loop.ask(self._number)
+        with _one_thread():
+            trial = self.loop.ask(self._number)
         if trial is not None:
             self._number += 1
             self.journal.ask(trial)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,6 +93,14 @@ class FromBank(Starts):
 def scripted(monkeypatch: pytest.MonkeyPatch) -> type[Scripted]:
     monkeypatch.setattr(Scripted, "told", [])
     return Scripted
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(autouse=True)
@@ -407,6 +415,25 @@ def test_stopping_a_trial_early(tmp_path: Path, scripted: Any, monkeypatch: Any)
     assert [(r.status, r.objective) for r in scripted.told[:2]] == [("running", 4), ("ok", 4)]
     assert (iterations(tmp_path, "a"), iterations(tmp_path, "b")) == ([1], [1, 2, 3])
     assert rows(tmp_path)[2]["report"]["cost"] == 8
+
+
+def test_a_search_computes_on_one_thread(
+    tmp_path: Path, scripted: Any, monkeypatch: Any, two_threads: None
+) -> None:
+    """And what it hears of trials, which have theirs, comes on as many as before."""
+    threads: dict[str, int] = {}
+
+    def ask(self: Scripted, number: int) -> Trial | None:
+        threads["ask"] = torch.get_num_threads()
+        return None if number else Trial("a")
+
+    def tell(self: Scripted, report: Report) -> None:
+        threads["tell"] = torch.get_num_threads()
+
+    monkeypatch.setattr(scripted, "ask", ask)
+    monkeypatch.setattr(scripted, "tell", tell)
+    script(tmp_path)
+    assert threads == {"ask": 1, "tell": 2}
 
 
 def test_an_early_stop_is_remembered(tmp_path: Path, scripted: Any, monkeypatch: Any) -> None:
