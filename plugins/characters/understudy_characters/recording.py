@@ -14,7 +14,7 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
-from understudy.task import Context
+from understudy.task import Context, Scene
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
 from understudy_motion.clip import Clip, Skeleton
@@ -23,11 +23,14 @@ from understudy_motion.reading import MAX_ROTATIONS
 from understudy_motion.writing import Shown
 from understudy_mujoco.scene import MujocoScene
 
+#: Endings of files that hold several motions, so that a run's surroundings go into them, too.
+WITH_SURROUNDINGS = (".glb", ".gltf")
+
 
 def run_character(path: str | Path) -> Character:
     """The character of the run folder `path`, as its own saved configuration describes it.
 
-    Nothing is simulated, and the run's clip is not read.
+    Nothing is simulated, so the run's simulator need not be here, and the run's clip is not read.
 
     Raises:
         RunError: it is no run folder.
@@ -89,14 +92,7 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
         RunError, ConfigError, FileError: as :func:`recorded_clips`.
     """
     run = runs.open_run(path)
-    experiment = _experiment(run)
-    made, inputs = experiment.registry.sections, experiment.inputs
-    sections = {
-        name: made[name].make(options, experiment.registry, inputs)
-        for name, options in experiment.sections.items()
-        if name != "motion"  # its clip may not be there any more
-    }
-    scene = _scene(experiment, sections)
+    scene = recorded_scene(run)
     if not isinstance(scene, CharacterScene):
         return []
     archive = Archive(run.path / "recording.npz")
@@ -118,6 +114,22 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
         )
         found.append(Shown(clip, thing.shapes))
     return found
+
+
+def recorded_scene(run: Run) -> Scene:
+    """The scene of `run`, with what stands around its character, to show the recording in.
+
+    Raises:
+        ConfigError: the configuration is not valid here, as of :func:`run_character`.
+    """
+    experiment = _experiment(run)
+    made, inputs = experiment.registry.sections, experiment.inputs
+    sections = {
+        name: made[name].make(options, experiment.registry, inputs)
+        for name, options in experiment.sections.items()
+        if name != "motion"  # its clip may not be there any more
+    }
+    return _scene(experiment, sections)
 
 
 def recorded_fields(run: Run, scene: CharacterScene) -> dict[str, np.ndarray]:
@@ -163,7 +175,9 @@ def _track(archive: Archive, name: str) -> np.ndarray:
 
 
 def _experiment(run: Run) -> Experiment:
-    return run.experiment(installed().registry)
+    """Without its simulator: nothing is simulated, and that may be on another machine only."""
+    config = {key: value for key, value in run.config.items() if key != "simulator"}
+    return run.experiment(installed().registry, config)
 
 
 def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:

@@ -19,6 +19,9 @@ try:
 except ImportError as error:
     raise ImportError("MAP-Elites needs pyribs: pip install 'understudy[ribs]'") from error
 
+#: Cells at most; an archive of them is made for each choice.
+_MOST = 1_000_000
+
 
 class MapElites(StrategySearch):
     """After ``initial`` random trials, a Gaussian step from an elite drawn at random.
@@ -36,6 +39,11 @@ class MapElites(StrategySearch):
             super().__post_init__()
             check_range(self, "cells", least=2)
             check_range(self, "step", above=0)
+            if self.cells ** len(self.features) > _MOST:
+                raise ValueError(
+                    f"cells={self.cells} along each of {len(self.features)} features are more than {_MOST:,} "
+                    "cells: give fewer features, such as an angle in place of a rotation, or fewer cells."
+                )
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         super().__init__(options)

@@ -14,6 +14,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory, Shape
 from understudy_basics import rotations
@@ -55,6 +56,11 @@ class Attempt(Memory):
         who = "memory 'jumping/attempt'"
         self._options, self._arena = options, arena_of(context, who)
         self._body = body = body_of(context, who)
+        if options.take_off not in body.names:
+            raise ConfigError(
+                f"{who}: take_off={options.take_off} is no part of the athlete."
+                f"{suggestion(options.take_off, body.names)}"
+            )
         self._widths = body.widths
         self._foot, self._head = body.rows(options.take_off), body.rows(HEAD)
         self._trunk, self._feet = body.rows(*TRUNK), body.rows(*FEET)

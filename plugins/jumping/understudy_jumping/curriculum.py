@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from understudy import distributed
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
@@ -38,8 +39,19 @@ class Accumulated(Curriculum):
             check_range(self, "step", above=0, most=1)
             check_range(self, "start", least=0, most=1)
             check_range(self, "batch", "groups", least=1)
+            difficulties = [at for at, _ in self.decision]
+            if difficulties != sorted(difficulties) or any(n < 1 for _, n in self.decision):
+                raise ValueError(
+                    f"decision={[list(pair) for pair in self.decision]} is not possible: give pairs of a "
+                    "difficulty, rising, and of 1 control period or more."
+                )
 
     def __init__(self, options: Options, context: Context) -> None:
+        if options.groups > context.num_worlds and not context.evaluating:
+            raise ConfigError(
+                f"curriculum.groups={options.groups} is more than there are worlds ({context.num_worlds}). "
+                "Give as many as there are take-offs (initial_states.others, and one)."
+            )
         self._options, self._target = options, context.difficulty
         first = self._target if context.evaluating else min(options.start, self._target)
         self._difficulty = [first] * options.groups

@@ -21,7 +21,7 @@ from understudy_jumping.takeoff import POSES, Takeoff, takeoff_states
 
 EPISODE_FIELDS: Mapping[str, Shape] = {
     "obstacle_height": (), "obstacle_width": (), "mat_height": (),
-    "takeoff_features": (5,), "takeoff": (),
+    "takeoff_features": (5,),
 }  # fmt: skip
 
 
@@ -48,12 +48,12 @@ class Distance:
 class Takeoffs(InitialStates):
     """At the take-off; the obstacle is as the difficulty has it.
 
-    World i begins at take-off i of `takeoff` and `others`, over and over. ``takeoff`` () is its
-    number, ``takeoff_features`` (5,) its v_z, ω_x, ω_y, ω_z and α.
+    World i begins at take-off i of `takeoff` and `others`, over and over. ``takeoff_features`` (5,) are
+    its v_z, ω_x, ω_y, ω_z and α; ``from_takeoff`` () and ``from_NAME`` () of each of `others` are 1 in the
+    worlds that begin there.
     """
 
     reads = ("difficulty",)
-    episode_fields = EPISODE_FIELDS
     varies = (f"mocap_pos/{MAT}",)
 
     @dataclass(frozen=True)
@@ -74,7 +74,8 @@ class Takeoffs(InitialStates):
         scene = context.need_scene(CharacterScene, who)
         self._arena, self._distance = arena_of(context, who), options.distance
         self._noise, layout = options.noise, scene.layout
-        takeoffs = [options.takeoff, *(options.others[name] for name in sorted(options.others))]
+        names = sorted(options.others)
+        takeoffs = [options.takeoff, *(options.others[name] for name in names)]
         states = takeoff_states(scene.character, POSES[options.pose], takeoffs)
         number = torch.arange(context.num_worlds, device=context.device) % len(takeoffs)
 
@@ -83,7 +84,15 @@ class Takeoffs(InitialStates):
 
         self._qpos, self._qvel = (of_worlds(rows) for rows in states)
         self._features = of_worlds([takeoff.features for takeoff in takeoffs])
-        self._number, self._at = number.float(), layout.root_address
+        self._from = {
+            f"from_{name}": (number == place).float()
+            for place, name in enumerate(["takeoff", *names])
+        }
+        self.episode_fields: Mapping[str, Shape] = {
+            **EPISODE_FIELDS,
+            **dict.fromkeys(self._from, ()),
+        }
+        self._at = layout.root_address
         self._hinges = layout.hinge_qpos[layout.hinge_used.bool()].to(context.device)
         self._balls = layout.ball_qpos.to(context.device)
 
@@ -104,7 +113,7 @@ class Takeoffs(InitialStates):
             "qpos": qpos,
             "qvel": self._qvel + velocities,
             "takeoff_features": self._features,
-            "takeoff": self._number,
+            **self._from,
             **obstacle_at(self._arena, difficulty),
         }
 
@@ -162,7 +171,6 @@ class Harvested(InitialStates):
             "qpos": qpos,
             "qvel": self._qvel[row],
             "takeoff_features": self._features[row],
-            "takeoff": torch.zeros_like(difficulty),
             **obstacle_at(self._arena, difficulty),
         }
 

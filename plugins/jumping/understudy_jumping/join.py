@@ -14,14 +14,21 @@ from torch import Tensor
 from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.records import runs
-from understudy.setup.building import build_sections
 from understudy.setup.plugins import installed
-from understudy.task import Context
 from understudy_basics import rotations
-from understudy_characters.recording import check_frames, recorded_clips, recorded_fields
+from understudy_characters.recording import (
+    WITH_SURROUNDINGS,
+    check_frames,
+    recorded_clips,
+    recorded_fields,
+    recorded_scene,
+    recorded_surroundings,
+    run_character,
+)
 from understudy_characters.scene import CharacterScene
+from understudy_characters.shapes import shapes
 from understudy_motion.clip import Clip
-from understudy_motion.writing import write_clip
+from understudy_motion.writing import Shown, write_figures
 from understudy_report.video import write_video
 
 #: Frames a second of the video.
@@ -33,13 +40,15 @@ _MOST = 270_000
 
 class Join(Command):
     """Writes the motion of two runs' recordings, the run-up moved to where the jump begins: as a clip
-    of any format, or as a video with the jump's obstacle."""
+    of any format, or as a video. Videos, .glb and .gltf files also have the jump's obstacle and mat."""
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("run_up", help="run folder of the run-up")
         parser.add_argument("jump", help="run folder of the jump")
         parser.add_argument(
-            "destination", type=Path, help="the file to write: jump.npz, jump.bvh or jump.mp4"
+            "destination",
+            type=Path,
+            help="the file to write: jump.npz, jump.bvh, jump.glb or jump.mp4",
         )
 
     def run(self, options: argparse.Namespace) -> int:
@@ -49,9 +58,29 @@ class Join(Command):
         if options.destination.suffix.lower() == ".mp4":
             write_video(options.destination, _frames(whole, Path(options.jump)), RATE)
         else:
-            write_clip(whole, options.destination, installed().registry)
+            figures = _figures(whole, options.jump, options.destination)
+            write_figures(figures, options.destination, installed().registry)
         print(f"{options.destination}: {whole.duration:.2f} s, taken off at {first.duration:.2f} s")
         return 0
+
+
+def _figures(clip: Clip, jump: str, destination: Path) -> list[Shown]:
+    """The motion on the character of the run `jump`, then, where the file can hold it, what stands
+    around that."""
+    figures = [Shown(clip, shapes(run_character(jump)))]
+    if destination.suffix.lower() in WITH_SURROUNDINGS:
+        figures += [_waiting(thing, clip) for thing in recorded_surroundings(jump)]
+    return figures
+
+
+def _waiting(thing: Shown, whole: Clip) -> Shown:
+    """`thing` of a jump with the frames of `whole`, which ends with that jump: until then it stands
+    where it does as the jump begins."""
+    clip = thing.clip
+    rows = torch.arange(clip.num_frames - whole.num_frames, clip.num_frames).clamp(min=0)
+    position, rotation = clip.root_position[rows], clip.rotations[rows]
+    moved = replace(clip, times=whole.times, root_position=position, rotations=rotation)
+    return replace(thing, clip=moved)
 
 
 def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
@@ -59,18 +88,7 @@ def _frames(clip: Clip, jump: Path) -> Iterator[np.ndarray]:
     cure = "record runs of fewer seconds, or write a clip (jump.npz)"
     check_frames(clip, clip.duration * RATE, cure, _MOST)
     run = runs.open_run(jump)
-    experiment = run.experiment(installed().registry)
-    control = experiment.root.control
-    context = Context(
-        seed=0,
-        device=torch.device("cpu"),
-        num_worlds=1,
-        control_dt=1.0 / control.frequency,
-        substeps=control.substeps,
-        sections=build_sections(experiment),
-        inputs=experiment.inputs,
-    )
-    scene = experiment.need("scene").build(context)
+    scene = recorded_scene(run)
     assert isinstance(scene, CharacterScene)  # else its recording had been no clip
     times = torch.arange(0.0, clip.duration, 1.0 / RATE, dtype=torch.float64)
     tracks = {"qpos": scene.character.qpos(clip, times).numpy()}

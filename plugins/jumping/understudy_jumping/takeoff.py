@@ -105,27 +105,27 @@ STEP = Pose(
 )  # fmt: skip
 
 POSES: Mapping[str, Pose] = {"plant": PLANT, "step": STEP}
+#: The one that stands in these poses.
+FOOT = "right_ankle"
 
 
 def takeoff_states(
-    character: Character, pose: Pose, takeoffs: Sequence[Takeoff], *, foot: str = "right_ankle"
+    character: Character, pose: Pose, takeoffs: Sequence[Takeoff]
 ) -> tuple[np.ndarray, np.ndarray]:
     """``qpos`` (K, nq) and ``qvel`` (K, nv) of the take-offs, the root over x = y = 0, the sole of
-    `foot` at rest flat on the ground.
+    the right foot at rest flat on the ground.
 
     Raises
     ------
     ConfigError
         if the character lacks one of the pose's joints.
     """
-    rows = [_state(character, pose, takeoff, foot) for takeoff in takeoffs]
+    rows = [_state(character, pose, takeoff) for takeoff in takeoffs]
     qpos, qvel = zip(*rows, strict=True)
     return np.array(qpos), np.array(qvel)
 
 
-def _state(
-    character: Character, pose: Pose, takeoff: Takeoff, foot: str
-) -> tuple[np.ndarray, np.ndarray]:
+def _state(character: Character, pose: Pose, takeoff: Takeoff) -> tuple[np.ndarray, np.ndarray]:
     model, data = character.model, mujoco.MjData(character.model)
     at = character.root_address
     qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
@@ -140,7 +140,7 @@ def _state(
     root = rotations.multiply(turn, torch.from_numpy(_quaternion(pose.lean)))
     qpos[at : at + 3], qpos[at + 3 : at + 7] = (0.0, 0.0, 1.0), root.numpy()
 
-    body, ankle = model.body(foot).id, _joint(model, character, foot)
+    body, ankle = model.body(FOOT).id, _joint(model, character, FOOT)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     shank = torch.from_numpy(data.xquat[model.body_parentid[body]].copy())

@@ -12,7 +12,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, box
 from understudy_characters.scene import CharacterScene
-from understudy_pose_vae.limits import Range, servo_axes, target_limits
+from understudy_pose_vae.limits import Range, check_axes, servo_axes, target_limits
 
 #: rad, of the right side: about the axes forward, left and up of the zero pose for balls. Ours, from
 #: tables of the ranges of motion of athletes; the left side mirrors the first and the last axis.
@@ -55,6 +55,7 @@ class Targets(Actuation):
                 raise ConfigError(
                     f"actuation.rest: there is no joint '{name}'.{suggestion(name, joints)}"
                 )
+            check_axes(f"actuation.rest.{name}", len(options.rest[name]), name, scene.model)
         known: dict[str, tuple[Range, ...]] = {
             name: tuple((low - options.margin, high + options.margin) for low, high in ranges)
             for name, ranges in (RANGES | _left(RANGES)).items()

@@ -33,8 +33,3 @@ def naturalness(mean_offset: Tensor, offset_limit: Tensor) -> Tensor:
     that the athlete has.
     """
     return 1.0 - (mean_offset / offset_limit).square().clamp(0.0, 1.0)
-
-
-def of_takeoff(value: Tensor, takeoff: Tensor, *, number: int) -> Tensor:
-    """The field in worlds that began in take-off `number`, no number in others: means leave them out."""
-    return torch.where(takeoff == number, value.float(), torch.nan)

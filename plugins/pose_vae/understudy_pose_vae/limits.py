@@ -30,6 +30,15 @@ def servo_axes(model: mujoco.MjModel) -> list[tuple[str, int]]:
     return found
 
 
+def check_axes(option: str, given: int, joint: str, model: mujoco.MjModel) -> None:
+    """Raise ConfigError if an `option` of a joint gives more than its servos have axes."""
+    count = sum(name == joint for name, _ in servo_axes(model))
+    if given > count:
+        raise ConfigError(
+            f"{option} is of {given}, but servos turn {joint} about {count}: give as many at most."
+        )
+
+
 def target_limits(
     scene: CharacterScene,
     ranges: Mapping[str, Sequence[Range]],
@@ -42,8 +51,8 @@ def target_limits(
     Raises
     ------
     ConfigError
-        if `ranges`, the option of an actuation, names no joint of the character, or the first of a
-        range is the higher one.
+        if `ranges`, the option of an actuation, names no joint of the character, has more
+        ranges than a joint has servos, or the first of a range is the higher one.
     """
     joints, model = scene.layout.joint_names, scene.model
     for name, axes in ranges.items():
@@ -53,6 +62,7 @@ def target_limits(
             )
         if any(low > high for low, high in axes):
             raise ConfigError(f"actuation.ranges.{name}={axes}: the first is the lower one.")
+        check_axes(f"actuation.ranges.{name}", len(axes), name, model)
     found = []
     for servo, (name, axis) in enumerate(servo_axes(model)):
         axes = ranges.get(name, ())

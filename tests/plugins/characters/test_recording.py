@@ -12,9 +12,10 @@ import torch
 from recorded_runs import NQ, croucher_plugins, make_run, record, track
 
 from understudy.errors import ConfigError, FileError, RunError
+from understudy.setup.registry import Component
 from understudy_basics import rotations
 from understudy_characters import recording
-from understudy_characters.recording import recorded_clips, run_character
+from understudy_characters.recording import recorded_clips, recorded_surroundings, run_character
 
 
 @pytest.fixture(autouse=True)
@@ -100,6 +101,20 @@ def test_no_more_frames_than_were_recorded(tmp_path: Path) -> None:
 
 def test_the_character_is_the_scenes(tmp_path: Path) -> None:
     assert run_character(make_run(tmp_path)).joint_names == ("trunk", "head", "leg")
+
+
+def test_the_simulator_need_not_be_here(tmp_path: Path) -> None:
+    """Its library is missing, and another run's is not even known."""
+    run = make_run(tmp_path)
+    record(run)
+    gone = Component("simulator", "gone", "no_such_library:Simulator", "test")
+    recording.installed().registry.add(gone)
+    info = json.loads((run / "run.json").read_text())
+    for name in ("gone", "unheard_of"):
+        info["config"]["simulator"] = {"name": name}
+        (run / "run.json").write_text(json.dumps(info))
+        assert recorded_clips(run)[0].num_frames == 4
+        assert recorded_surroundings(run) == []
 
 
 def test_a_scene_without_a_character_is_refused(tmp_path: Path) -> None:

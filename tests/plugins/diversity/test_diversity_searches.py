@@ -483,3 +483,9 @@ def test_options_are_data() -> None:
     """What a run's configuration is written from."""
     options = make(DiversitySearch)._options  # type: ignore[attr-defined]
     assert json.dumps(dataclasses.asdict(options))
+
+
+def test_an_archive_of_too_many_cells_is_refused() -> None:
+    """As of a rotation's six numbers; it would not fit any memory."""
+    with pytest.raises(ValueError, match="fewer features"):
+        MapElites.Options(**rotation_options())

@@ -13,7 +13,7 @@ from torch import Tensor
 from understudy.task import Context
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.attempt import Attempt, Jump
-from understudy_jumping.terms import naturalness, of_takeoff, safety, spin
+from understudy_jumping.terms import naturalness, safety, spin
 
 STANDING = 0.882  #: m, of the root above the ground
 
@@ -201,8 +201,3 @@ def test_rewards_are_those_of_the_paper() -> None:
     np.testing.assert_allclose(found, [1.0, 1 - 1 / 16, 0.75, 0.0])
     np.testing.assert_allclose(spin(torch.tensor([0.0, 5.0])), [1.0, math.exp(-0.1)])
     np.testing.assert_allclose(safety(torch.tensor([0.0, 1.0])), [1.0, 0.7])
-
-
-def test_measures_of_one_take_off_leave_the_others_out() -> None:
-    found = of_takeoff(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([0.0, 1.0, 0.0]), number=0)
-    np.testing.assert_array_equal(found, [1.0, np.nan, 3.0])

@@ -107,8 +107,7 @@ def test_a_jump_that_does_nothing_ends_within_two_seconds(plugins: Plugins) -> N
 
 def test_worlds_are_divided_among_take_offs(plugins: Plugins) -> None:
     env = environment(plugins, "experiment=jumping/high_many", "num_worlds=12")
-    number = env.table["takeoff"]
-    np.testing.assert_array_equal(number, [*range(6), *range(6)])
+    np.testing.assert_array_equal(env.table["from_straddle"], 2 * [0, 0, 0, 0, 1, 0])
     features = env.table["takeoff_features"]
     np.testing.assert_allclose(features[4], [-2.21, 1.0, -3.0, 0.88, 1.65])
     np.testing.assert_array_equal(features[:6], features[6:])
@@ -258,16 +257,16 @@ def test_an_evaluation_in_which_nobody_crosses_is_written(plugins: Plugins) -> N
     training.close()
 
 
-@pytest.mark.parametrize("name", ["high", "obstacle", "high_novel"])
+@pytest.mark.parametrize("name", ["high", "obstacle", "high_novel", "obstacle_novel"])
 def test_searches_wait_where_a_bar_has_come_to_its_target(plugins: Plugins, name: str) -> None:
     words = [f"search=jumping/{name}", "simulator=mujoco", "difficulty=0.2"]
-    if name == "high_novel":
+    if name.endswith("_novel"):
         words.append("outer_loop.search=runs/high")
     experiment = load_experiment(words, plugins)
     search = experiment.need("outer_loop").options
     assert search.stalled.until == 0.2
     assert set(search.features) <= {c.name for c in experiment.many("measure")}
-    if name == "high_novel":
+    if name.endswith("_novel"):
         bar = experiment.need("curriculum").options
         learner = experiment.need("learner").options
         samples = experiment.root.num_worlds * learner.rollout_steps
@@ -356,6 +355,34 @@ def test_poses_as_action_space_by_a_word(plugins: Plugins, task: str) -> None:
 def test_a_joint_that_has_no_range_is_named(plugins: Plugins) -> None:
     with pytest.raises(ConfigError, match="there is no joint 'tail'"):
         environment(plugins, "task=jumping/high", "+actuation.ranges={tail: [[0.0, 1.0]]}")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("memory.attempt.take_off=right_foot", "Did you mean"),
+        ("curriculum.decision=[[0.0,-2]]", "1 control period or more"),
+        ("curriculum.decision=[[0.3,2],[0.0,6]]", "rising"),
+        ("curriculum.groups=5", "more than there are worlds"),
+        ("arena.height=[-1.0,2.0]", "give 0 or more"),
+        ("actuation.rest.left_knee=[1.0,0.5]", "servos turn left_knee about 1"),
+    ],
+)
+def test_what_no_training_could_do_is_refused(plugins: Plugins, words: str, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        environment(plugins, "task=jumping/high", words, "num_worlds=4")
+
+
+def test_names_of_take_offs_stay_theirs(plugins: Plugins) -> None:
+    """One more, whose name comes before the others', changes no measure of those."""
+    env = environment(
+        plugins, "experiment=jumping/high_many", "num_worlds=7", "curriculum.groups=7",
+        "+initial_states.others.a={v_z: -1.2, alpha: 0.8}",
+    )  # fmt: skip
+    (row,) = env.table["from_straddle"].nonzero().flatten().tolist()
+    np.testing.assert_allclose(env.table["takeoff_features"][row], [-2.21, 1.0, -3.0, 0.88, 1.65])
+    assert env.measure()["straddle"].isnan().tolist() == [k != row for k in range(7)]
+    env.close()
 
 
 def test_the_bar_is_drawn_where_it_is(plugins: Plugins) -> None:

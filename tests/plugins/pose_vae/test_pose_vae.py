@@ -182,6 +182,7 @@ def test_targets_are_cut_to_ranges(run: Path) -> None:
     [
         ("{tail: [[0.0, 1.0]]}", "there is no joint 'tail'"),
         ("{left_knee: [[1.0, 0.0]]}", "the first is the lower one"),
+        ("{left_knee: [[0.0, 1.0], [0.0, 1.0]]}", "servos turn left_knee about 1"),
     ],
 )
 def test_ranges_that_cannot_be_are_one_sentence(run: Path, ranges: str, sentence: str) -> None:
@@ -314,7 +315,7 @@ def test_a_stronger_figure_of_the_same_joints_takes_it(run: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "sentence"),
     [
-        (("job.clips=[no_such_clip]",), "No motion clip 'no_such_clip'"),
+        (("job.clips=[no_such_clip]",), "No motion clip 'no_such_clip'.*A folder of them"),
         (("job.clips=[]",), "job.clips=\\(\\) is not possible"),
         (("job.held_out=1.0",), "job.held_out=1.0 is not possible"),
     ],

@@ -1,0 +1,107 @@
+"""A run-up and its jump become one file, from the command line; nothing is trained."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from understudy.command.cli import main
+from understudy.records import runs
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import installed
+from understudy_characters.recording import recorded_clips, recorded_scene
+from understudy_characters.scene import CharacterScene
+from understudy_jumping.join import _figures, joined
+
+#: Of the jump, four frames: a box 0.6 m high and 0.5 m wide; the mat behind it rises.
+ARENA = {
+    "obstacle_height": np.full(4, 0.6),
+    "obstacle_width": np.full(4, 0.5),
+    "mat_height": np.array([0.1, 0.2, 0.3, 0.4]),
+}
+
+
+def recorded_run(folder: Path, task: str, frames: int, **fields: np.ndarray) -> Path:
+    """A run folder whose recording has an athlete that moves 0.1 m a frame, at 60 Hz."""
+    words = [f"task={task}", "num_worlds=2", f"run.dir={folder}"]
+    runs.create(load_experiment(words), words, {}).unlock()
+    # as on a machine that lacks what it was trained with
+    info = json.loads((folder / "run.json").read_text())
+    info["config"]["simulator"] = {"name": "elsewhere"}
+    (folder / "run.json").write_text(json.dumps(info))
+    scene = recorded_scene(runs.open_run(folder))
+    assert isinstance(scene, CharacterScene)
+    qpos = np.tile(scene.model.qpos0, (frames, 1))
+    qpos[:, scene.layout.root_address] = 0.1 * np.arange(frames)
+    arrays: dict[str, Any] = {"control_dt": 1 / 60, "first_episode": frames, "qpos": qpos, **fields}
+    np.savez(folder / "recording.npz", **arrays)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded_run(tmp_path_factory.mktemp("join") / "run_up", "jumping/run_up", 10)
+
+
+@pytest.fixture(scope="module")
+def jump(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded_run(tmp_path_factory.mktemp("join") / "jump", "jumping/obstacle", 4, **ARENA)
+
+
+def test_obstacle_and_mat_are_in_the_file(
+    run_up: Path, jump: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "glb" not in installed().registry.names("clip_writer"):
+        pytest.skip("no plugin here writes .glb")
+    file = tmp_path / "whole.glb"
+    assert main(["jumping", "join", str(run_up), str(jump), str(file)]) == 0
+    assert "0.20 s, taken off at 0.15 s" in capsys.readouterr().out
+    figure, *around = trimesh.load_scene(file).geometry.values()  # y up, facing z
+    assert 1.5 < figure.extents[1] < 2.0
+    extents = sorted(thing.extents[[2, 0, 1]].tolist() for thing in around)
+    np.testing.assert_allclose(extents, [[0.5, 8.0, 0.6], [5.0, 8.0, 0.8]], atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", ["npz", "bvh"])
+def test_the_figure_alone_where_the_file_holds_one_motion(
+    run_up: Path, jump: Path, tmp_path: Path, ending: str
+) -> None:
+    file = tmp_path / f"whole.{ending}"
+    assert main(["jumping", "join", str(run_up), str(jump), str(file)]) == 0
+    assert file.stat().st_size > 1000
+
+
+def test_they_wait_for_the_jump(run_up: Path, jump: Path) -> None:
+    whole = joined(recorded_clips(run_up)[0], recorded_clips(jump)[0])
+    figure, *around = _figures(whole, str(jump), Path("whole.GLB"))
+    assert figure.clip is whole
+    assert {shape.joint for shape in figure.shapes} <= set(whole.joint_names)
+    for thing in around:
+        np.testing.assert_array_equal(thing.clip.times, whole.times)
+        assert thing.clip.rotations.shape == (13, 1, 4)
+    at = {thing.clip.name: thing.clip.root_position.numpy() for thing in around}
+    np.testing.assert_allclose(at["obstacle"], np.tile([0.25, 0.0, 0.3], (13, 1)))
+    np.testing.assert_allclose(at["mat"][:, 2], [*9 * [0.1], *ARENA["mat_height"]])
+
+
+def test_the_obstacle_is_in_the_video(
+    run_up: Path, jump: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Mapping[str, Any]] = []
+    monkeypatch.setattr(CharacterScene, "draw", lambda scene, tracks: tracks)
+    monkeypatch.setattr(
+        "understudy_jumping.join.write_video", lambda path, tracks, rate: drawn.append(tracks)
+    )
+    file = tmp_path / "whole.mp4"
+    assert main(["jumping", "join", str(run_up), str(jump), str(file)]) == 0
+    (tracks,) = drawn
+    assert tracks.keys() == {"qpos", *ARENA}
+    assert len(tracks["qpos"]) == 6  # of 0.2 s, at 30 Hz
+    for name, recorded in ARENA.items():
+        np.testing.assert_allclose(tracks[name], np.full(6, recorded[0]))
