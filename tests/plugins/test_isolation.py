@@ -25,6 +25,7 @@ MATERIAL = {
     "characters": FIGURE,
     "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "doctor": FIGURE,
+    "jumping": {"export", "play"},
     "export": FIGURE | TOYS | {"spacetime"},
     "play": FIGURE | {"ppo", "spacetime"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},

@@ -17,6 +17,7 @@ from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import (
+    WITH_SURROUNDINGS,
     check_frames,
     recorded_clips,
     recorded_surroundings,
@@ -130,7 +131,7 @@ def _policy(options: argparse.Namespace) -> int:
 def _with_surroundings(options: argparse.Namespace) -> bool:
     """Of runs, into files that hold several motions: the chair that the figure sits on, say."""
     learned = Path(options.source).is_dir() and not options.reference
-    return learned and options.destination.suffix.lower() in (".glb", ".gltf")
+    return learned and options.destination.suffix.lower() in WITH_SURROUNDINGS
 
 
 def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:

@@ -81,7 +81,10 @@ _ADJECTIVES = {"height": "high", "width": "wide"}
 
 def _trained(path: str) -> tuple[float, ArenaOptions]:
     """m: the obstacle that the training of the run came to; and its arena."""
-    arena = runs.open_run(path).experiment(installed().registry).sections.get("arena")
+    run = runs.open_run(path)
+    # it may be judged in another simulator than it learned in, which need not be here
+    config = {key: value for key, value in run.config.items() if key != "simulator"}
+    arena = run.experiment(installed().registry, config).sections.get("arena")
     reached = at(newest_state(path), "environment.curriculum.difficulty")
     # curricula of several groups have a difficulty for each
     levels = reached if isinstance(reached, list) else [reached]

@@ -147,3 +147,16 @@ def test_arenas_of_strangers_are_data(
 def test_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["jumping", "heights", str(tmp_path)]) == 2
     assert "is no run folder" in capsys.readouterr().err
+
+
+def test_the_simulator_that_it_learned_in_need_not_be_here(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    info = json.loads((copy / "run.json").read_text())
+    info["config"]["simulator"] = {"name": "elsewhere"}
+    (copy / "run.json").write_text(json.dumps(info))
+    words = [str(copy), "--step", "1.0", "simulator=mujoco"]
+    assert main(["jumping", "heights", *words]) == 2
+    assert "clears nothing" in capsys.readouterr().err
