@@ -52,6 +52,7 @@ class OuterLoop(ABC):
 
     extendable: tuple[str, ...] = ()  #: options that may grow and leave it the same loop
     plan: Sequence[Trial] = ()  #: all trials, where they are known: checked before the first starts
+    measures: Sequence[str] = ()  #: that it needs of each report: looked for before the first trial
     share: float | None = None  #: of the loop that is done, where that can be said
 
     @abstractmethod

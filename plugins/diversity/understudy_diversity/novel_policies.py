@@ -56,7 +56,7 @@ class NovelPolicies(OuterLoop):
             check_range(self, "success", least=0, most=1)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
-        self._options = options
+        self._options, self.measures = options, tuple(options.features)
         self._known = known_strategies(options.search, options)
         firsts: dict[int, Strategy] = {}
         for strategy in self._known:

@@ -277,7 +277,7 @@ class StrategySearch(OuterLoop):
     extendable = ("trials", "gallery")
 
     def __init__(self, options: DiversityOptions) -> None:
-        self.strategies = Strategies(options)
+        self.strategies, self.measures = Strategies(options), tuple(options.features)
 
     @abstractmethod
     def place(self, number: int) -> Sequence[float]:

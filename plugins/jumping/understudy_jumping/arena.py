@@ -49,9 +49,7 @@ class ArenaOptions:
         check_range(self, "length", "mat", "drop", "softness", "gravity", above=0)
         for name in ("height", "width", "schedule", "mat_height"):
             low, high = getattr(self, name)
-            if (
-                low < 0 and name != "schedule"
-            ):  # which is of difficulties, one below 0 has ρ above 0 at once
+            if low < 0 and name != "schedule":  # difficulties: ρ may be above 0 from the start
                 raise ValueError(f"{name}={low, high} is not possible: give 0 or more.")
             if low > high:
                 raise ValueError(f"{name}={low, high} is not possible: the first is the lower one.")

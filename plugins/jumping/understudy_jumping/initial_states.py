@@ -54,6 +54,7 @@ class Takeoffs(InitialStates):
     """
 
     reads = ("difficulty",)
+    episode_fields = EPISODE_FIELDS
     varies = (f"mocap_pos/{MAT}",)
 
     @dataclass(frozen=True)
@@ -68,6 +69,10 @@ class Takeoffs(InitialStates):
 
         def __post_init__(self) -> None:
             check_range(self, "noise", least=0)
+            if "takeoff" in self.others:
+                raise ValueError(
+                    "others.takeoff is not possible: that is the name of the first one."
+                )
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping/takeoff'"
@@ -88,10 +93,7 @@ class Takeoffs(InitialStates):
             f"from_{name}": (number == place).float()
             for place, name in enumerate(["takeoff", *names])
         }
-        self.episode_fields: Mapping[str, Shape] = {
-            **EPISODE_FIELDS,
-            **dict.fromkeys(self._from, ()),
-        }
+        self.episode_fields = {**EPISODE_FIELDS, **dict.fromkeys(self._from, ())}
         self._at = layout.root_address
         self._hinges = layout.hinge_qpos[layout.hinge_used.bool()].to(context.device)
         self._balls = layout.ball_qpos.to(context.device)

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 
 from understudy import distributed
-from understudy.errors import ConfigError, PreemptedError, RunError
+from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
@@ -56,7 +56,7 @@ def sweep(overrides: Sequence[str]) -> int:
     given = tuple(o for o in overrides if not _OWN.match(o))
     folder = Path(root.run.dir or Path("runs") / f"sweep-{_slug(overrides)}{identity}")
     work = Work(given, str(folder), root.device)
-    _check(loop.plan or [chosen.build(root.seed).ask(0)], work)
+    _check(loop.plan or [chosen.build(root.seed).ask(0)], work, loop.measures)
     executor: Executor = experiment.need("executor").build(work)
     book = runs.Run(_made(folder), {})
     try:
@@ -204,8 +204,9 @@ def _interrupted(why: str, folder: Path) -> PreemptedError:
     )
 
 
-def _check(trials: Sequence[Trial | None], work: Work) -> None:
-    """Refuse a sweep of which a variant cannot be composed, before anything runs."""
+def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) -> None:
+    """Refuse a sweep of which a variant cannot be composed, or lacks one of `measures`, before
+    anything runs."""
     seen: set[str] = set()
     for trial in trials:
         if trial is None or (trial.variant or trial.key) in seen:
@@ -214,10 +215,17 @@ def _check(trials: Sequence[Trial | None], work: Work) -> None:
         if "trial" in (trial.start or {}):
             trial = dataclasses.replace(trial, start=None)
         try:
-            load_experiment(overrides_of(trial, work))
+            experiment = load_experiment(overrides_of(trial, work))
         except ConfigError as error:
             what = f"Variant '{trial.variant}'" if trial.variant else f"Trial '{trial.key}'"
             raise ConfigError(f"{what} cannot be run: {error}") from error
+        known = {c.name for c in experiment.many("measure")}
+        for name in measures if known else ():  # else the job may have some of its own
+            if name not in known | {"return", "success_rate"}:
+                raise ConfigError(
+                    f"outer_loop needs the measure '{name}', which trials have not got."
+                    f"{suggestion(name, known)}"
+                )
 
 
 def _first(trial: Trial, journal: Journal, folder: Path) -> Trial:

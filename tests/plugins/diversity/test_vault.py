@@ -152,3 +152,13 @@ def test_pictures() -> None:
     outline = np.array([[[0.0, 0, 0], [1, 0, 0]], [[0, 1, 0], [0, 1, 1]]])
     assert figure(outline, 30.0).count("<path") == 4
     assert figure(None, 30.0) == ""
+
+
+def test_a_feature_that_no_trial_measures_is_refused_before_the_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    features = "outer_loop.features={pich: {low: -5.5, high: 5.5}}"
+    assert main(["sweep", *QUICK, features, f"run.dir={tmp_path / 'search'}"]) == 2
+    assert "needs the measure 'pich'" in (said := capsys.readouterr().err)
+    assert "Did you mean 'pitch'?" in said
+    assert not list(tmp_path.glob("search/trial*"))
