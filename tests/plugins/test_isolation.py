@@ -25,7 +25,7 @@ MATERIAL = {
     "characters": FIGURE,
     "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "doctor": FIGURE,
-    "jumping": {"export", "play"},
+    "jumping": {"bayes", "diversity", "export", "play", "sweeps"},
     "export": FIGURE | TOYS | {"spacetime"},
     "play": FIGURE | {"ppo", "spacetime"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
