@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import understudy_mujoco  # noqa: F401 # isort: skip - it chooses what draws before mujoco is imported
@@ -31,3 +32,12 @@ def plugins() -> Plugins:
 def built_on(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the runs that some of the miniatures build on."""
     return make_stages(tmp_path_factory.mktemp("stages"))
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """torch has two."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)

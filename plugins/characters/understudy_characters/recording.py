@@ -37,7 +37,7 @@ def run_character(path: str | Path) -> Character:
         ConfigError: the configuration is not valid here (a plugin is missing, say), or its scene is
             no MuJoCo model of one character.
     """
-    return _character(_experiment(runs.open_run(path)))
+    return _character(unsimulated(runs.open_run(path)))
 
 
 def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
@@ -58,7 +58,7 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
         raise FileError(
             f"{run.path} has no recording (recording.npz); make one with `understudy render {run.path}`."
         )
-    character = _character(_experiment(run))
+    character = _character(unsimulated(run))
     archive = Archive(file)
     control_dt, first_episode = archive.number("control_dt"), archive.number("first_episode")
     about = _about(run)
@@ -122,7 +122,7 @@ def recorded_scene(run: Run) -> Scene:
     Raises:
         ConfigError: the configuration is not valid here, as of :func:`run_character`.
     """
-    experiment = _experiment(run)
+    experiment = unsimulated(run)
     made, inputs = experiment.registry.sections, experiment.inputs
     sections = {
         name: made[name].make(options, experiment.registry, inputs)
@@ -174,8 +174,12 @@ def _track(archive: Archive, name: str) -> np.ndarray:
         return archive.floats(name, None)
 
 
-def _experiment(run: Run) -> Experiment:
-    """Without its simulator: nothing is simulated, and that may be on another machine only."""
+def unsimulated(run: Run) -> Experiment:
+    """The experiment of `run` without its simulator, which may be on another machine only.
+
+    Raises:
+        ConfigError: the rest of its configuration is not valid here.
+    """
     config = {key: value for key, value in run.config.items() if key != "simulator"}
     return run.experiment(installed().registry, config)
 

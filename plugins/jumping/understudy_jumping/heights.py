@@ -11,7 +11,7 @@ from understudy.records import runs
 from understudy.running.evaluation import Evaluation, wilson_interval
 from understudy.running.warm_start import newest_state
 from understudy.setup.config import at
-from understudy.setup.plugins import installed
+from understudy_characters.recording import unsimulated
 from understudy_inspect.judging import load
 from understudy_jumping.arena import ArenaOptions
 from understudy_motion.arguments import positive, share
@@ -81,10 +81,8 @@ _ADJECTIVES = {"height": "high", "width": "wide"}
 
 def _trained(path: str) -> tuple[float, ArenaOptions]:
     """m: the obstacle that the training of the run came to; and its arena."""
-    run = runs.open_run(path)
-    # it may be judged in another simulator than it learned in, which need not be here
-    config = {key: value for key, value in run.config.items() if key != "simulator"}
-    arena = run.experiment(installed().registry, config).sections.get("arena")
+    # it may be judged in another simulator than it learned in
+    arena = unsimulated(runs.open_run(path)).sections.get("arena")
     reached = at(newest_state(path), "environment.curriculum.difficulty")
     # curricula of several groups have a difficulty for each
     levels = reached if isinstance(reached, list) else [reached]
