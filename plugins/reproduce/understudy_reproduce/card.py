@@ -43,16 +43,16 @@ class Cell:
         found = [r for r in self.results if figure != SAMPLES or r.state == "criterion"]
         return [v for r in found if (v := r.figure(figure)) is not None]
 
-    def text(self, figure: str) -> str:
+    def text(self, figure: Figure) -> str:
         """The mean and its interval, and what it does not say."""
         done = [r for r in self.results if r.ok]
         failed = len([r for r in self.results if r.report is not None and not r.ok])
         parts = []
-        values = self.values(figure)
+        values = self.values(figure.of)
         if values:
-            kind = SUCCESS if figure.startswith("success_") else figure
+            kind = SUCCESS if figure.share or figure.of.startswith("success_") else figure.of
             parts.append(f"{shown_mean(mean_of(values), kind)} ({len(values)})")
-        missed = [r for r in done if figure == SAMPLES and r.state != "criterion"]
+        missed = [r for r in done if figure.of == SAMPLES and r.state != "criterion"]
         if missed:
             least = min(r.figure(SAMPLES) or 0.0 for r in missed)
             parts.append(f"{len(missed)} not within {words.short(least)}")
@@ -121,7 +121,7 @@ class Card:
             for column, of_paper in columns:
                 number = printed.get(row, {}).get(column)
                 cells += [_printed(number)] if of_paper else []
-                cells.append(self.cells[row, column].text(figure.of))
+                cells.append(self.cells[row, column].text(figure))
             rows.append(cells)
         return Table(heads, rows)
 

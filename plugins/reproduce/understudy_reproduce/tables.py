@@ -23,6 +23,7 @@ class Figure:
 
     of: str  #: ``samples``, ``success_rate``, ``objective``, ``seconds``, or a measure
     title: str = ""  #: in words; empty is the name
+    share: bool = False  #: whether it is of episodes, and so in per cent, as every success is
 
 
 @dataclass(frozen=True)

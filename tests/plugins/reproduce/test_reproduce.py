@@ -17,7 +17,7 @@ from understudy_report.markup import check_markup
 from understudy_reproduce import card as card_module
 from understudy_reproduce import command, tables
 from understudy_reproduce.card import Card, Cell
-from understudy_reproduce.tables import PaperTable, load_table
+from understudy_reproduce.tables import Figure, PaperTable, load_table
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result
 
@@ -115,12 +115,22 @@ def result(samples: float, outcome: str = "criterion", status: str = "ok") -> Re
 def test_samples_of_what_did_not_get_there_are_not_averaged() -> None:
     cell = Cell([result(2e6), result(4e6), result(8e6, "budget"), result(1.0, "", "failed: why")])
     assert cell.values("samples") == [2e6, 4e6]
-    text = cell.text("samples")
+    text = cell.text(Figure("samples"))
     assert text.startswith("3M [0, ")
     assert text.endswith("(2); 1 not within 8M; 1 failed")
-    assert Cell([result(8e6, "budget")]).text("samples") == "1 not within 8M"
-    assert cell.text("success_from_here").startswith("50 %")
-    assert Cell([]).text("samples") == "–"
+    assert Cell([result(8e6, "budget")]).text(Figure("samples")) == "1 not within 8M"
+    assert cell.text(Figure("success_from_here")).startswith("50 %")
+    assert Cell([]).text(Figure("samples")) == "–"
+
+
+def test_a_share_of_episodes_is_in_per_cent_and_within_them() -> None:
+    reports = [
+        Report("x", "ok", 1.0, {"fell": share, "energy": share}, 1e6, "", "budget")
+        for share in (0.0, 0.2)
+    ]
+    cell = Cell([Result(Trial("x", variant="a/b", seed=0), r, Path("nowhere")) for r in reports])
+    assert cell.text(Figure("fell", share=True)) == "10 % [0, 100] (2)"
+    assert cell.text(Figure("energy")).startswith("0.1 [-1.17, ")
 
 
 def test_an_unfinished_table_has_a_card(tmp_path: Path) -> None:
