@@ -154,8 +154,7 @@ def _film(skill: Skill, options: argparse.Namespace) -> int:
     finally:
         player.close()
     film(player, tracks, options.video)
-    fell = f", {player.falls} falls" if player.falls else ", no fall"
-    print(f"{options.video}: {options.seconds:g} s of {skill.name}{fell}")
+    print(f"{options.video}: {options.seconds:g} s of {skill.name}, {player.fallen}")
     return 0
 
 

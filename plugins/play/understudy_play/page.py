@@ -206,10 +206,9 @@ class Page:
             self._flag.visible = target is not None
             if target is not None:
                 self._flag.position = (*target, 0.0)
-            falls = self._player.falls
             self._told.content = (
                 "<div style='margin:0 .75em;font-size:.85em;color:#667080'>"
-                f"{'no fall so far' if not falls else f'fell {falls} times'}</div>"
+                f"{self._player.fallen}</div>"
             )
 
     def _surround(self, shown: Mapping[str, torch.Tensor]) -> None:

@@ -44,6 +44,11 @@ class World(ABC):
             self._mass, self._alone = float(model.body_mass.sum()), _alone(model)
         self.restart()
 
+    @property
+    def fallen(self) -> str:
+        """How often, in words."""
+        return f"{self.falls} fall{'s' if self.falls > 1 else ''}" if self.falls else "no fall"
+
     def restart(self) -> None:
         """Begin a new episode."""
         self._observations = self.environment.reset(self._seed, f"play/{self._seed}")

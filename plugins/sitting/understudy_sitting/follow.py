@@ -114,7 +114,7 @@ class Follow(Command):
             world.close()
         tracks = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         film(world, tracks, options.video)
-        print(f"{options.video}: {options.seconds:g} s, {world.falls} falls")
+        print(f"{options.video}: {options.seconds:g} s, {world.fallen}")
         return 0
 
 
