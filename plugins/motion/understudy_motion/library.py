@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from understudy.errors import ConfigError, FileError, suggestion
+from understudy.inputs import Inputs
 from understudy.options import checked_options
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
@@ -105,6 +106,20 @@ def find(source: str, registry: Registry, options: ReadOptions = UNSAID) -> Clip
     if path.is_file() or path.suffix or len(path.parts) > 1:
         return read_clip(path, registry, options)
     return load(source, None, registry, options=options)
+
+
+def kept(source: str, registry: Registry, inputs: Inputs) -> Clip:
+    """As :func:`find`; the run keeps a copy of its file and reads that from then on.
+
+    Raises:
+        RunError: the copy is not what the run was made with.
+    """
+    path = Path(source)
+    named = not (path.is_file() or path.suffix or len(path.parts) > 1)
+    name, file = (source, None) if named else (None, source)
+    if named and source in registry.names("clip"):
+        return load(source, None, registry)
+    return read_clip(inputs.file(f"clip {source}", lambda: files(name, file, registry)), registry)
 
 
 def _files(suffixes: tuple[str, ...]) -> dict[str, Path]:

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from understudy.inputs import Inputs
+from understudy.options import check_range
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
+from understudy_motion.keyframes import keyframed
 from understudy_motion.reading import Axis, ReadOptions, Unit
 
 Floor = Literal["lowest", "standing"]
@@ -29,6 +31,12 @@ class MotionOptions:
     #: What of the figure's motion is put on the floor: its lowest point, or the median of its lowest ones
     #: while something carries it, so that one deep pose does not raise all others.
     floor: Floor = "lowest"
+    #: So many poses of the clip, evenly spaced, with straight lines in between; None leaves it as it is.
+    keys: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.keys is not None:
+            check_range(self, "keys", least=2)
 
 
 class Motion:
@@ -47,6 +55,8 @@ class Motion:
                 inputs.file(asked, lambda: library.files(name, options.file, registry, reading))
             )
         self.clip: Clip = library.load(name, file, registry, options.parameters, reading)
+        if options.keys is not None:
+            self.clip = keyframed(self.clip, options.keys)
 
     def provenance(self) -> dict[str, Any]:
         clip = self.clip

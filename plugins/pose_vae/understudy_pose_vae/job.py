@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from understudy import distributed
 from understudy.errors import RunError
 from understudy.options import check_range
 from understudy.random import generator, private_rng
-from understudy.records import checkpoint, runs
+from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.reinforcement import misshapen
@@ -25,6 +24,7 @@ from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context, State
 from understudy_basics import rotations
+from understudy_basics.kept import files_of
 from understudy_basics.nn import mlp
 from understudy_basics.supervised import NetworkJob
 from understudy_characters.character import load_character
@@ -255,12 +255,7 @@ def trained_poses(run: str, context: Context) -> TrainedPoses:
     registry = context.registry
     assert registry is not None
 
-    def files() -> list[Path]:
-        checkpoints = checkpoint.newest(runs.open_run(run).checkpoints)[:1]
-        endings = (".json", ".safetensors")
-        return [Path(run) / "run.json", *(p.with_suffix(e) for p in checkpoints for e in endings)]
-
-    kept = context.inputs.file(f"pose auto-encoder {run}", files).parent
+    kept = context.inputs.file(f"pose auto-encoder {run}", lambda: files_of(run)).parent
     job = runs.open_run(kept).experiment(registry).one("job")
     if job is None or job.component.factory is not LearnPoses:
         raise RunError(f"{run} trained no pose auto-encoder (experiment=pose_vae/poses).")

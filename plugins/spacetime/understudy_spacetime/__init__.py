@@ -101,7 +101,6 @@ def understudy_register(register: Registrar) -> None:
         "bounds that tighten where the motion is mastered",
     )
     add("character", "revolute", f"{_HERE}.revolute:build_revolute", "a robot of hinges, 58 kg")
-    add("clip", "keyframed", f"{_HERE}.keyframes:keyframed", "a few poses of another clip")
     add(
         "report_section",
         "spacetime/evolved_states",

@@ -7,6 +7,7 @@ Where a curriculum provides ``bound_scales`` (:mod:`understudy_spacetime.adaptiv
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -35,8 +36,10 @@ class BoundSize:
             raise ConfigError(
                 f"{who}: size={size} is not possible: a number or [[phase, size], …]."
             )
-        if any(value < 0.0 for _, value in knots):
-            raise ConfigError(f"{who}: size={size} is not possible: it cannot be negative.")
+        if not all(0.0 <= value < math.inf for _, value in knots):
+            raise ConfigError(
+                f"{who}: size={size} is not possible: sizes are finite, and 0 or more."
+            )
         if any(not 0.0 <= phase <= 1.0 for phase, _ in knots):
             raise ConfigError(f"{who}: size={size} is not possible: phases go from 0 to 1.")
         ordered = torch.tensor(sorted(map(tuple, knots)), device=device, dtype=dtype)

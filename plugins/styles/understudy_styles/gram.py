@@ -11,6 +11,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
+from understudy_basics.kept import files_of
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
 from understudy_motion.clip import Clip
@@ -44,13 +45,14 @@ class GramDistance(Fields):
         scene = context.need_scene(CharacterScene, who)
         motion = context.need_section("motion", Motion, who)
         assert context.registry is not None
-        network = trained_network(options.run, scene, context.registry)
+        kept = context.inputs.file(f"features {options.run}", lambda: files_of(options.run)).parent
+        network = trained_network(str(kept), scene, context.registry)
 
         def gram_of(clip: Clip) -> Tensor:
             frames = clip_features(clip, scene, context.control_dt, options.frames)
             return mean_gram(network, frames, options.frames)
 
-        style = gram_of(library.find(options.style, context.registry))
+        style = gram_of(library.kept(options.style, context.registry, context.inputs))
         unit = (style - gram_of(motion.clip)).norm()
         if float(unit) < 1e-6:
             raise ConfigError(

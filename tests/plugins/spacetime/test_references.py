@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pytest
-import torch
 
-from understudy.errors import ConfigError, FileError
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
@@ -13,39 +11,11 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing import check_environment
 from understudy_characters.character import load_character
-from understudy_motion.clip import Clip, sample
-from understudy_spacetime.keyframes import keyframed
-
-
-def test_key_frames_are_poses_of_the_clip_and_straight_in_between(plugins: Plugins) -> None:
-    walk: Clip = plugins.registry.find("clip", "walk").factory()
-    clip = keyframed(of="walk", keys=4)
-    assert clip.loop == walk.loop
-    assert clip.num_frames == 4
-    assert clip.duration == pytest.approx(walk.duration)
-    position, rotation = sample(walk, clip.times[:3])
-    torch.testing.assert_close(clip.root_position[:3], position)
-    assert (clip.rotations[:3] * rotation).sum(-1).abs().min() > 1 - 1e-9
-    middle = 0.5 * (clip.times[1] + clip.times[2]).reshape(1)
-    between, _ = sample(clip, middle)
-    torch.testing.assert_close(between[0], 0.5 * (clip.root_position[1] + clip.root_position[2]))
-    true, _ = sample(walk, middle)
-    assert (between - true).norm() > 1e-3, "and that is not how the walk goes"
-
-
-def test_impossible_key_frames_are_refused() -> None:
-    with pytest.raises(ConfigError, match="at least 2"):
-        keyframed(of="walk", keys=1)
-    with pytest.raises(ConfigError, match="another clip"):
-        keyframed(of="keyframed")
-    with pytest.raises(FileError, match="No motion clip 'wlk'"):
-        keyframed(of="wlk")
 
 
 def test_key_frames_can_be_learned_from() -> None:
-    chosen = ["experiment=spacetime/walk", "motion.name=keyframed", "num_worlds=4"]
-    parameters = "motion.parameters={of: walk, keys: 5}"
-    check_environment(build_environment(load_experiment([*chosen, parameters])).environment)
+    chosen = ["experiment=spacetime/walk", "motion.name=walk", "motion.keys=5", "num_worlds=4"]
+    check_environment(build_environment(load_experiment(chosen)).environment)
 
 
 def test_a_robot_of_hinges_takes_the_clip_as_it_is(plugins: Plugins) -> None:
@@ -87,6 +57,7 @@ def test_the_baseline_is_deepmimic_in_everything_but_the_skill() -> None:
     "more",
     [
         ("+baseline=deepmimic",),
+        ("+style=measured", "+baseline=deepmimic"),
         ("reward.terms.imitation.name=deepmimic/imitation", "termination=spacetime/reported"),
         ("policy.feedforward=null",),
     ],

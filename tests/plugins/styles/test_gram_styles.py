@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +22,7 @@ from understudy_characters.reference import ReferenceMotion
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
 from understudy_motion.section import Motion, MotionOptions
+from understudy_motion.writing import write_clip
 from understudy_styles.autoencoder import MotionAutoEncoder, trained_network
 from understudy_styles.features import clip_features
 from understudy_styles.gram import GramDistance, mean_gram
@@ -131,6 +134,24 @@ def test_the_reference_is_at_1_and_the_style_nearer_0(trained: Path, context: Co
     assert 0.8 < reference < 1.5
     frames = clip_features(library.load("hop", None, registry), scene, DT, 24)
     assert mean_gram(network, frames, 24).shape == (16, 16)
+
+
+def test_a_run_keeps_what_its_style_is_read_from(
+    trained: Path, context: Context, tmp_path: Path
+) -> None:
+    registry, clip, run = installed().registry, tmp_path / "style.npz", tmp_path / "run"
+    write_clip(library.load("hop", None, registry), clip, registry)
+    shutil.copytree(trained, run)
+    asked, inputs = GramDistance.Options(run=str(run), style=str(clip)), Inputs()
+    first = GramDistance(asked, replace(context, inputs=inputs))
+    kept = inputs.copy(tmp_path / "inputs")
+    clip.unlink()
+    shutil.rmtree(run)
+    moved = replace(context, inputs=Inputs(tmp_path / "inputs", kept))
+    frames = torch.rand(2, 24, 50)
+    torch.testing.assert_close(
+        GramDistance(asked, moved).compute(frames), first.compute(frames), rtol=0, atol=0
+    )
 
 
 def test_the_references_own_style_is_no_style(trained: Path, context: Context) -> None:
