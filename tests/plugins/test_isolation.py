@@ -34,8 +34,8 @@ MATERIAL = {
     "reproduce": TOYS
     | FIGURE
     | {"bayes", "cmfbo", "deepmimic", "morphology", "mujoco_warp", "spacetime", "warp_torch"},
-    "spacetime": FIGURE | {"deepmimic", "retarget"},
-    "styles": FIGURE | {"ppo", "report", "spacetime"},
+    "spacetime": FIGURE | {"deepmimic", "retarget", "styles"},
+    "styles": FIGURE | {"ppo", "report"},
     "sweeps": TOYS,
 }
 
