@@ -10,7 +10,7 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,8 +76,10 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
             try:
                 return coerce(value, item, where)
             except ConfigError:
-                if item is attempts[-1]:
-                    raise
+                if item is attempts[-1]:  # what a list or a mapping has in it is named there
+                    if len(attempts) == 1 or isinstance(value, (list, tuple, Mapping)):
+                        raise
+                    raise _not_of(attempts, value, where) from None
     if origin is typing.Literal:
         if value in arguments:
             return value
@@ -110,8 +112,13 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         return dict(value)
     if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
         return make_options(annotation, value, where)
-    expected = getattr(annotation, "__name__", str(annotation))
-    raise ConfigError(f"{where}={value!r} is not possible: it takes {expected}.")
+    raise _not_of([annotation], value, where)
+
+
+def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
+    names = (getattr(k, "__name__", str(k)) if not typing.get_origin(k) else str(k) for k in kinds)
+    expected = " or ".join(names).replace("typing.", "").replace("collections.abc.", "")
+    return ConfigError(f"{where}={value!r} is not possible: it takes {expected}.")
 
 
 def make_options(schema: type, values: Any, where: str) -> Any:

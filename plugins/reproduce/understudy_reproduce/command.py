@@ -93,5 +93,5 @@ def _numbers(text: str) -> tuple[int, ...]:
         return tuple(int(part) for part in _names(text))
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"'{text}' is not possible: whole numbers, as in 0,1."
+            f"'{text}' is not possible: whole numbers, as in 0,1"
         ) from None
