@@ -22,6 +22,7 @@ FIGURE = {"basics", "humanoid", "characters", "motion", "mujoco"}
 #: Plugins for a training that takes seconds.
 TOYS = {"basics", "miniature", "ppo"}
 MATERIAL = {
+    "basics": TOYS,
     "characters": FIGURE,
     "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "doctor": FIGURE,
