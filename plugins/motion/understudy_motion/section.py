@@ -35,8 +35,7 @@ class MotionOptions:
     keys: int | None = None
 
     def __post_init__(self) -> None:
-        if self.keys is not None:
-            check_range(self, "keys", least=2)
+        check_range(self, "keys", least=2)
 
 
 class Motion:
