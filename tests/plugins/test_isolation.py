@@ -22,13 +22,15 @@ FIGURE = {"basics", "humanoid", "characters", "motion", "mujoco"}
 #: Plugins for a training that takes seconds.
 TOYS = {"basics", "miniature", "ppo"}
 MATERIAL = {
+    "amorphous": {"export", "humanoid"},
     "basics": TOYS,
     "characters": FIGURE,
     "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "doctor": FIGURE,
     "jumping": {"bayes", "diversity", "export", "play", "sweeps"},
-    "export": FIGURE | TOYS | {"spacetime"},
-    "play": FIGURE | {"ppo", "spacetime"},
+    "export": FIGURE | TOYS | {"report", "spacetime", "viewer"},
+    "gym": FIGURE | TOYS | {"report", "spacetime"},
+    "play": FIGURE | {"deepmimic", "inspect", "ppo", "sitting", "spacetime", "sweeps"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,
