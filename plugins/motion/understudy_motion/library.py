@@ -102,9 +102,8 @@ def find(source: str, registry: Registry, options: ReadOptions = UNSAID) -> Clip
     Raises:
         FileError: as :func:`load` and :func:`read_clip`.
     """
-    path = Path(source)
-    if path.is_file() or path.suffix or len(path.parts) > 1:
-        return read_clip(path, registry, options)
+    if _is_path(source):
+        return read_clip(Path(source), registry, options)
     return load(source, None, registry, options=options)
 
 
@@ -114,12 +113,15 @@ def kept(source: str, registry: Registry, inputs: Inputs) -> Clip:
     Raises:
         RunError: the copy is not what the run was made with.
     """
-    path = Path(source)
-    named = not (path.is_file() or path.suffix or len(path.parts) > 1)
-    name, file = (source, None) if named else (None, source)
-    if named and source in registry.names("clip"):
-        return load(source, None, registry)
+    name, file = (None, source) if _is_path(source) else (source, None)
+    if name in registry.names("clip"):
+        return load(name, None, registry)
     return read_clip(inputs.file(f"clip {source}", lambda: files(name, file, registry)), registry)
+
+
+def _is_path(source: str) -> bool:
+    path = Path(source)
+    return path.is_file() or bool(path.suffix) or len(path.parts) > 1
 
 
 def _files(suffixes: tuple[str, ...]) -> dict[str, Path]:
