@@ -23,8 +23,6 @@ from understudy.setup.composition import load_experiment
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "gpu.jsonl"
 SCENES = {"walk": (), "self_collision": ("scene.self_collision=true",)}
-#: Physics steps in one control step.
-SUBSTEPS = 20
 
 
 def seconds(step: Callable[[torch.Tensor], Any], targets: torch.Tensor) -> float:
@@ -81,7 +79,7 @@ def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[s
     return {
         "scene": scene,
         "worlds": worlds,
-        "bare_physics_steps_per_second": bare * SUBSTEPS,
+        "bare_physics_steps_per_second": bare * job.substeps,
         "environment_steps_per_second": stepping,
         "collected_samples_per_second": collecting,
         "learned_samples_per_second": learning,

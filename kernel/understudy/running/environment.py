@@ -214,6 +214,11 @@ class Environment:
         return {name: encoder.part.shape for name, encoder in self.parts.encoders.items()}
 
     @property
+    def difficulty(self) -> float:
+        """With which episodes began, in the mean over the worlds. Waits for the device."""
+        return float(self._constants["difficulty"].mean())
+
+    @property
     def decision(self) -> int:
         """Control periods that one action lasts."""
         chosen = self.parts.curriculum.decision() if self.parts.curriculum else None

@@ -226,7 +226,12 @@ class Evaluator:
     ``evaluation.failures`` does not name are reported.
     """
 
-    def __init__(self, experiment: Experiment, context: Context | None = None) -> None:
+    def __init__(
+        self, experiment: Experiment, context: Context | None = None, substeps: int | None = None
+    ) -> None:
+        """`substeps` are physics steps of a control period, the task's unless given; of `context`, whose
+        sections it shares, it has the scene too if that is of the same physics."""
+        substeps = experiment.root.control.substeps if substeps is None else substeps
         options = experiment.root.evaluation
         self.experiment, self.options, self._seed = experiment, options, experiment.root.seed
         self.success = success_of(experiment)
@@ -234,9 +239,10 @@ class Evaluator:
             experiment,
             num_worlds=options.episodes,
             episode_seconds=options.seconds,
-            scene=context.scene if context else None,
+            scene=context.scene if context and context.substeps == substeps else None,
             sections=dict(context.sections) if context else None,
             evaluating=True,
+            substeps=substeps,
         )
         environment = self.built.environment
         n, device = environment.num_worlds, environment.device

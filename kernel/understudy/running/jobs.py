@@ -50,6 +50,20 @@ class Job(ABC):
         """Whether an evaluation now may meet the criterion."""
         return True
 
+    def coarse(self) -> bool:
+        """Whether iterations simulate more coarsely than what they are judged by."""
+        return False
+
+    def sharpen(self) -> str:
+        """Go over to the physics that counts; returns what it is, in a few words. Only if `coarse`."""
+        raise NotImplementedError
+
+    def rehearse(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        """As :meth:`evaluate`, at the coarse physics. Only if `coarse`."""
+        raise NotImplementedError
+
     @abstractmethod
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None

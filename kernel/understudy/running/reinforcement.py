@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -38,14 +37,19 @@ class Reinforcement(Job):
         self.experiment = experiment
         self.device = device_of(experiment.root.device)
         self.built: Built | None = None
+        root = experiment.root
+        #: Physics steps of a control period: the task's, or at first coarser.
+        self.substeps = root.resolution.substeps or root.control.substeps
+        self._evaluators: dict[int, Evaluator] = {}  # by physics steps of a control period
         #: Share of the last rollout's steps in which an episode failed.
         self._failing = 1.0
+        self._on_fault: Callable[[str, State], None] | None = None
         self._started: Mapping[str, Any] = {}
 
     def prepare(self) -> None:
         experiment = self.experiment
         success_of(experiment)  # refused now, not when the training comes to its first evaluation
-        self.built = built = build_environment(experiment)
+        self.built = built = build_environment(experiment, substeps=self.substeps)
         self.environment = built.environment
         self.environment.reset()  # which also checks every term
         self.policy = build_policy(experiment, built.context)
@@ -61,7 +65,34 @@ class Reinforcement(Job):
     def _adapting(self) -> tuple[Any, Any]:
         return self.environment.parts.initial_states, self.environment.parts.curriculum
 
+    def _go_over(self, substeps: int) -> None:
+        """Go on from the same state at so many physics steps a control period."""
+        if substeps == self.substeps:
+            return
+        assert self.built is not None
+        state, sections = self.environment.state_dict(), dict(self.built.context.sections)
+        self.environment.close()
+        self.built = build_environment(self.experiment, sections=sections, substeps=substeps)
+        self.environment = self.collector.environment = self.built.environment
+        self.environment.reset()  # makes what a state is loaded into
+        self.environment.load_state_dict(state)
+        if (left := self._evaluators.pop(self.substeps, None)) is not None:
+            left.close()
+        self.substeps = substeps
+        self.watch(self._on_fault)
+
+    def coarse(self) -> bool:
+        return self.substeps < self.experiment.root.control.substeps
+
+    def sharpen(self) -> str:
+        self._go_over(self.experiment.root.control.substeps)
+        return self._physics()
+
+    def _physics(self) -> str:
+        return f"physics at {self.experiment.root.control.frequency * self.substeps:.4g} Hz"
+
     def watch(self, on_fault: Callable[[str, State], None] | None) -> None:
+        self._on_fault = on_fault
         self.environment.on_quarantine = self.learner.on_fault = None
         if on_fault is None:
             return
@@ -98,6 +129,9 @@ class Reinforcement(Job):
             metrics |= {
                 k if k.startswith("mark/") else f"curriculum/{k}": v for k, v in found.items()
             }
+        metrics["physics_hz"] = self.experiment.root.control.frequency * self.substeps
+        if self._ripe():
+            metrics[f"mark/{self.sharpen()}"] = 1.0
         self._failing = float(rollout.failed.float().mean())
         episodes = self.environment.statistics.collect()
         refuse_hopeless(episodes["unsound"], rollout.rewards.shape[0], self.environment.num_worlds)
@@ -111,13 +145,19 @@ class Reinforcement(Job):
             **metrics,
         }
 
+    def _ripe(self) -> bool:
+        """Whether the difficulty has come to where physics sharpens."""
+        enough = self.experiment.root.resolution.difficulty
+        return enough is not None and self.coarse() and self.environment.difficulty >= enough - 1e-6
+
     def finished(self) -> bool:
         curriculum = self.environment.parts.curriculum
         return curriculum is not None and curriculum.finished()
 
     def stage(self) -> str:
         curriculum = self.environment.parts.curriculum
-        return curriculum.stage() if curriculum else ""
+        stages = [curriculum.stage()] if curriculum else []
+        return ", ".join([*stages, self._physics()] if self.coarse() else stages)
 
     def promising(self) -> bool:
         """Whether episodes last long enough without a failure for success to be plausible."""
@@ -125,9 +165,22 @@ class Reinforcement(Job):
         lasting = environment.decision * environment.control_dt / max(self._failing, 1e-9)
         return lasting >= options.gate * options.seconds
 
-    @functools.cached_property
+    @property
     def evaluator(self) -> Evaluator:
-        return Evaluator(self.experiment, self.built.context if self.built else None)
+        """The one at the task's own physics."""
+        return self._evaluator(self.experiment.root.control.substeps)
+
+    def _evaluator(self, substeps: int) -> Evaluator:
+        if substeps not in self._evaluators:
+            context = self.built.context if self.built else None
+            self._evaluators[substeps] = Evaluator(self.experiment, context, substeps)
+        return self._evaluators[substeps]
+
+    def rehearse(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        evaluator = self._evaluator(self.substeps)
+        return evaluator.run(self.policy, draw, episodes, give_up_below=give_up_below)
 
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
@@ -178,11 +231,13 @@ class Reinforcement(Job):
             "environment": self.environment.state_dict(),
             "collector": self.collector.streams.state_dict(),
             "failing": self._failing,
+            **({"substeps": self.substeps} if self.experiment.root.resolution.substeps else {}),
         }
 
     def load_state_dict(self, state: State) -> None:
         self.policy.load_state_dict(state["policy"])
         self.learner.load_state_dict(state["learner"])
+        self._go_over(state.get("substeps", self.substeps))
         self.environment.load_state_dict(state["environment"])
         self.collector.streams.load_state_dict(state["collector"])
         self._failing = state["failing"]
@@ -201,5 +256,5 @@ class Reinforcement(Job):
     def close(self) -> None:
         if self.built is not None:
             self.built.environment.close()
-        if "evaluator" in vars(self):  # it was needed
-            self.evaluator.close()
+        for evaluator in self._evaluators.values():
+            evaluator.close()

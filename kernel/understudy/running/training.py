@@ -78,6 +78,7 @@ class Training:
         self.job: Job = job.build(experiment) if job else Reinforcement(None, experiment)
         self.progress = Progress()
         self.outcome = ""
+        self._rehearsed = False  # whether the criterion is met at coarse physics
         #: Whether a checkpoint that was resumed is of another task, learner or judgement.
         self.changed = False
 
@@ -193,11 +194,13 @@ class Training:
                         with contextlib.suppress(KeyboardInterrupt):  # noted by `stop`, too
                             row |= self._evaluate_if_due()
                     stopping = distributed.anyone(stop.received is not None, self.job.device)
-                    if stopping and self._due():
+                    if stopping and distributed.decided(int(self._due()), self.job.device):
                         progress.pending = row
-                    elif run is not None:
-                        run.append_metrics(row)
-                        self.reporter.notify("iteration", run, row, self.job.stage())
+                    else:
+                        row |= self._sharpen_if_ripe()
+                        if run is not None:
+                            run.append_metrics(row)
+                            self.reporter.notify("iteration", run, row, self.job.stage())
                     if run is not None:
                         due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
                         if due or stopping:
@@ -231,13 +234,28 @@ class Training:
     def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
-        budget, progress = self.experiment.root.budget, self.progress
-        spent = progress.samples >= (budget.samples or math.inf)
-        spent = spent or progress.seconds >= 60 * (budget.minutes or math.inf)
-        own = 1 if progress.met else 2 if spent else 3 if self.job.finished() else 0
+        own = 1 if self.progress.met else 2 if self._spent() >= 1 else 3 if self.job.finished() else 0
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0
+
+    def _spent(self) -> float:
+        """The share of the budget that is spent."""
+        budget, progress = self.experiment.root.budget, self.progress
+        return max(
+            progress.samples / (budget.samples or math.inf),
+            progress.seconds / (60 * (budget.minutes or math.inf)),
+        )
+
+    def _sharpen_if_ripe(self) -> dict[str, float]:
+        """Go over from coarse physics once the criterion is met by it, or enough of the budget spent."""
+        if not self.job.coarse():
+            return {}
+        ripe = self._rehearsed or self._spent() >= self.experiment.root.resolution.budget
+        if not distributed.decided(int(ripe), self.job.device):
+            return {}
+        self._rehearsed = False
+        return {f"mark/{self.job.sharpen()}": 1.0}
 
     def _due(self) -> bool:
         """Whether it is time for an evaluation, and one may be worth its while."""
@@ -253,9 +271,14 @@ class Training:
         options, progress, met = self.experiment.root.evaluation, self.progress, False
         if not self._due():
             return {}
-        first = self._evaluate("evaluation", options.episodes, options.criterion)
-        row = first.row()
-        if options.criterion is not None and _reaches(first, options.criterion):
+        kind = "rehearsal" if self.job.coarse() else "evaluation"
+        first = self._evaluate(kind, options.episodes, options.criterion)
+        row = first.row(kind)
+        if options.criterion is None or not _reaches(first, options.criterion):
+            pass
+        elif kind == "rehearsal":
+            self._rehearsed = True
+        else:
             second = self._evaluate("confirmation", options.final_episodes, options.criterion)
             met, row = _reaches(second, options.criterion), row | second.row("confirmation")
         progress.evaluated_at, progress.met = progress.samples, met
@@ -265,8 +288,9 @@ class Training:
     def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
         draw = f"{kind}/{self.progress.evaluations + 1}"
         least = 0.0 if criterion and not self.experiment.root.evaluation.give_up else criterion
+        judge = self.job.rehearse if kind == "rehearsal" else self.job.evaluate
         with StopRequest(at_once=True):  # it may take minutes, and can be made again
-            evaluation = self.job.evaluate(draw, episodes, give_up_below=least)
+            evaluation = judge(draw, episodes, give_up_below=least)
         self.reporter.message(
             f"{kind.capitalize()} at {self.progress.samples:,} samples: {evaluation.sentence()}"
         )

@@ -58,6 +58,7 @@ def build_environment(
     scene: Scene | None = None,
     sections: dict[str, Any] | None = None,
     evaluating: bool = False,
+    substeps: int | None = None,
 ) -> Built:
     """Build the environment of `experiment`; the keyword arguments replace its own values.
 
@@ -70,10 +71,11 @@ def build_environment(
         device=device_of(root.device),
         num_worlds=root.num_worlds if num_worlds is None else num_worlds,
         control_dt=1.0 / root.control.frequency,
-        substeps=root.control.substeps,
+        substeps=root.control.substeps if substeps is None else substeps,
         decision=root.control.decision,
         difficulty=root.difficulty,
         evaluating=evaluating,
+        coarse=substeps is not None and substeps < root.control.substeps,
         registry=registry,
         sections=sections or build_sections(experiment),
         inputs=experiment.inputs,

@@ -34,6 +34,24 @@ class ControlOptions:
 
 
 @dataclass(frozen=True)
+class ResolutionOptions:
+    """Coarser physics that a training begins with; ``control.substeps`` is what it is judged by.
+
+    It goes over to the latter, *sharpens*, as soon as the criterion is met at the coarse physics, the
+    curriculum has come to `difficulty`, or the share `budget` of the budget is spent.
+    """
+
+    substeps: int | None = None  #: physics steps per control period at first; null is the task's
+    difficulty: float | None = None  #: mean difficulty at which physics sharpens; null is none
+    budget: float = 0.75  #: share of the samples, or of the minutes, after which physics sharpens
+
+    def __post_init__(self) -> None:
+        check_range(self, "substeps", least=1)
+        check_range(self, "difficulty", least=0, most=1)
+        check_range(self, "budget", above=0, most=1)
+
+
+@dataclass(frozen=True)
 class EpisodeOptions:
     seconds: float = 20.0  #: episodes are truncated at this length
 
@@ -152,6 +170,7 @@ class Root:
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at, and trainings lead to
     task: str | None = None
     control: ControlOptions = field(default_factory=ControlOptions)
+    resolution: ResolutionOptions = field(default_factory=ResolutionOptions)
     episode: EpisodeOptions = field(default_factory=EpisodeOptions)
     budget: BudgetOptions = field(default_factory=BudgetOptions)
     evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
@@ -165,6 +184,12 @@ class Root:
         check_range(self, "num_worlds", least=1, most=10**7)
         check_range(self, "seed", least=0, most=2**63 - 1)
         check_range(self, "difficulty", least=0, most=1)
+        coarse, own = self.resolution.substeps, self.control.substeps
+        if coarse is not None and coarse > own:
+            raise ValueError(
+                f"resolution.substeps={coarse} is not possible: physics begins coarser than it ends, "
+                f"so give at most control.substeps={own}, or null."
+            )
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ STRENGTH = 0.45
 #: Of the inertia that a servo's gains are for: what a joint has to move at least, its rotor included. Of
 #: that character's ankles it is as much, with its armature of 0.01 kg m^2.
 ROTOR = 0.02
+#: s: up to this time step servos are left as they are made (600 Hz: thesis, section 3.5).
+FINE = 1 / 600
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,12 @@ class ServoOptions:
     damping_ratio: float = 1.0
     #: rad off its target at which a servo gives its whole torque: at least and at most.
     deflection: tuple[float, float] = (0.1, 0.3)
+    #: rad/s by which a servo's whole torque turns its joint in one sub-step, at most; where these are
+    #: longer than 1/600 s, rotors get the inertia for it. Null leaves them as they are.
+    step_speed: float | None = 10.0
 
     def __post_init__(self) -> None:
-        check_range(self, "natural_frequency", "damping_ratio", above=0)
+        check_range(self, "natural_frequency", "damping_ratio", "step_speed", above=0)
         if not 0.0 < self.deflection[0] <= self.deflection[1]:
             raise ValueError(
                 f"deflection={self.deflection} is not possible: give 0 < LEAST <= MOST."
@@ -164,12 +169,39 @@ def _strength(model: mujoco.MjModel, actuator: int) -> float | None:
 
 def carried_inertia(character: Character) -> np.ndarray:
     """(U,) kg m^2: the diagonal of the mass matrix in the zero pose, of each of :func:`drives`."""
+    return _mass_matrix(character).diagonal()[[drive.dof for drive in drives(character)]]
+
+
+def free_inertia(character: Character) -> np.ndarray:
+    """(U,) kg m^2: what the torque of each of :func:`drives` accelerates alone, in the zero pose, with
+    nothing held: one over the diagonal of the mass matrix's inverse. At most :func:`carried_inertia`."""
+    inverse = np.linalg.inv(_mass_matrix(character))
+    return 1.0 / inverse.diagonal()[[drive.dof for drive in drives(character)]]
+
+
+def _mass_matrix(character: Character) -> np.ndarray:
+    """(nv, nv), in the zero pose, rotors included."""
     model, data = character.model, character.zero_pose
     mujoco.mj_comPos(model, data)
     mujoco.mj_crb(model, data)
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
-    return matrix.diagonal()[[drive.dof for drive in drives(character)]]
+    return matrix
+
+
+def steadying_rotors(
+    character: Character, limits: np.ndarray, timestep: float, speed: float
+) -> np.ndarray:
+    """(U,) kg m^2: the rotor inertia that each of :func:`drives` lacks for its whole torque, `limits` (U,)
+    N m, to turn it by no more than `speed` rad/s in one `timestep` s; infinite limits need none.
+
+    A servo is stable at any step while its velocity term is integrated implicitly. One at its limit
+    is not: its torque is constant for a whole step, after which a light joint has overshot whatever
+    it was to reach, and is driven back as hard. More inertia bounds by how much. It adds to the free
+    inertia exactly, whatever is added to the other joints.
+    """
+    needed = np.where(np.isfinite(limits), limits, 0.0) * timestep / speed
+    return np.clip(needed - free_inertia(character), 0.0, None)
 
 
 def gains(
@@ -196,13 +228,43 @@ def drive(
 
     Other actuators, what senses them, and key frames (which hold controls) are taken out. Joints that
     carry very little get the inertia of the rotor that their torque needs, without which a hand would
-    shake.
+    shake; and all get what they need at this time step (:func:`steadying_rotors`).
     """
     if options.keep and has_servos(character):
         for actuator in spec.actuators:  # their velocity gain is for the time step they came with
             actuator.biasprm[2] -= actuator.gainprm[0] * (timestep - spec.option.timestep)
             actuator.biasprm[2] = min(actuator.biasprm[2], 0.0)
-        return
+    else:
+        _make_servos(spec, character, timestep, options)
+    if options.step_speed is not None and timestep > 1.001 * FINE:
+        driven = Character(character.name, spec.compile())
+        rotors = steadying_rotors(driven, _most(driven), timestep, options.step_speed)
+        _add_rotors(spec, driven, rotors)
+
+
+def _most(character: Character) -> np.ndarray:
+    """(U,) N m: the limits of a driven character's servos, in the order of :func:`drives`."""
+    model, limits = character.model, {}
+    for actuator in range(model.nu):
+        limited = model.actuator_forcelimited[actuator]
+        most = np.abs(model.actuator_forcerange[actuator]).max() if limited else np.inf
+        limits[_driven(model, actuator)] = most
+    return np.array([limits[one.joint, one.axis] for one in drives(character)])
+
+
+def _add_rotors(spec: mujoco.MjSpec, character: Character, rotors: np.ndarray) -> None:
+    """Add `rotors` (U,) kg m^2 to the joints of `character`, the compiled `spec`: of a ball's three the most."""
+    added: dict[int, float] = {}
+    for one, missing in zip(drives(character), rotors, strict=True):
+        added[one.joint] = max(added.get(one.joint, 0.0), float(missing))
+    for joint in spec.joints:
+        joint.armature += added.get(joint.id, 0.0)
+
+
+def _make_servos(
+    spec: mujoco.MjSpec, character: Character, timestep: float, options: ServoOptions
+) -> None:
+    """Put servos in the place of all actuators of `character`, the compiled `spec`."""
     for sensor in list(spec.sensors):
         if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR:
             spec.delete(sensor)
@@ -211,12 +273,8 @@ def drive(
     limits = torque_limits(character)
     stiffness, damping = gains(character, limits, options)
     rotors = ROTOR * stiffness / options.natural_frequency**2 - carried_inertia(character)
+    _add_rotors(spec, character, rotors)
     joints = {joint.id: joint for joint in spec.joints}
-    armature = dict.fromkeys(joints, 0.0)
-    for one, missing in zip(drives(character), rotors, strict=True):
-        armature[one.joint] = max(armature[one.joint], float(missing))
-    for identity, joint in joints.items():
-        joint.armature += armature[identity]
     for one, limit, kp, kd in zip(drives(character), limits, stiffness, damping, strict=True):
         joint = joints[one.joint]
         joint.name = joint.name or f"joint{one.joint}"
