@@ -57,8 +57,10 @@ def assert_only_bad_failed(clean: list[Step], hurt: list[Step]) -> None:
 
 @pytest.mark.parametrize("value", VALUES)
 @pytest.mark.parametrize("where", ["qpos", "qvel", "ctrl"])
-def test_physics_state(plugins: Plugins, where: str, value: float) -> None:
-    clean, hurt = environment(plugins), environment(plugins)
+@pytest.mark.parametrize("decision", [1, 3])
+def test_physics_state(plugins: Plugins, decision: int, where: str, value: float) -> None:
+    task = (*PADDLE_TASK, f"control.decision={decision}")
+    clean, hurt = environment(plugins, task), environment(plugins, task)
     roll(clean, 3, 0), roll(hurt, 3, 0)
     generator = torch.Generator().manual_seed(1)
     action = torch.randn(16, 1, generator=generator)

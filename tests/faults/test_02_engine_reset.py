@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,12 @@ import numpy as np
 import pytest
 import torch
 from mujoco.batch import SimulationError
-from worlds import PADDLE_TASK, SMALL
+from worlds import PADDLE_TASK, SMALL, Direct
 
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
+from understudy.task import box
 
 
 @pytest.mark.parametrize("value", [float("nan"), 1e12])
@@ -70,6 +72,60 @@ def test_no_teleport_inside_an_episode(plugins: Plugins) -> None:
     assert step.failed.tolist() == step.terminated.tolist() == [i == 5 for i in range(16)]
     assert environment.episode_step.tolist() == [0 if i == 5 else 1 for i in range(16)]
     assert step.rewards[5] == 0
+
+
+class Every(Direct):
+    """Computes the control as often as told."""
+
+    def __init__(self, every: Any) -> None:
+        self.action_space, self.every = box(1), every
+
+
+@pytest.mark.parametrize("period", ["first", "last"])
+@pytest.mark.parametrize("every", ["decision", "period", "substep"])
+@pytest.mark.parametrize("decision", [1, 2, 3])
+def test_no_teleport_at_any_clock(plugins: Plugins, decision: int, every: str, period: str) -> None:
+    """In whichever control period of a decision the engine resets: the episode fails."""
+    task = [*PADDLE_TASK, *SMALL, f"control.decision={decision}"]
+    environment = build_environment(load_experiment(task, plugins)).environment
+    environment.parts.actuation = dataclasses.replace(
+        environment.parts.actuation, part=Every(every)
+    )
+    simulator: Any = environment.parts.simulator
+    simulator.batch.expand("opt.disableflags")[:] &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    environment.reset()
+    step, calls = simulator.step, []
+    count = decision * (5 if every == "substep" else 1)
+
+    def poisoned(control: torch.Tensor, substeps: int | None = None) -> None:
+        calls.append(substeps)
+        if len(calls) == (1 if period == "first" else count):
+            simulator._views["qvel"][5, 2] = 1e12
+        step(control, substeps)
+
+    simulator.step = poisoned
+    judged = environment.step(torch.zeros(16, 1))
+    assert len(calls) == count
+    assert judged.failed.tolist() == judged.unsound.tolist() == [i == 5 for i in range(16)]
+    assert int(environment.quarantined) == 1
+    assert not environment.step(torch.zeros(16, 1)).failed.any(), "it has begun anew"
+
+
+def test_marks_outlast_several_steps(plugins: Plugins) -> None:
+    """Until they are read or the world's state is set, for those who ask less often."""
+    simulator: Any = build_environment(
+        load_experiment([*PADDLE_TASK, *SMALL], plugins)
+    ).context.simulator
+    simulator.batch.expand("opt.disableflags")[:] &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    start = simulator.snapshot()
+    for state_is_set in (False, True):
+        simulator._views["qpos"][5, 2] = 1e12
+        for _ in range(3):
+            simulator.step(torch.zeros(16, 1))
+        if state_is_set:
+            simulator.restore(start)
+        assert simulator.failed().tolist() == [i == 5 and not state_is_set for i in range(16)]
+        assert not simulator.failed().any()
 
 
 class Troubled:

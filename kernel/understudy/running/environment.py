@@ -337,7 +337,7 @@ class Environment:
         table.put({"failed": failed, "succeeded": succeeded, "violated": violated})
         rewards = self._reward()
         reached = self._encode()
-        unsound = self._unsound | parts.simulator.failed() | ~sound(rewards)
+        unsound = self._unsound | ~sound(rewards)
         for value in reached.values():
             unsound = unsound | ~sound(value)
         failed, succeeded, violated = failed | unsound, succeeded & ~unsound, violated | unsound
@@ -387,6 +387,7 @@ class Environment:
                 if self.on_quarantine is not None:
                     self._controls.append(control.clone())
                 simulator.step(applied, length)
+                self._unsound |= simulator.failed()  # the next step may hide it
                 self.refresh()
             self.episode_step += 1
             self.refresh()

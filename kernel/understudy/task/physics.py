@@ -89,7 +89,8 @@ class Simulator(ABC):
 
     @abstractmethod
     def failed(self) -> Tensor:
-        """(N,) bool: worlds whose last step went wrong (non-finite, diverged, reset by the engine)."""
+        """(N,) bool: worlds that went wrong (non-finite, diverged, reset by the engine) since their state
+        was set or this was last asked. It is asked after every step."""
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:

@@ -54,6 +54,7 @@ def replay_step(path: Path | str, plugins: Plugins | None = None) -> ReplayedSte
         for control in controls:
             good &= sound(control)
             simulator.step(torch.where(sound(control).unsqueeze(1), control, 0.0), substeps)
-        return ReplayedStep(worlds, simulator.failed() | ~good, simulator.snapshot())
+            good &= ~simulator.failed()
+        return ReplayedStep(worlds, ~good, simulator.snapshot())
     finally:
         environment.close()

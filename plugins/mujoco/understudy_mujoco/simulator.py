@@ -167,7 +167,6 @@ class MujocoSimulator(Simulator):
         self._forward(ids)
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
-        self._broken[:] = False
         self._views["ctrl"][:] = control.numpy()
         before = self._warnings()
         count = self._substeps if substeps is None else substeps
@@ -178,7 +177,9 @@ class MujocoSimulator(Simulator):
 
     def failed(self) -> Tensor:
         sound = np.isfinite(self._views["qpos"]).all(1) & np.isfinite(self._views["qvel"]).all(1)
-        return torch.from_numpy(self._broken | ~sound)
+        found = torch.from_numpy(self._broken | ~sound)
+        self._broken[:] = False  # not before it was read: several steps may come between
+        return found
 
     def snapshot(self) -> dict[str, Tensor]:
         copies = {name: torch.from_numpy(value.copy()) for name, value in self._varied.items()}
