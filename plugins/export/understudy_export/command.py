@@ -28,7 +28,7 @@ from understudy_export.figure import figure
 from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.kinematics import need_skeleton
-from understudy_motion.reading import METRES
+from understudy_motion.reading import metres_of
 from understudy_motion.writing import Shape, Shown, write_figures
 from understudy_mujoco.studio import REFERENCE
 
@@ -155,13 +155,13 @@ def _beside(options: argparse.Namespace, surface: Sequence[Shape]) -> Shown:
 def _in_unit(clip: Clip, options: argparse.Namespace) -> Clip:
     """The motion of a run, so that a BVH file of it has lengths in the unit that is asked for."""
     if options.destination.suffix.lower() != ".bvh":
-        if options.unit == "m":
+        if metres_of(options.unit) == 1.0:
             return clip
         raise ConfigError(
             f"--unit {options.unit} is not possible: '{options.destination.suffix}' files are in "
             "metres; only .bvh has a unit of its own."
         )
-    factor = METRES["cm"] / METRES[options.unit]
+    factor = 0.01 / metres_of(options.unit)
     skeleton = need_skeleton(clip)
     tips = {name: factor * tip for name, tip in skeleton.tips.items()}
     skeleton = replace(skeleton, offsets=factor * skeleton.offsets, tips=tips)

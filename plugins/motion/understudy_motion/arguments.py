@@ -10,13 +10,15 @@ from pathlib import Path
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
-from understudy_motion.reading import Axis, ReadOptions, Unit
+from understudy_motion.reading import METRES, Axis, NamedUnit, ReadOptions, Unit
 
 
 def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
     """Add the options of :class:`ReadOptions`, as a group; `loop` says whether that one too."""
     group = parser.add_argument_group("what a clip file may leave unsaid")
-    group.add_argument("--unit", choices=typing.get_args(Unit), help="of its lengths")
+    group.add_argument(
+        "--unit", type=unit, metavar="UNIT", help=f"of its lengths: {', '.join(METRES)}, or metres"
+    )
     group.add_argument("--up", choices=typing.get_args(Axis), help="its vertical axis")
     group.add_argument("--skeleton", type=Path, metavar="FILE", help="the ASF file of an AMC file")
     group.add_argument("--source-rate", type=positive, metavar="HZ", help="its frames per second")
@@ -44,6 +46,17 @@ def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> C
         rate=options.source_rate,
     )
     return library.find(source, registry, reading)
+
+
+def unit(text: str) -> Unit:
+    """An argument's type: a unit of length, or the metres in it."""
+    named = next((name for name in typing.get_args(NamedUnit) if name == text), None)
+    try:
+        return named or positive(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is none of {', '.join(METRES)}, and no number of metres"
+        ) from None
 
 
 def positive(text: str) -> float:

@@ -23,7 +23,9 @@ from understudy.errors import ConfigError, FileError
 from understudy.setup.registry import Registry
 from understudy_motion.clip import MAX_DISTANCE, Clip, Skeleton
 
-Unit = Literal["m", "cm", "mm", "inch", "foot"]
+NamedUnit = Literal["m", "cm", "mm", "inch", "foot"]
+Unit = NamedUnit | float
+"""Of length: a name, or the metres in it."""
 Axis = Literal["y", "z"]
 
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048}
@@ -44,7 +46,7 @@ class ReadOptions:
     """What a file may leave unsaid. None: taken from the file, or recognised, or an error that asks.
 
     Raises:
-        ConfigError: a rate that is not above zero.
+        ConfigError: a rate, or a unit in metres, that is not above zero.
     """
 
     unit: Unit | None = None  #: of lengths
@@ -58,6 +60,15 @@ class ReadOptions:
             raise ConfigError(
                 f"motion.rate={self.rate} (--source-rate) is not possible: frames per second are above 0."
             )
+        if isinstance(self.unit, float | int) and not 0.0 < self.unit < math.inf:
+            raise ConfigError(
+                f"motion.unit={self.unit} (--unit) is not possible: the metres in a unit are above 0."
+            )
+
+
+def metres_of(unit: Unit) -> float:
+    """Metres in a `unit` of length."""
+    return METRES[unit] if isinstance(unit, str) else float(unit)
 
 
 UNSAID = ReadOptions()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from motion_files import walker, write_bvh
 from scipy.spatial.transform import Rotation
 
-from understudy.errors import FileError
+from understudy.errors import ConfigError, FileError
 from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.bvh import BvhReader
@@ -133,7 +133,7 @@ def test_position_channels_of_joints(tmp_path: Path) -> None:
     torch.testing.assert_close(
         read(tmp_path, still).rotations, read(tmp_path, TEXT).rotations, rtol=0, atol=0
     )
-    with pytest.raises(FileError, match="frame 0: joint 'Left Leg' moves from its OFFSET"):
+    with pytest.raises(FileError, match="frame 0: joint 'Left Leg' moves against its parent"):
         read(tmp_path, still.replace(" 10 -5 0.05 ", " 10 -6 0 "))
 
 
@@ -211,7 +211,6 @@ def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
         ("1 90 13", "1 9e9 13", "frame 1: root position is more than"),
         ("OFFSET 0 60 0", "OFFSET 0 60", "line 18: OFFSET needs three numbers, not 'CHANNELS'"),
         ("    OFFSET 0 60 0\n", "", "joint 'Head' has no OFFSET"),
-        ("JOINT Head", "JOINT Hips", "joint 'Hips' is named twice"),
         ("JOINT Head", "ROOT Head", "line 15: one ROOT is expected"),
         ("JOINT Head", "JOINT", "line 16: a joint has no name"),
         ("JOINT Head", "BONE Head", "line 15: 'BONE' is not part of a joint"),
@@ -228,6 +227,134 @@ def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> No
     with pytest.raises(FileError, match=message) as caught:
         read(tmp_path, TEXT.replace(old, new, 1), "cm", "y")
     assert str(tmp_path / "clip.bvh") in str(caught.value)
+
+
+def test_bones_in_position_channels_are_bones(tmp_path: Path) -> None:
+    """OFFSETs of zero, and constant positions instead: the same figure."""
+    text = TEXT.replace("OFFSET 10 -5 0", "OFFSET 0 0 0").replace("OFFSET 0 60 0", "OFFSET 0 0 0")
+    text = text.replace("CHANNELS 3 Z", "CHANNELS 6 Xposition Yposition Zposition Z")
+    text = text.replace("CHANNELS 1 Y", "CHANNELS 4 Xposition Yposition Zposition Y")
+    text = text.replace("10 20 30  40", "10 -5 0 10 20 30  0 60 0 40")
+    text = text.replace("-10 -20 -30  50", "10 -5 0 -10 -20 -30  0 60 0 50")
+    assert_same(read(tmp_path, text), read(tmp_path, TEXT))
+
+
+@pytest.mark.parametrize("displaced", ["0 0 0", "0 0.02 0"])
+def test_positions_that_would_make_the_figure_a_point_are_displacements(
+    tmp_path: Path, displaced: str
+) -> None:
+    text = TEXT.replace("CHANNELS 3 Z", "CHANNELS 6 Xposition Yposition Zposition Z")
+    text = text.replace("CHANNELS 1 Y", "CHANNELS 4 Xposition Yposition Zposition Y")
+    text = text.replace("10 20 30  40", f"{displaced} 10 20 30  {displaced} 40")
+    text = text.replace("-10 -20 -30  50", f"{displaced} -10 -20 -30  {displaced} 50")
+    assert_same(read(tmp_path, text), read(tmp_path, TEXT), 1e-3)
+
+
+def below(text: str, node: str, numbers: str) -> str:
+    """The figure of `text` below a node of a scene, whose channels have these `numbers`."""
+    head, motion = text.removeprefix("HIERARCHY\n").split("MOTION\n")
+    rows = motion.splitlines()
+    rows[2:] = [f"{numbers} {row}" for row in rows[2:]]
+    return "\n".join(("HIERARCHY", node, head.replace("ROOT", "JOINT") + "}", "MOTION", *rows))
+
+
+STILL_NODE = "ROOT scene\n{\nOFFSET 0 0 0\nCHANNELS 4 Xposition Yposition Zposition Yrotation"
+
+
+def test_hips_that_travel_below_a_node_are_the_root(tmp_path: Path) -> None:
+    assert_same(read(tmp_path, below(TEXT, STILL_NODE, "0 0 0 0")), read(tmp_path, TEXT))
+    twice = below(below(TEXT, "ROOT rig\n{\nOFFSET 0 0 0\nCHANNELS 0", ""), STILL_NODE, "0 0 0 0")
+    assert_same(read(tmp_path, twice), read(tmp_path, TEXT))
+
+
+def test_place_and_turn_of_a_node_above_the_hips_are_theirs(tmp_path: Path) -> None:
+    """A quarter turn about the file's y takes its z to its x: (1, 90, 13) to (13, 90, -1)."""
+    clip = read(tmp_path, below(TEXT, STILL_NODE, "100 10 0 90"))
+    assert clip.joint_names[0] == "Hips"
+    assert clip.root_position[1].tolist() == pytest.approx([-0.01, 1.13, 1.0])
+    quarter = rotations.from_exponential_map(torch.tensor([0.0, 0.0, np.pi / 2]).double())
+    alone = read(tmp_path, TEXT)
+    expected = rotations.multiply(quarter.expand(2, 4), alone.rotations[:, 0])
+    assert rotations.angle_between(clip.rotations[:, 0], expected).max() < 1e-6
+    torch.testing.assert_close(clip.rotations[:, 1:], alone.rotations[:, 1:])
+
+
+def test_handles_beside_the_hips_are_no_part_of_the_figure(tmp_path: Path) -> None:
+    handle = (
+        STILL_NODE + "\nJOINT ik\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n}\n"
+    )
+    assert_same(read(tmp_path, below(TEXT, handle, "0 0 0 0  9 9 9")), read(tmp_path, TEXT))
+
+
+def assert_same(clip: Clip, expected: Clip, within: float = 1e-9) -> None:
+    assert clip.joint_names == expected.joint_names
+    torch.testing.assert_close(clip.root_position, expected.root_position, rtol=0, atol=within)
+    torch.testing.assert_close(clip.rotations, expected.rotations, rtol=0, atol=1e-9)
+    assert clip.skeleton is not None
+    assert expected.skeleton is not None
+    np.testing.assert_allclose(clip.skeleton.offsets, expected.skeleton.offsets, atol=within)
+    assert clip.skeleton.tips.keys() == expected.skeleton.tips.keys()
+
+
+def test_a_unit_in_metres(tmp_path: Path) -> None:
+    """CMU's 1 / 0.45 inch is recognised; any other is taken as a number."""
+    assert scaled(tmp_path, 0.45 / 0.0254, "y").root_position[0, 2] == pytest.approx(0.9, rel=1e-3)
+    clip = read(tmp_path, TEXT, unit=0.0254 / 0.45)
+    assert clip.root_position[0, 2] == pytest.approx(90 * 0.0564444, rel=1e-5)
+    with pytest.raises(ConfigError, match="the metres in a unit are above 0"):
+        ReadOptions(unit=-1.0)
+
+
+@pytest.mark.parametrize("said", ["Frame Time: 0\n", "Frame Time:\n", "Frame Time: nan\n", ""])
+def test_a_rate_that_is_given_is_enough(tmp_path: Path, said: str) -> None:
+    path = tmp_path / "clip.bvh"
+    path.write_text(TEXT.replace("Frame Time: 0.025\n", said))
+    clip = BvhReader().read(path, ReadOptions(rate=30.0))
+    assert clip.times.tolist() == pytest.approx([0.0, 1 / 30])
+    with pytest.raises(FileError, match=r"motion\.rate \(--source-rate\)"):
+        BvhReader().read(path)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "mark"),
+    [("utf-16", ""), ("utf-16-le", ""), ("utf-16-be", "\ufeff"), ("utf-32", ""), ("cp1252", "")],
+)
+def test_encodings(tmp_path: Path, encoding: str, mark: str) -> None:
+    path = tmp_path / "clip.bvh"
+    text = TEXT.replace("Head", "Schädel")
+    path.write_bytes((mark + text).encode(encoding))
+    assert BvhReader().recognises(path.read_bytes()[:4096], path)
+    clip = BvhReader().read(path)
+    assert clip.joint_names == ("Hips", "Left Leg", "Schädel")
+    torch.testing.assert_close(clip.root_position, read(tmp_path, TEXT).root_position)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# exported\n\n// by hand\n" + TEXT,
+        TEXT.replace("MOTION", "; numbers\nMOTION\n# of frames"),
+        TEXT.replace("End Site", "End Site LeftFootEnd"),
+        TEXT.replace("End Site", "End Effector"),
+        TEXT.replace("End Site", "EndSite"),
+        TEXT.replace("End Site\n    {", "End\n    {\n"),
+        TEXT.replace("OFFSET 0 20 0", "OFFSET 0 20 0\n      CHANNELS 0"),
+        TEXT.replace("1 90 3 ", "1,0 90 3 ").replace("0.025", "0,025"),
+    ],
+)
+def test_dialects(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "clip.bvh"
+    path.write_text(text)
+    assert BvhReader().recognises(path.read_bytes()[:4096], path)
+    assert_same(read(tmp_path, text), read(tmp_path, TEXT))
+
+
+def test_joints_of_the_same_name_get_a_number(tmp_path: Path) -> None:
+    clip = read(tmp_path, TEXT.replace("JOINT Head", "JOINT Left Leg"))
+    assert clip.joint_names == ("Hips", "Left Leg", "Left Leg_2")
+    torch.testing.assert_close(clip.rotations, read(tmp_path, TEXT).rotations)
+    taken = TEXT.replace("JOINT Head", "JOINT Hips").replace("Left Leg", "Hips_2")
+    assert read(tmp_path, taken).joint_names == ("Hips", "Hips_2", "Hips_3")
 
 
 def test_a_hierarchy_without_end_is_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from motion_files import smpl_arrays, write_smpl
+from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_basics import rotations
@@ -112,7 +113,17 @@ def test_rates(tmp_path: Path) -> None:
     [
         ("poses", np.zeros((6, 65)), "65 pose values per frame are no body"),
         ("poses", np.zeros((5, 66)), r"'trans': its shape is \(6, 3\) and should be \(5, 3\)"),
-        ("poses", np.zeros((6, 66), dtype=int), "'poses': holds int64 where floats are needed"),
+        (
+            "poses",
+            np.zeros((6, 66), dtype=bool),
+            "'poses': holds bool where floats or whole numbers",
+        ),
+        ("poses", np.zeros((6, 21, 3)), "63 pose values per frame are no body"),
+        (
+            "poses",
+            np.zeros((6, 22, 4)),
+            r"'poses': its shape is \(6, 22, 4\) and should be \(any, any, 3\)",
+        ),
         ("poses", np.zeros((6, 66), dtype=complex), "'poses': holds complex128"),
         ("poses", np.full((6, 66), np.nan), "frame 0: 'poses' is not finite"),
         ("poses", np.zeros(396), r"'poses': its shape is \(396,\)"),
@@ -147,9 +158,53 @@ def test_objects_are_not_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert b"executed" in pickle.dumps(Payload())
     payload = np.empty((6, 66), dtype=object)
     payload[0, 0] = Payload()
-    with pytest.raises(FileError, match="'poses': holds object where floats are needed"):
+    with pytest.raises(FileError, match="'poses': holds object where floats or"):
         read(tmp_path, {**smpl_arrays(), "poses": payload})
+    rate = np.array([30, Payload()], dtype=object)[1:]
+    with pytest.raises(
+        FileError, match="'mocap_framerate': holds objects where numbers are needed"
+    ):
+        read(tmp_path, {**smpl_arrays(), "mocap_framerate": rate})
     assert not Path("executed").exists()
+
+
+@pytest.mark.parametrize("rate", [30, 30.0, [30]])
+def test_a_rate_saved_as_an_object(tmp_path: Path, rate: Any) -> None:
+    arrays = {**smpl_arrays(), "mocap_framerate": np.array(rate, dtype=object)}
+    assert read(tmp_path, arrays).frame_rate == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("objects", [[30, 60], [], ["30"], [None], [[30]], [{30: 60}], [True]])
+def test_an_object_that_is_no_rate(tmp_path: Path, objects: list[Any]) -> None:
+    value = np.empty(len(objects), dtype=object)
+    value[:] = objects
+    with pytest.raises(FileError, match="'mocap_framerate'"):
+        read(tmp_path, {**smpl_arrays(), "mocap_framerate": value})
+
+
+def test_other_shapes_and_names_of_the_arrays(tmp_path: Path) -> None:
+    """A joint's axis of its own, rotation matrices, whole numbers, and the body model's names."""
+    arrays = smpl_arrays(joints=24)
+    arrays["trans"] = np.tile([1, 2, 3], (6, 1))
+    expected = read(tmp_path, arrays)
+    assert expected.root_position[0].tolist() == [1.0, 2.0, 3.0]
+    vectors = arrays.pop("poses").reshape(6, 24, 3)
+    matrices = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(6, 24, 3, 3)
+    renamed = {**arrays, "transl": arrays["trans"], "framerate": 120}
+    del renamed["trans"], renamed["mocap_framerate"]
+    parts = {"global_orient": vectors[:, 0], "body_pose": vectors[:, 1:22]}
+    for others in (
+        {**arrays, "poses": vectors},
+        {**arrays, "poses": matrices},
+        {**renamed, **parts},
+    ):
+        clip = read(tmp_path, others)
+        assert SmplReader().recognises(b"PK\x03\x04", tmp_path / "clip.npz")
+        torch.testing.assert_close(clip.root_position, expected.root_position)
+        joints = len(clip.joint_names)
+        assert joints == (22 if "body_pose" in others else 24)
+        torch.testing.assert_close(clip.rotations, expected.rotations[:, :joints])
+        assert clip.frame_rate == pytest.approx(120.0)
 
 
 def archive(folder: Path, poses: bytes, compression: int = zipfile.ZIP_DEFLATED) -> Path:

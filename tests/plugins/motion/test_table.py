@@ -186,6 +186,33 @@ def test_a_table_by_hand(tmp_path: Path) -> None:
     assert torch.equal(read_csv(tmp_path, spaced).rotations, clip.rotations)
 
 
+def test_tables_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
+    """Row numbers without a name, empty columns, quotes, semicolons and decimal commas, UTF-16."""
+    expected = read_csv(tmp_path, CSV)
+    lines = CSV.splitlines()
+    comments, rows = lines[:3], lines[3:]
+
+    def same(*table: str, encoding: str = "utf-8") -> None:
+        path = tmp_path / "clip.csv"
+        path.write_text("\n".join((*comments, *table)), encoding=encoding)
+        assert CsvReader().recognises(path.read_bytes()[:4096], path)
+        clip = CsvReader().read(path)
+        assert clip.joint_names == expected.joint_names
+        assert torch.equal(clip.rotations, expected.rotations)
+        assert torch.equal(clip.root_position, expected.root_position)
+
+    for index in ("", '""', "Unnamed: 0", "index", "Frame"):
+        same(f"{index},{rows[0]}", f"0,{rows[1]}", f"1,{rows[2]}")
+    same(f"{rows[0]},,", f"{rows[1]},,", f"{rows[2]},,")
+    same(rows[0], *(",".join(f'"{cell}"' for cell in row.split(",")) for row in rows[1:]))
+    same(*(row.replace(",", ";") for row in rows))
+    same(rows[0].replace(",", "\t"), *(r.replace(",", "\t").replace(".", ",") for r in rows[1:]))
+    same(rows[0].replace(",", ";"), *(r.replace(",", ";").replace(".", ",") for r in rows[1:]))
+    same(*rows, encoding="utf-16")
+    with pytest.raises(FileError, match="line 5: 10 numbers are needed, not 9"):
+        read_csv(tmp_path, "\n".join((*comments, f",{rows[0]}", rows[1][2:], f"1,{rows[2]}")))
+
+
 def test_columns_in_any_order(tmp_path: Path) -> None:
     rows = [line.split(",") for line in CSV.splitlines()[3:]]
     reordered = "\n".join(",".join(reversed(row)) for row in rows)

@@ -28,15 +28,15 @@ from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.readers.frames import product_of_turns, to_world
-from understudy_motion.readers.text import LARGEST, is_number, shown
+from understudy_motion.readers.text import LARGEST, decoded, is_number, shown
 from understudy_motion.reading import (
-    METRES,
     UNSAID,
     Axis,
     ClipReader,
     ReadOptions,
     check_size,
     checked_skeleton,
+    metres_of,
     provenance,
     read_bytes,
 )
@@ -97,14 +97,14 @@ class AmcReader(ClipReader):
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
-        lines = content.decode("utf-8-sig", errors="replace").splitlines()
+        lines = decoded(content).splitlines()
         start, degrees = _header(path, lines)
         figure_path = options.skeleton or _skeleton_of(path)
         figure = read_figure(figure_path)
         values = _values(path, lines, start, figure.bones, figure_path)
 
         up = options.up or "y"
-        metres = METRES[options.unit or "inch"] / figure.length_unit
+        metres = metres_of(options.unit or "inch") / figure.length_unit
         unit_angle = np.pi / 180.0 if degrees else 1.0
         position = np.tile(figure.position, (len(values[0]), 1))
         for column, channel in enumerate(figure.bones[0].channels):
@@ -132,7 +132,7 @@ def read_figure(path: Path) -> Figure:
     Raises:
         FileError: missing, too large, or not a skeleton; names the line.
     """
-    text = read_bytes(path, MAX_SKELETON_BYTES).decode("utf-8-sig", errors="replace")
+    text = decoded(read_bytes(path, MAX_SKELETON_BYTES))
     return _FigureParser(path).parse(text.splitlines())
 
 

@@ -2,15 +2,20 @@
 
 The format as described by J. Lander, "Working with Motion Capture File Formats", Game Developer,
 January 1998: a joint's rotation is the product of its rotation channels in the order listed, the
-last applied first. Position channels replace the joint's OFFSET; only the root's may move it. An
-End Site is the tip of the joint that it is in. With all angles zero all frames are parallel.
+last applied first. An End Site is the tip of the joint that it is in. With all angles zero all frames
+are parallel. Of joints with the same name the later ones get a number.
+
+Position channels replace the joint's OFFSET, so constant ones are its bone. Where they would make the
+figure a point beside its OFFSETs they are displacements from these. Only the root moves; nodes of a
+scene above hips that move are left out, and the hips take their place and turn in the world.
 
 A BVH says neither its unit nor its vertical axis. What is not given is recognised:
 
 - The vertical axis is the one of y and z along which the figure is much the longer, in the pose of
   zeros and in the first frame; one of the two may be undecided (bones laid out along x, crouching).
-- The unit is metres, centimetres, millimetres or inches if that makes the figure an adult, else one
-  of the first three if that makes it between 0.4 and 3 m tall.
+- The unit is metres, centimetres, millimetres, inches or feet if that makes the figure an adult, else
+  one of the first three if that makes it between 0.4 and 3 m tall, else that of the CMU database
+  (1 / 0.45 inch) if that makes it an adult.
 
 Files with y up are taken to face z, as is the custom; see
 :func:`understudy_motion.readers.frames.to_world`.
@@ -18,9 +23,10 @@ Files with y up are taken to face z, as is the custom; see
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -28,10 +34,11 @@ import numpy as np
 import torch
 
 from understudy.errors import FileError
+from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers.frames import product_of_turns, to_world
-from understudy_motion.readers.text import is_number, number_rows, shown
+from understudy_motion.readers.text import decoded, is_number, number_rows, shown, without_comments
 from understudy_motion.reading import (
     MAX_JOINTS,
     MAX_NAME,
@@ -40,9 +47,9 @@ from understudy_motion.reading import (
     Axis,
     ClipReader,
     ReadOptions,
-    Unit,
     check_size,
     checked_skeleton,
+    metres_of,
     provenance,
     read_bytes,
 )
@@ -53,8 +60,14 @@ PLAUSIBLE = (0.4, 3.0)
 """m, heights that decide between units a power of ten apart."""
 TALLER = 1.5
 """How many times longer than along the other axis a figure must be along the vertical one."""
+CMU = 0.0254 / 0.45
+"""m in a unit of the CMU database's skeletons, which its conversions to BVH keep."""
 MOVING = 1e-3
-"""m that a position channel may differ from its joint's OFFSET."""
+"""m that a joint's position may differ from its bone."""
+SHIFTED, TRAVELLING = 1e-4, 1e-2
+"""Moving and plainly moving, in lengths of all bones together, while the unit is not known."""
+COLLAPSED = 0.1
+"""Positions whose bones are together so much of the OFFSETs' length are displacements from these."""
 
 CHANNELS = {
     f"{axis}{kind}": (kind, k)
@@ -79,37 +92,55 @@ class Joint:
         return [(i, k) for i, (of, k) in enumerate(self.channels) if of == kind]
 
 
+@dataclass
+class Bone:
+    """A joint and where it is against its parent, lengths in the file's unit and frame."""
+
+    name: str
+    parent: int
+    offset: np.ndarray  #: (3,)
+    tip: tuple[float, ...] | None
+    axes: tuple[int, ...]  #: about which it turns, the last applied first
+    angles: np.ndarray  #: (F, axes) degrees
+    positions: np.ndarray  #: (F, 3)
+
+    def turns(self, up: Axis) -> torch.Tensor:
+        """(F, 4), in the frame with z up."""
+        return product_of_turns(to_world(np.eye(3)[list(self.axes)], up), np.radians(self.angles))
+
+    def moves(self, distance: float) -> bool:
+        """Whether its position changes by more than `distance`."""
+        return bool((np.ptp(self.positions, axis=0) > distance).any())
+
+
 class BvhReader(ClipReader):
     """Reads BVH."""
 
     suffixes = (".bvh",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
-        return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper() == b"HIERARCHY"
+        lines = without_comments(decoded(head).splitlines())
+        return next((line for line in lines if line), "")[:9].upper() == "HIERARCHY"
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
-        lines = content.decode("utf-8-sig", errors="replace").splitlines()
+        lines = without_comments(decoded(content).splitlines())
         joints, motion = _Hierarchy(path, lines).parse()
-        interval, values = _motion(path, lines, motion, joints)
+        interval, values = _motion(path, lines, motion, joints, options.rate)
+        bones = _figure(joints, values)
+        up, metres = _recognised(path, bones, options)
+        for bone in bones[1:]:
+            _check_still(path, bone, metres)
         rate = options.rate or 1.0 / interval
-        up, unit = options.up, options.unit
-        if up is None or unit is None:
-            up, unit = _recognised(path, joints, values, up, unit)
-        for joint, numbers in zip(joints[1:], values[1:], strict=True):
-            _check_still(path, joint, numbers, METRES[unit])
-
-        position = np.tile(np.array(joints[0].offset), (len(values[0]), 1))
-        for column, k in joints[0].columns("position"):
-            position[:, k] = values[0][:, column]
+        position = bones[0].positions
         return Clip(
             name=path.stem,
             times=torch.arange(len(position), dtype=torch.float64) / rate,
-            root_position=torch.from_numpy(to_world(METRES[unit] * position, up)),
-            rotations=_rotations(joints, values, up),
-            joint_names=tuple(joint.name for joint in joints),
+            root_position=torch.from_numpy(to_world(metres * position, up)),
+            rotations=torch.stack([bone.turns(up) for bone in bones], dim=1),
+            joint_names=tuple(bone.name for bone in bones),
             loop=bool(options.loop),
-            skeleton=_skeleton(path, joints, METRES[unit], up),
+            skeleton=_skeleton(path, bones, metres, up),
             **provenance(path, content),
         )
 
@@ -125,6 +156,7 @@ class _Hierarchy:
     def parse(self) -> tuple[list[Joint], int]:
         """The joints, parents first, and the index of the line after MOTION."""
         joints: list[Joint] = []
+        names: set[str] = set()
         open_joints: list[int] = []
         if self._next().upper() != "HIERARCHY":
             self._fail("'HIERARCHY' is expected")
@@ -134,7 +166,7 @@ class _Hierarchy:
                     self._fail("one ROOT is expected, and every JOINT inside it")
                 if len(joints) == MAX_JOINTS:
                     self._fail(f"more than {MAX_JOINTS} joints are not read")
-                name = self._name()
+                name = self._unused(self._name(), names)
                 joints.append(Joint(name, open_joints[-1] if open_joints else -1))
                 open_joints.append(len(joints) - 1)
                 continue
@@ -147,11 +179,8 @@ class _Hierarchy:
                 joint.offset = self._vector()
             elif word == "CHANNELS":
                 joint.channels = self._channels()
-            elif word == "END":
-                for expected in ("SITE", "{", "OFFSET"):
-                    self._expect(expected)
-                tip = self._vector()
-                self._expect("}")
+            elif word in ("END", "ENDSITE", "END_SITE"):
+                tip = self._end()
                 joint.tip = joint.tip or (tip if any(tip) else None)
             elif word == "}":
                 if joint.offset is None:
@@ -177,17 +206,42 @@ class _Hierarchy:
         if (found := self._next()).upper() != word:
             self._fail(f"'{word}' is expected, not {shown(found)}")
 
+    def _end(self) -> tuple[float, ...]:
+        """Where the tip is; what the file calls it, before the brace, does not matter."""
+        self._words_before_brace()
+        self._expect("OFFSET")
+        tip = self._vector()
+        if (word := self._next()).upper() == "CHANNELS":
+            if self._channels():
+                self._fail("the end of a joint has no CHANNELS")
+            word = self._next()
+        if word != "}":
+            self._fail(f"'}}' is expected, not {shown(word)}")
+        return tip
+
+    @staticmethod
+    def _unused(name: str, names: set[str]) -> str:
+        """`name`, or it with a number if a joint has it already; added to `names`."""
+        numbered = (f"{name}_{number}" for number in itertools.count(2))
+        free = name if name not in names else next(n for n in numbered if n not in names)
+        names.add(free)
+        return free
+
     def _name(self) -> str:
-        words = []
+        words = self._words_before_brace()
+        if not words:
+            self._fail("a joint has no name")
+        return " ".join(words)
+
+    def _words_before_brace(self) -> list[str]:
+        words: list[str] = []
         while (word := self._next()) != "{":
             words.append(word)
             if len(" ".join(words)) > MAX_NAME:
                 self._fail(
                     f"a joint's name has more than {MAX_NAME} characters, or no '{{' after it"
                 )
-        if not words:
-            self._fail("a joint has no name")
-        return " ".join(words)
+        return words
 
     def _vector(self) -> tuple[float, ...]:
         numbers = []
@@ -213,98 +267,197 @@ class _Hierarchy:
 
 
 def _motion(
-    path: Path, lines: Sequence[str], start: int, joints: Sequence[Joint]
+    path: Path, lines: Sequence[str], start: int, joints: Sequence[Joint], rate: float | None
 ) -> tuple[float, list[np.ndarray]]:
-    """Seconds per frame, and of each joint the values (F, channels) in the file's order."""
-    said = [(i, line) for i, line in enumerate(lines[start : start + 100], start) if line.strip()]
-    if len(said) < 2:
-        raise FileError(f"Clip {path}: 'Frames:' and 'Frame Time:' are missing after MOTION.")
-    (_, first), (last, second) = said[:2]
-    frames = re.fullmatch(r"\s*frames\s*:\s*([0-9]{1,9})\s*", first, re.IGNORECASE)
-    interval = re.fullmatch(r"\s*frame\s+time\s*:\s*(\S+)\s*", second, re.IGNORECASE)
-    if frames is None or interval is None:
+    """Seconds per frame, and of each joint the values (F, channels) in the file's order.
+
+    Where the `rate` is given the file need not say it, and what it says does not matter.
+    """
+    head = [(i, line) for i, line in enumerate(lines[start : start + 100], start) if line][:2]
+    count = interval = None
+    last = start
+    for i, line in head:
+        if said := re.fullmatch(r"frames\s*:\s*([0-9]{1,9})", line, re.IGNORECASE):
+            count, last = (i, int(said[1])), i
+        elif said := re.fullmatch(r"frame\s*time\s*:\s*(\S*)", line, re.IGNORECASE):
+            interval, last = (i, said[1].replace(",", ".")), i
+    if count is None or (interval is None and rate is None):
         raise FileError(
             f"Clip {path}: line {last + 1}: 'Frames: <count>' and 'Frame Time: <seconds>' are "
-            "expected after MOTION."
+            "expected after MOTION; the rate can also be given as motion.rate (--source-rate)."
         )
-    if not is_number(interval[1]) or not 1e-6 <= float(interval[1]) <= 1e3:
-        raise FileError(f"Clip {path}: line {last + 1}: 'Frame Time' must be seconds above 0.")
+    seconds = 1.0 / rate if rate else 0.0
+    if interval and not rate:
+        if not is_number(interval[1]) or not 1e-6 <= float(interval[1]) <= 1e3:
+            raise FileError(
+                f"Clip {path}: line {interval[0] + 1}: 'Frame Time' must be seconds above 0; or give "
+                "motion.rate (--source-rate)."
+            )
+        seconds = float(interval[1])
     columns = sum(len(joint.channels) for joint in joints)
     if columns == 0:
         raise FileError(f"Clip {path}: no joint has channels, so nothing moves.")
     body = lines[last + 1 :]
-    count = sum(1 for line in body if line.strip())
-    if count != int(frames[1]):
+    frames = sum(1 for line in body if line)
+    if frames != count[1]:
         raise FileError(
-            f"Clip {path}: line {said[0][0] + 1}: {int(frames[1])} frames are announced, but "
-            f"{count} lines of numbers follow."
+            f"Clip {path}: line {count[0] + 1}: {count[1]} frames are announced, but "
+            f"{frames} lines of numbers follow."
         )
-    check_size(path, count, [joint.name for joint in joints])
+    check_size(path, frames, [joint.name for joint in joints])
+    if any("," in line for line in body) and not any("." in line for line in body):
+        body = [line.replace(",", ".") for line in body]  # decimal commas
     values = number_rows(path, body, last + 2, columns)
     ends = np.cumsum([len(joint.channels) for joint in joints])
-    return float(interval[1]), np.split(values, ends[:-1], axis=1)
+    return seconds, np.split(values, ends[:-1], axis=1)
 
 
-def _rotations(joints: Sequence[Joint], values: Sequence[np.ndarray], up: Axis) -> torch.Tensor:
-    """(F, J, 4), in the frame with z up."""
-    local = []
+def _figure(joints: Sequence[Joint], values: Sequence[np.ndarray]) -> list[Bone]:
+    """The joints that are the figure's, the first its root, with their bones and angles."""
+    bones = []
     for joint, numbers in zip(joints, values, strict=True):
+        positions = np.tile(np.array(joint.offset), (len(numbers), 1))
+        for column, k in joint.columns("position"):
+            positions[:, k] = numbers[:, column]
         turning = joint.columns("rotation")
-        axes = np.eye(3)[[k for _, k in turning]]
-        angles = np.radians(numbers[:, [column for column, _ in turning]])
-        local.append(product_of_turns(to_world(axes, up), angles))
-    return torch.stack(local, dim=1)
+        bones.append(
+            Bone(
+                joint.name, joint.parent, np.array(joint.offset), joint.tip,
+                tuple(k for _, k in turning), numbers[:, [c for c, _ in turning]], positions,
+            )
+        )  # fmt: skip
+    if len(bones[0].positions):
+        _settle_bones(joints, bones)
+        bones = _from_root(bones, _top(bones))
+    return bones
 
 
-def _skeleton(path: Path, joints: Sequence[Joint], metres: float, up: Axis) -> Skeleton:
+def _settle_bones(joints: Sequence[Joint], bones: Sequence[Bone]) -> None:
+    """Tell positions from displacements, and make each bone what the positions say."""
+    placed = [bones[i] for i, joint in enumerate(joints) if i and joint.columns("position")]
+    medians = [np.median(bone.positions, axis=0) for bone in placed]
+    # Hips below a node of the scene travel, and say nothing about bones.
+    said = [
+        (np.linalg.norm(median), np.linalg.norm(bone.offset))
+        for bone, median in zip(placed, medians, strict=True)
+        if bone.parent
+    ] or [
+        (np.linalg.norm(median), np.linalg.norm(bone.offset))
+        for bone, median in zip(placed, medians, strict=True)
+    ]
+    if said and sum(p for p, _ in said) < COLLAPSED * sum(o for _, o in said):
+        for bone in placed:
+            bone.positions += bone.offset
+        start, root = bones[0].positions[0], bones[0].offset
+        if joints[0].columns("position") and np.linalg.norm(start) < np.linalg.norm(start - root):
+            bones[0].positions += root
+        medians = [np.median(bone.positions, axis=0) for bone in placed]
+    near = SHIFTED * _length(bones)
+    for bone, median in zip(placed, medians, strict=True):
+        if np.abs(median - bone.offset).max() > near:
+            bone.offset = median
+
+
+def _length(bones: Sequence[Bone]) -> float:
+    """Of all bones together, but those at the root, which may be a path through the scene."""
+    return float(sum(np.linalg.norm(bone.offset) for bone in bones if bone.parent > 0))
+
+
+def _top(bones: Sequence[Bone]) -> int:
+    """The joint that is the figure's root: the hips, where nodes of a scene are above them."""
+    length = _length(bones)
+    sizes = np.ones(len(bones), dtype=int)
+    children: list[list[int]] = [[] for _ in bones]
+    for joint in range(len(bones) - 1, 0, -1):
+        sizes[bones[joint].parent] += sizes[joint]
+        children[bones[joint].parent].append(joint)
+    at = top = 0
+    still = True
+    while children[at]:
+        still = still and not bones[at].moves(SHIFTED * length)
+        still = still and bool((np.ptp(bones[at].angles, axis=0) <= 1e-3).all())
+        main = max(children[at], key=lambda joint: sizes[joint])
+        if len(children[at]) == 1:
+            if bones[main].moves(SHIFTED * length) and (still or len(children[main]) > 1):
+                top = main
+        elif still and bones[main].moves(TRAVELLING * length):
+            top = main  # beside it are handles and markers, which are not part of the figure
+        else:
+            break
+        at = main
+    return top
+
+
+def _from_root(bones: Sequence[Bone], top: int) -> list[Bone]:
+    """The bones of `top` and below; it takes its place and turn in the world."""
+    if top == 0:
+        return list(bones)
+    root = bones[top]
+    axes, angles, positions = root.axes, root.angles, root.positions
+    at = root.parent
+    while at >= 0:
+        above = bones[at]
+        turn = above.turns("z")
+        positions = above.positions + rotations.rotate(turn, torch.from_numpy(positions)).numpy()
+        axes = (*above.axes, *axes)
+        angles = np.concatenate((above.angles, angles), axis=1)
+        at = above.parent
+    kept = {top: 0}
+    found = [replace(root, parent=-1, axes=axes, angles=angles, positions=positions)]
+    for joint, bone in enumerate(bones):
+        if bone.parent in kept:
+            kept[joint] = len(found)
+            found.append(replace(bone, parent=kept[bone.parent]))
+    return found
+
+
+def _skeleton(path: Path, bones: Sequence[Bone], metres: float, up: Axis) -> Skeleton:
     return checked_skeleton(
         path,
-        [joint.name for joint in joints],
-        [joint.parent for joint in joints],
-        to_world(metres * np.array([joint.offset for joint in joints]), up),
-        {j.name: to_world(metres * np.array(j.tip), up) for j in joints if j.tip is not None},
+        [bone.name for bone in bones],
+        [bone.parent for bone in bones],
+        to_world(metres * np.array([bone.offset for bone in bones]), up),
+        {b.name: to_world(metres * np.array(b.tip), up) for b in bones if b.tip is not None},
     )
 
 
-def _check_still(path: Path, joint: Joint, values: np.ndarray, metres: float) -> None:
-    """Refuse a joint whose position channels are not its OFFSET: its bone would change length."""
-    assert joint.offset is not None
-    for column, k in joint.columns("position"):
-        strays = metres * np.abs(values[:, column] - joint.offset[k]) > MOVING
-        if strays.any():
-            raise FileError(
-                f"Clip {path}: frame {int(strays.argmax())}: joint '{joint.name}' moves from its "
-                "OFFSET; only the root may, so export the motion with bones of fixed length."
-            )
+def _check_still(path: Path, bone: Bone, metres: float) -> None:
+    """Refuse a joint that moves against its parent: its bone would change length."""
+    strays = metres * np.abs(bone.positions - bone.offset).max(axis=1) > MOVING
+    if strays.any():
+        raise FileError(
+            f"Clip {path}: frame {int(strays.argmax())}: joint '{bone.name}' moves against its "
+            "parent, by more than 1 mm; only the root may, so export the motion with bones of fixed "
+            "length."
+        )
 
 
-def _recognised(
-    path: Path,
-    joints: Sequence[Joint],
-    values: Sequence[np.ndarray],
-    up: Axis | None,
-    unit: Unit | None,
-) -> tuple[Axis, Unit]:
-    """The vertical axis and the unit, of which one may be given."""
-    extents = _extents(path, joints, values)
+def _recognised(path: Path, bones: Sequence[Bone], options: ReadOptions) -> tuple[Axis, float]:
+    """The vertical axis and the metres in a unit of length, of which either may be given."""
+    up = options.up
+    if up is not None and options.unit is not None:
+        return up, metres_of(options.unit)
+    extents = _extents(path, bones)
     up = up or _vertical(extents)
     if up is None:
         raise FileError(
             f"Clip {path}: which axis is vertical cannot be told from the figure; give motion.up=y "
             "or z (--up)."
         )
-    unit = unit or _unit_of_height(extents[:, "xyz".index(up)].max())
-    if unit is None:
+    if options.unit is not None:
+        return up, metres_of(options.unit)
+    metres = _unit_of_height(extents[:, "xyz".index(up)].max())
+    if metres is None:
         raise FileError(
             f"Clip {path}: its unit of length cannot be told from the figure; give motion.unit, one "
-            f"of {', '.join(METRES)} (--unit)."
+            f"of {', '.join(METRES)}, or the metres in a unit (--unit)."
         )
-    return up, unit
+    return up, metres
 
 
-def _extents(path: Path, joints: Sequence[Joint], values: Sequence[np.ndarray]) -> np.ndarray:
+def _extents(path: Path, bones: Sequence[Bone]) -> np.ndarray:
     """(2, 3): the figure's size along each axis, file's unit, with zero angles and in frame 0."""
-    first = _rotations(joints, [numbers[:1] for numbers in values], "z")
+    first = torch.stack([replace(bone, angles=bone.angles[:1]).turns("z") for bone in bones], dim=1)
     zeros = torch.zeros_like(first)
     zeros[..., 0] = 1.0
     poses = Clip(
@@ -312,9 +465,9 @@ def _extents(path: Path, joints: Sequence[Joint], values: Sequence[np.ndarray]) 
         times=torch.tensor([0.0, 1.0]),
         root_position=torch.zeros(2, 3),
         rotations=torch.cat((zeros, first)),
-        joint_names=tuple(joint.name for joint in joints),
+        joint_names=tuple(bone.name for bone in bones),
         loop=False,
-        skeleton=_skeleton(path, joints, 1.0, "z"),
+        skeleton=_skeleton(path, bones, 1.0, "z"),
         source=str(path),
     )
     positions, world = forward_kinematics(poses)
@@ -333,12 +486,14 @@ def _vertical(extents: np.ndarray) -> Axis | None:
     return votes.pop() if len(votes) == 1 else None
 
 
-def _unit_of_height(height: float) -> Unit | None:
-    candidates: tuple[tuple[Unit, tuple[float, float]], ...] = (
-        *((unit, ADULT) for unit in ("m", "cm", "mm", "inch")),
-        *((unit, PLAUSIBLE) for unit in ("m", "cm", "mm")),
+def _unit_of_height(height: float) -> float | None:
+    """Metres in the unit that makes a figure of this height an adult, or else plausible."""
+    candidates = (
+        *((METRES[unit], ADULT) for unit in ("m", "cm", "mm", "inch", "foot")),
+        *((METRES[unit], PLAUSIBLE) for unit in ("m", "cm", "mm")),
+        (CMU, ADULT),
     )
-    for unit, (least, most) in candidates:
-        if least <= height * METRES[unit] <= most:
-            return unit
+    for metres, (least, most) in candidates:
+        if least <= height * metres <= most:
+            return metres
     return None

@@ -26,6 +26,7 @@ import torch
 from understudy.errors import FileError, suggestion
 from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.text import decoded
 from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, provenance, read_bytes
 
 JOINTS: tuple[tuple[str, int], ...] = (
@@ -126,7 +127,7 @@ def _document(path: Path, content: bytes) -> dict[str, Any]:
         raise ValueError(f"{word} is not a number")
 
     try:
-        document = json.loads(content.decode("utf-8-sig"), parse_constant=not_a_number)
+        document = json.loads(decoded(content), parse_constant=not_a_number)
     except RecursionError as error:
         raise FileError(f"Clip {path}: nested too deeply to be a clip.") from error
     except ValueError as error:

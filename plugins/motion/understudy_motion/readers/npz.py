@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import pickletools
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,9 +17,31 @@ from understudy_motion.reading import read_bytes
 MAX_MEMBERS = 256
 MAX_ARRAY_BYTES = 128 * 2**20
 """All arrays of a clip together, unpacked: ten minutes of 55 joints at 120 frames/s."""
+MAX_LITERALS = 4096
+"""Bytes of an array of objects in which a single number is looked for."""
+_NUMBERS = ("BININT", "BININT1", "BININT2", "LONG1", "INT", "LONG", "BINFLOAT", "FLOAT")
+_STRUCTURE = (
+    "MEMOIZE",
+    "PUT",
+    "BINPUT",
+    "LONG_BINPUT",
+    "MARK",
+    "APPEND",
+    "APPENDS",
+    "TUPLE",
+    "BUILD",
+    "STOP",
+)
 ZIP_MAGIC = b"PK\x03\x04"
 _ENTRY = b"PK\x01\x02"  # begins every entry of a zip's directory
-_KINDS: Mapping[str, str] = {"f": "floats", "i": "whole numbers", "U": "text", "b": "true or false"}
+_KINDS: Mapping[str, str] = {
+    "f": "floats",
+    "i": "whole numbers",
+    "u": "",
+    "O": "",
+    "U": "text",
+    "b": "true or false",
+}
 
 
 class Archive:
@@ -46,8 +69,8 @@ class Archive:
         return frozenset(m.removesuffix(".npy") for m in members if m.endswith(".npy"))
 
     def floats(self, name: str, *shape: int | None) -> np.ndarray:
-        """The finite array `name` as float64; None in `shape` is any size."""
-        array = self._array(name, "f", shape).astype(np.float64)
+        """The finite array `name` of floats or whole numbers as float64; None in `shape` is any size."""
+        array = self._array(name, "fiu", shape).astype(np.float64)
         finite = np.isfinite(array)
         if not finite.all():
             where = f"frame {int(np.argwhere(~finite)[0, 0])}: " if array.ndim else ""
@@ -58,9 +81,16 @@ class Archive:
         """The array `name` of numbers or truth values, of any shape, which need not be finite."""
         return self._array(name, "fib", None)
 
+    def shape(self, name: str) -> tuple[int, ...]:
+        """The shape of the array `name` of numbers, whose size still counts when it is read."""
+        left = self._left
+        shape = self._array(name, "fiu", None).shape
+        self._left = left
+        return shape
+
     def number(self, name: str) -> float:
-        """The single number `name`."""
-        array = self._array(name, "fi", None)
+        """The single number `name`, which may be saved as an object."""
+        array = self._array(name, "fiuO", None)
         if array.size != 1 or not np.isfinite(array).all():
             raise FileError(f"Clip {self._path}: '{name}' is not one finite number.")
         return float(array.reshape(()))
@@ -103,8 +133,10 @@ class Archive:
                 )
                 found, fortran_order, dtype = read_header(file)
                 if dtype.kind not in kinds or (dtype.kind == "f" and dtype.itemsize > 8):
-                    wanted = " or ".join(_KINDS[kind] for kind in kinds)
+                    wanted = " or ".join(_KINDS[kind] for kind in kinds if _KINDS[kind])
                     raise ValueError(f"holds {dtype} where {wanted} are needed")
+                if dtype.kind == "O":
+                    return _literals(file.read(MAX_LITERALS + 1))
                 size = math.prod(found) * dtype.itemsize
                 if min(found, default=0) < 0 or size != member.file_size - file.tell():
                     raise ValueError(f"its shape {found} is not the size of its content")
@@ -125,6 +157,29 @@ def array_names(path: Path) -> frozenset[str]:
         return Archive(path).names
     except FileError:
         return frozenset()
+
+
+def _literals(pickled: bytes) -> np.ndarray:
+    """The numbers in an array of objects, read off its opcodes: nothing is unpickled or called.
+
+    Raises:
+        ValueError: it holds more than plain numbers.
+    """
+    numbers: list[float] | None = None
+    if len(pickled) <= MAX_LITERALS:
+        for opcode, argument, _ in pickletools.genops(pickled):
+            if opcode.name == "EMPTY_LIST" and numbers is None:  # the array's content
+                numbers = []
+            elif numbers is None or opcode.name in _STRUCTURE:
+                continue
+            elif opcode.name in _NUMBERS:
+                numbers.append(float(argument))
+            else:
+                numbers = None
+                break
+    if numbers is None:
+        raise ValueError("holds objects where numbers are needed, and objects are not unpickled")
+    return np.array(numbers)
 
 
 def _brief(error: Exception) -> str:

@@ -2,8 +2,10 @@
 
 ``poses`` (F, 3 J) holds a rotation vector per joint, the root's first: 22 joints of the body, then
 those of SMPL (24), SMPL-H (52) or SMPL-X (55); or the parts stand apart as ``root_orient``,
-``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``. ``trans`` (F, 3) is in metres. The rate
-is ``mocap_framerate``, ``mocap_frame_rate`` or ``fps``.
+``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``. Joints may have an axis of their own, and be
+rotation matrices: (F, J, 3) or (F, J, 3, 3). ``trans`` (F, 3) is in metres. The rate is
+``mocap_framerate``, ``mocap_frame_rate``, ``frame_rate``, ``framerate`` or ``fps``. The body model's own
+names of these arrays (``global_orient``, ``body_pose``, ``transl``, …) are read as well.
 
 The body's own frames have y up, z forward and x left and are parallel in the T-pose; the world has
 z up, as in AMASS, unless y is given.
@@ -15,11 +17,12 @@ pelvis, from which it differs by the body's pelvis in its model, a constant (som
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_basics import rotations
@@ -27,12 +30,12 @@ from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.frames import to_world
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.reading import (
-    METRES,
     UNSAID,
     ClipReader,
     ReadOptions,
     check_size,
     checked_skeleton,
+    metres_of,
     provenance,
 )
 
@@ -64,7 +67,15 @@ JOINTS: Mapping[int, tuple[str, ...]] = {
 PARTS: Mapping[str, int] = {"root_orient": 1, "pose_body": 21, "pose_jaw": 1, "pose_eye": 2, "pose_hand": 30}  # fmt: skip
 """Joints of the arrays that may stand for ``poses``, in its order."""
 
-RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
+RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps")
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "poses": ("pose", "full_pose", "fullpose"),
+    "root_orient": ("global_orient",),
+    "pose_body": ("body_pose",),
+    "pose_jaw": ("jaw_pose",),
+    "trans": ("transl", "translation"),
+}
+"""Other names of the arrays."""
 
 OFFSETS: Mapping[str, tuple[str, tuple[float, float, float]]] = {
     "hip": ("pelvis", (0.06, -0.08, 0.0)),
@@ -116,14 +127,17 @@ class SmplReader(ClipReader):
     def recognises(self, head: bytes, path: Path) -> bool:
         if not head.startswith(ZIP_MAGIC):
             return False
-        return bool({"poses", "root_orient", "pose_body"} & array_names(path))
+        names = array_names(path)
+        return any(_named(part, names) for part in ("poses", "root_orient", "pose_body"))
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         archive = Archive(path)
         vectors = _poses(path, archive)
         num_frames, num_joints = vectors.shape[:2]
         check_size(path, num_frames, JOINTS[num_joints])
-        translation = archive.floats("trans", num_frames, 3) * METRES[options.unit or "m"]
+        translation = archive.floats(
+            _named("trans", archive.names) or "trans", num_frames, 3
+        ) * metres_of(options.unit or "m")
         rate = options.rate or _rate(path, archive)
         up = options.up or "z"
         joint_names = JOINTS[num_joints]
@@ -144,14 +158,19 @@ class SmplReader(ClipReader):
 
 def _poses(path: Path, archive: Archive) -> np.ndarray:
     """(F, J, 3) rotation vectors in the body's frames."""
-    if "poses" in archive.names:
-        poses = archive.floats("poses", None, None)
+    if whole := _named("poses", archive.names):
+        poses = _vectors(archive, whole)
     else:
-        parts = [
-            archive.floats(name, None, 3 * joints)
-            for name, joints in PARTS.items()
-            if name in archive.names or name in ("root_orient", "pose_body")
-        ]
+        parts = []
+        for part, joints in PARTS.items():
+            name = _named(part, archive.names)
+            if name or part in ("root_orient", "pose_body"):
+                parts.append(_vectors(archive, name or part))
+                if parts[-1].shape[1] != 3 * joints:
+                    raise FileError(
+                        f"Clip {path}: array '{name}': {parts[-1].shape[1]} values per frame, and it "
+                        f"should have {3 * joints}."
+                    )
         if len({len(part) for part in parts}) != 1:
             raise FileError(f"Clip {path}: its arrays of poses differ in their number of frames.")
         poses = np.concatenate(parts, axis=1)
@@ -163,6 +182,24 @@ def _poses(path: Path, archive: Archive) -> np.ndarray:
             f"({known})."
         )
     return poses.reshape(len(poses), joints, 3)
+
+
+def _named(name: str, names: Collection[str]) -> str | None:
+    """What the array `name` is called among `names`, None if it is not there."""
+    return next((n for n in (name, *NAMES.get(name, ())) if n in names), None)
+
+
+def _vectors(archive: Archive, name: str) -> np.ndarray:
+    """(F, 3 J) rotation vectors of an array (F, 3 J), (F, J, 3) or (F, J, 3, 3)."""
+    axes = len(archive.shape(name)) if name in archive.names else 2
+    if axes == 4:
+        matrices = archive.floats(name, None, None, 3, 3)
+        vectors = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec()
+        return vectors.reshape(len(matrices), -1)
+    if axes == 3:
+        vectors = archive.floats(name, None, None, 3)
+        return vectors.reshape(len(vectors), -1)
+    return archive.floats(name, None, None)
 
 
 def _rate(path: Path, archive: Archive) -> float:

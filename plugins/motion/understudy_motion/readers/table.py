@@ -11,11 +11,13 @@ SI units, z up, x forward, quaternions wxyz: nothing is converted.
 ``root.py``, ``root.pz`` (m); and for each joint, the root first, ``NAME.qw``, ``.qx``, ``.qy``,
 ``.qz`` or its rotation vector ``NAME.rx``, ``.ry``, ``.rz`` (rad). Lines before it that begin with
 ``#`` may say ``# rate: 60`` (frames/s, instead of ``time``), ``# loop: true`` and
-``# licence: TEXT``. It has no skeleton.
+``# licence: TEXT``. It has no skeleton. Semicolons or tabs may stand between the columns, decimal commas
+in numbers; columns without a name, and those of row numbers, are left out.
 """
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,7 +30,7 @@ from understudy.errors import FileError
 from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
-from understudy_motion.readers.text import is_number, number_rows, shown
+from understudy_motion.readers.text import decoded, is_number, number_rows, shown
 from understudy_motion.reading import (
     MAX_RECORD_LINE,
     UNSAID,
@@ -48,6 +50,9 @@ PROVENANCE = ("source", "licence", "sha256", "url", "attribution")
 QUATERNION = ("qw", "qx", "qy", "qz")
 VECTOR = ("rx", "ry", "rz")
 ROOT_POSITION = ("root.px", "root.py", "root.pz")
+UNREAD = re.compile(r"(index|frame|unnamed: [0-9]+|)", re.IGNORECASE)
+"""Columns of row numbers, and empty ones, as spreadsheets and pandas write them."""
+DELIMITERS = ",;\t"
 
 
 class NpzReader(ClipReader):
@@ -103,20 +108,23 @@ class CsvReader(ClipReader):
     suffixes = (".csv",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
-        lines = (line.strip() for line in head.removeprefix(b"\xef\xbb\xbf").splitlines())
-        header = next((line for line in lines if line and not line.startswith(b"#")), b"")
-        return b"root.px" in header and b"," in header
+        lines = decoded(head).splitlines()
+        _, start = _comments(lines)
+        return start < len(lines) and "root.px" in lines[start] and _delimiter(lines[start]) != ""
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
-        lines = content.decode("utf-8-sig", errors="replace").splitlines()
+        lines = decoded(content).splitlines()
         said, start = _comments(lines)
         header = lines[start] if start < len(lines) else ""
-        columns = [name.strip().strip('"') for name in header.split(",")]
+        delimiter = _delimiter(header) or ","
+        columns = [name.strip().strip('"').strip() for name in header.split(delimiter)]
+        body = lines[start + 1 :]
+        columns, body = _plain(path, columns, body, delimiter)
         joints = _joint_columns(path, columns)
-        num_frames = sum(1 for line in lines[start + 1 :] if line.strip())
+        num_frames = sum(1 for line in body if line.strip())
         check_size(path, num_frames, tuple(joints))
-        rows = number_rows(path, lines[start + 1 :], start + 2, len(columns), ",")
+        rows = number_rows(path, body, start + 2, len(columns), delimiter)
         fields = provenance(path, content)
         if "licence" in said:
             fields["licence"] = said["licence"][:MAX_RECORD_LINE]
@@ -140,6 +148,30 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
         elif line.strip() and not line.lstrip().startswith("#"):
             return said, index
     return said, len(lines)
+
+
+def _delimiter(header: str) -> str:
+    """What stands between the column names; none if nothing does."""
+    return max(DELIMITERS, key=header.count) if any(d in header for d in DELIMITERS) else ""
+
+
+def _plain(
+    path: Path, columns: Sequence[str], body: Sequence[str], delimiter: str
+) -> tuple[list[str], Sequence[str]]:
+    """Column names and lines without :data:`UNREAD` columns, quotes and decimal commas."""
+    kept = [i for i, name in enumerate(columns) if not UNREAD.fullmatch(name)]
+    commas = delimiter != "," and any("," in line for line in body)
+    if len(kept) == len(columns) and not commas and not any('"' in line for line in body):
+        return list(columns), body
+    lines = []
+    try:
+        for row in csv.reader(body, delimiter=delimiter):
+            cells = [cell.strip().replace(",", ".") for cell in row]
+            whole = len(cells) == len(columns)
+            lines.append(delimiter.join([cells[i] for i in kept] if whole else cells))
+    except csv.Error as error:
+        raise FileError(f"Clip {path}: its table cannot be read: {error}.") from error
+    return [columns[i] for i in kept], lines
 
 
 def _joint_columns(path: Path, columns: Sequence[str]) -> dict[str, list[int]]:

@@ -1,7 +1,8 @@
-"""Numbers in text files: read fast, and where one is wrong, found and named."""
+"""Text files: their encodings and comments; numbers, read fast, and where one is wrong, found and named."""
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +12,37 @@ from understudy.errors import FileError
 
 LARGEST = 1e12
 """Beyond it a number in a motion file is taken for damage: no angle, length or time is so large."""
+
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+def decoded(content: bytes) -> str:
+    """The text of a file, or of its beginning: UTF-8; UTF-16 or 32 with a byte-order mark, or UTF-16
+    as the zeros in it show; else Windows' western code page."""
+    marked = next((encoding for mark, encoding in _MARKS if content.startswith(mark)), None)
+    if marked is None and content[1:2] == b"\0":
+        marked = "utf-16-le"
+    elif marked is None and content[:1] == b"\0":
+        marked = "utf-16-be"
+    if marked is not None:
+        return content.decode(marked, errors="replace")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
+def without_comments(lines: Sequence[str]) -> list[str]:
+    """The lines without blanks around them, empty where they begin with ``#``, ``//`` or ``;``."""
+    stripped = (line.strip() for line in lines)
+    return ["" if line.startswith(("#", "//", ";")) else line for line in stripped]
 
 
 def is_number(word: str) -> bool:
