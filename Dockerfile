@@ -12,11 +12,15 @@ RUN apt-get update \
     && apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri libglx-mesa0 \
     && rm -rf /var/lib/apt/lists/*
 
-ARG TORCH="--index-url https://download.pytorch.org/whl/cpu"
+# As in the Makefile.
+ARG TORCH=auto
+ARG CPU_INDEX=https://download.pytorch.org/whl/cpu
 ARG EXTRAS=view
 WORKDIR /understudy
-COPY constraints.txt ./
-RUN pip install --no-cache-dir -c constraints.txt torch ${TORCH}
+COPY constraints.txt .ci/answers.py ./
+RUN torch="${TORCH}"; \
+    if [ "$torch" = auto ] && python answers.py ${CPU_INDEX}/torch/; then torch="--index-url ${CPU_INDEX}"; fi; \
+    pip install --no-cache-dir -c constraints.txt torch ${torch#auto}
 COPY . .
 RUN pip install --no-cache-dir -c constraints.txt ".[${EXTRAS}]"
 

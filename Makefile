@@ -1,8 +1,10 @@
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
-# Where torch comes from: its builds for CPUs. `make demo TORCH=` takes the default ones, for NVIDIA GPUs.
-TORCH ?= --index-url https://download.pytorch.org/whl/cpu
+# Where torch comes from: `auto` is its build for CPUs if the index of these answers within seconds, else what
+# pip finds by itself. `make demo TORCH=` takes the latter, which on Linux is for NVIDIA GPUs.
+TORCH ?= auto
+CPU_INDEX := https://download.pytorch.org/whl/cpu
 
 .PHONY: demo play docs test test-slow test-gpu check parts-and-tasks bench bench-gpu install
 
@@ -10,13 +12,23 @@ TORCH ?= --index-url https://download.pytorch.org/whl/cpu
 $(VENV)/.small: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade pip
-	$(BIN)/pip install --quiet -c constraints.txt torch $(TORCH)
+	@torch='$(TORCH)'; \
+	if [ "$$torch" != auto ]; then what='PyTorch'; \
+	elif $(BIN)/python .ci/answers.py $(CPU_INDEX)/torch/; then \
+	  torch='--index-url $(CPU_INDEX)'; what="PyTorch's build for CPUs, about 0.2 GB, from $(CPU_INDEX)"; \
+	else \
+	  torch=; what="PyTorch from where pip looks, on Linux with CUDA, about 3 GB: $(CPU_INDEX) does not answer"; \
+	fi; \
+	echo "Fetching $$what."; \
+	$(BIN)/pip install -c constraints.txt torch $$torch
+	@echo "Fetching MuJoCo, Warp and the other libraries, about 0.4 GB."
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[gym,view]'
 	touch $@
 
 install: $(VENV)/.installed
 
 $(VENV)/.installed: $(VENV)/.small
+	@echo "Fetching what tests, checks and documents need, about 0.5 GB."
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,docs]'
 	touch $@
 

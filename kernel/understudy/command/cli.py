@@ -16,7 +16,15 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from understudy import __version__
-from understudy.errors import ConfigError, PluginError, PreemptedError, UnderstudyError, suggestion
+from understudy.command.command import Command
+from understudy.errors import (
+    ConfigError,
+    FileError,
+    PluginError,
+    PreemptedError,
+    UnderstudyError,
+    suggestion,
+)
 from understudy.setup import plugins
 from understudy.signals import StopRequest
 
@@ -117,9 +125,18 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
             continue
         command = component.factory()
         command.arguments(parser)
+        if type(command).writes is not Command.writes:
+            parser.add_argument(
+                "--overwrite", action="store_true", help="replace files that are there"
+            )
 
         def run(options: argparse.Namespace, overrides: list[str], command: Any = command) -> int:
             options.overrides = overrides
+            for path in command.writes(options):
+                if path is not None and path.is_file() and not options.overwrite:
+                    raise FileError(
+                        f"{path} is there already. Name another file, or add --overwrite."
+                    )
             return command.run(options)
 
         parser.set_defaults(function=run, overrides_allowed=command.takes_overrides)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
 
 
 class Command(ABC):
@@ -16,6 +18,11 @@ class Command(ABC):
     @abstractmethod
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the command's arguments."""
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        """The files that it writes where the user says. Whoever gives some has ``--overwrite``, without
+        which those that are there are refused before :meth:`run`."""
+        yield from ()
 
     @abstractmethod
     def run(self, options: argparse.Namespace) -> int:

@@ -65,9 +65,11 @@ class BudgetOptions:
 
     samples: int | None = None  #: environment steps, summed over worlds
     minutes: float | None = None  #: minutes of training time
+    #: After so many ``evaluation.criterion`` is usually met, as far as is known: for the time shown.
+    usual_samples: int | None = None
 
     def __post_init__(self) -> None:
-        check_range(self, "samples", "minutes", above=0)
+        check_range(self, "samples", "minutes", "usual_samples", above=0)
 
 
 @dataclass(frozen=True)

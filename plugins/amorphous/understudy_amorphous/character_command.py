@@ -7,6 +7,7 @@ import itertools
 import shlex
 import sys
 import typing
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -84,6 +85,11 @@ class HoldTool(Command):
         add("--speed", type=positive, default=10.0, metavar="RAD/S", help="the most of any joint")
         add("--nearest", action="store_true", help="also where the tool is out of reach")
         add("--no-video", action="store_true", help="only the clip")
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        if options.destination is not None:
+            yield options.destination
+            yield None if options.no_video else options.destination.with_suffix(".mp4")
 
     def run(self, options: argparse.Namespace) -> int:
         try:

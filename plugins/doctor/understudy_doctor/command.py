@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import typing
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,6 +50,9 @@ class Check(Command):
             "--loop", action="store_true", help="with --fix: cut out the best loop and close it"
         )
         add_reading(parser, loop=False)
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield from (options.fix, options.page)
 
     def run(self, options: argparse.Namespace) -> int:
         registry = installed().registry

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import io
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -54,6 +55,9 @@ class ExportColumns(Command):
             "--rate", type=positive, default=RATE, metavar="HZ", help="frames per second (30)"
         )
         add_reading(parser)
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.destination
 
     def run(self, options: argparse.Namespace) -> int:
         registry = installed().registry

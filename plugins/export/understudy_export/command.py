@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +34,8 @@ from understudy_mujoco.studio import REFERENCE
 
 BONES = "none"
 ONNX = ".onnx"
+REFERENCE_TABLE = ".reference.npz"
+"""The ending of what is written beside a policy that follows a motion."""
 OF_MOTIONS = (
     "reference", "beside", "character", "rate", "seconds", "cycles",
     "unit", "up", "skeleton", "source_rate",
@@ -86,6 +88,11 @@ class Export(Command):
         )
         length.add_argument("--cycles", type=_count, help="how many cycles of a looping clip")
         add_reading(parser)
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.destination
+        if options.destination.suffix.lower() == ONNX:
+            yield options.destination.with_suffix(REFERENCE_TABLE)
 
     def run(self, options: argparse.Namespace) -> int:
         if options.destination.suffix.lower() == ONNX:

@@ -41,6 +41,7 @@ from understudy_basics.skill import Skill
 from understudy_characters.parts import Reference
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.servos import lags
+from understudy_export.command import REFERENCE_TABLE
 from understudy_motion.clip import cycle_transform
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
@@ -116,7 +117,7 @@ def write_policy(skill: Skill, path: Path) -> list[str]:
         lines = [f"{path}: {_summary(facts)}"]
         table = reference_table(built)
         if table is not None:
-            beside = path.with_suffix(".reference.npz")
+            beside = path.with_suffix(REFERENCE_TABLE)
             content = io.BytesIO()
             np.savez_compressed(content, **cast(dict[str, Any], table))
             _save(beside, content.getvalue())

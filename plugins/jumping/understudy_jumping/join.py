@@ -51,6 +51,9 @@ class Join(Command):
             help="the file to write: jump.npz, jump.bvh, jump.glb or jump.mp4",
         )
 
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.destination
+
     def run(self, options: argparse.Namespace) -> int:
         first, _ = recorded_clips(options.run_up)
         second, _ = recorded_clips(options.jump)

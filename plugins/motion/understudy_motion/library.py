@@ -42,7 +42,8 @@ def load(
     """The clip of a file, or the clip of a name.
 
     Args:
-        name: a generated clip, else the stem of a file in ``motions/*`` of the data folder.
+        name: a generated clip, else the stem of a file in ``motions/*`` of the data folder, else of
+            the working folder.
         file: path of a clip file; wins over ``name``.
         registry: where generated clips and readers are found.
         parameters: of a generated clip (its speed, say).
@@ -91,8 +92,8 @@ def _file(name: str | None, file: str | None, registry: Registry) -> Path:
         return known[name]
     raise FileError(
         f"No motion clip '{name}'.{suggestion(name, {*registry.names('clip'), *known})} Clip files "
-        f"are given as motion.file=PATH or looked for in ${DATA_VARIABLE}/motions, where `understudy "
-        "motion fetch` puts published ones."
+        f"are given as motion.file=PATH or looked for in ${DATA_VARIABLE}/motions and in motions, where "
+        "`understudy motion fetch` puts published ones."
     )
 
 
@@ -125,12 +126,11 @@ def _is_path(source: str) -> bool:
 
 
 def _files(suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Stem -> path of the data folder's clips; the first folder in alphabetical order wins."""
-    folder = data_folder()
-    if folder is None:
-        return {}
+    """Stem -> path of the clips of the data folder, then of the working folder; of each the first folder
+    in alphabetical order wins."""
     found: dict[str, Path] = {}
-    for path in sorted(folder.glob("motions/*/*")):
+    folders = [folder for folder in (data_folder(), Path()) if folder is not None]
+    for path in (path for folder in folders for path in sorted(folder.glob("motions/*/*"))):
         beside = path.stem.endswith("character") or path.name.endswith(RECORD_SUFFIX)
         if path.suffix in suffixes and not beside and path.is_file():
             found.setdefault(path.stem, path)

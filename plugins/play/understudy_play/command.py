@@ -56,6 +56,10 @@ class Play(Command):
         )  # fmt: skip
         add_page_arguments(parser)
 
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.video
+        yield _packed_file(options.pack) if options.pack is not None else None
+
     def run(self, options: argparse.Namespace) -> int:
         if options.skill is None:
             for name in names():
@@ -126,11 +130,15 @@ def describe(skill: Skill) -> str:
     return f"{skill.samples:,} samples, seed {skill.experiment.root.seed}{judged}"
 
 
-def _pack(skill: Skill, path: Path) -> int:
-    """What is judged is what is written: the rounded weights."""
+def _packed_file(path: Path) -> Path:
     if not path.name:
         raise ConfigError(f"--pack {path} names no file. Give one: FILE.json.")
-    small, file = rounded(skill), path.with_name(f"{path.name.removesuffix('.json')}.json")
+    return path.with_name(f"{path.name.removesuffix('.json')}.json")
+
+
+def _pack(skill: Skill, path: Path) -> int:
+    """What is judged is what is written: the rounded weights."""
+    small, file = rounded(skill), _packed_file(path)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

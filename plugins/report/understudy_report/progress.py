@@ -36,6 +36,7 @@ class ProgressLine(RunObserver):
 
     def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
         done, left = share(run.config["budget"], row)
+        ends = ending(run.config, row, left)
         parts = [
             f"iteration {row['iteration']}",
             f"{row['samples']:,} samples",
@@ -46,8 +47,8 @@ class ProgressLine(RunObserver):
             parts.append(f"episode {row['episode/episode_seconds']:.2f} s")
         if stage:
             parts.append(stage)
-        if left is not None:
-            parts.append(f"at most {clock(left)} left")
+        if ends:
+            parts.append(ends)
         text = " · ".join(parts)
         if self._live is not None:
             self._live.update(self._task, completed=done, note=text)
@@ -71,6 +72,17 @@ def share(budget: Mapping[str, Any], row: Mapping[str, float]) -> tuple[float, f
         return 0.0, None
     done = min(1.0, max(shares))
     return done, row["seconds"] * (1 - done) / max(done, 1e-9)
+
+
+def ending(config: Mapping[str, Any], row: Mapping[str, float], left: float | None) -> str:
+    """When it is over, in words: `left` are the seconds that the budget leaves at this speed."""
+    criterion = (config.get("evaluation") or {}).get("criterion")
+    until = f"until {criterion:.0%} succeed, ".replace("%", " %") if criterion else ""
+    more = (config["budget"].get("usual_samples") or 0) - row["samples"]
+    seconds = row["seconds"] * more / max(row["samples"], 1)
+    if until and more > 0 and seconds < (left or seconds + 1):
+        return f"{until}usually in {clock(seconds)}"
+    return f"{until}at most {clock(left)} left" if left is not None else until.rstrip(", ")
 
 
 def clock(seconds: float) -> str:

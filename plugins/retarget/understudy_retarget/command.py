@@ -6,7 +6,7 @@ import argparse
 import json
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,9 @@ class Retarget(Command):
         parser.add_argument("--end", type=float, metavar="S", help="leave out what is after, s")
         parser.add_argument("--json", action="store_true", help="print the report as JSON")
         add_reading(parser)
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.destination
 
     def run(self, options: argparse.Namespace) -> int:
         registry = installed().registry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +96,9 @@ class Follow(Command):
             "--seconds", type=positive, default=24.0, help="of the video (%(default)s)"
         )
         add_page_arguments(parser)
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.video
 
     def run(self, options: argparse.Namespace) -> int:
         _count(options.runs)

@@ -45,6 +45,9 @@ class SitInRoom(Command):
         add("--plan", action="store_true", help="draw it from above")
         add("--trials", type=int, default=64, help="of which a success is shown, if there is one")
 
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.video
+
     def run(self, options: argparse.Namespace) -> int:
         scene = read_scene(options.scene)
         if not 0 <= options.chair < len(scene.chairs):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +30,9 @@ class Learned(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("run", help="the folder of a run that learned a clip")
         parser.add_argument("destination", type=Path, help="the clip to write, such as walk.npz")
+
+    def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
+        yield options.destination
 
     def run(self, options: argparse.Namespace) -> int:
         clip = learned_clip(options.run)

@@ -152,36 +152,51 @@ def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_pat
     info = json.loads((run / "run.json").read_text())
     config = info["config"]
     assert (config["run"]["video_seconds"], config["run"]["dir"]) == (0.1, str(run))
-    before = (run / "evaluation.json").stat().st_mtime_ns
     capsys.readouterr()
     words = ["episodes=1", "seconds=0.1"]
+    own = {f: f.read_bytes() for f in run.iterdir() if f.is_file() and f.name != ".lock"}
     assert main(["evaluate", str(run), *words, "checkpoint=0"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
     assert (found["samples"], found["episodes"], found["seconds"]) == (0, 1, 0.1)
-    assert json.loads((run / "evaluation-00000000.json").read_text()) == found
-    assert (run / "evaluation.json").stat().st_mtime_ns == before
+    file = run / "evaluation-checkpoint-0-episodes-1-seconds-0.1.json"
+    assert json.loads(file.read_text()) == found
+    assert f"Written to {file}. The run's own result is as it was." in captured.err
+    assert main(["evaluate", str(run), *words]) == 0
+    assert json.loads((run / "evaluation-episodes-1-seconds-0.1.json").read_text())["episodes"] == 1
+    capsys.readouterr()
     assert "checkpoint=7" in complaint(capsys, "evaluate", str(run), "checkpoint=7")
     assert "WIDTHxHEIGHT" in complaint(capsys, "render", str(run), "size=big")
     slower = "episode.seconds=0.4"
-    assert main(["evaluate", str(run), *words, "device=cpu", "num_worlds=2", slower]) == 0
+    assert main(["evaluate", str(run), "episodes=1", slower, "num_worlds=2"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["changed"] == [slower]
-    assert json.loads((run / "evaluation-changed.json").read_text()) == found
-    assert (run / "evaluation.json").stat().st_mtime_ns == before, "the run's own result stays"
+    file = run / "evaluation-episode.seconds-0.4-episodes-1-num_worlds-2.json"
+    assert json.loads(file.read_text()) == found
     assert main(["render", str(run), *words, slower, "run.video_seconds=0"]) == 0
-    assert json.loads((run / "evaluation.json").read_text())["changed"] == [slower]
-    report = (run / "report.html").read_text(encoding="utf-8")
+    drawn = Path(capsys.readouterr().out.removeprefix("run: ").strip())
+    assert drawn.parent == run / "renders"
+    assert json.loads((drawn / "evaluation.json").read_text())["changed"] == [slower]
+    report = (drawn / "report.html").read_text(encoding="utf-8")
     assert f"Judged otherwise than it was trained: {slower}." in report
     assert main(["render", str(run), *words, "checkpoint=0", "run.video_seconds=0"]) == 0
-    assert json.loads((run / "evaluation.json").read_text())["changed"] == ["checkpoint=0"]
+    drawn = Path(capsys.readouterr().out.removeprefix("run: ").strip())
+    assert json.loads((drawn / "evaluation.json").read_text())["changed"] == ["checkpoint=0"]
     assert main(["render", str(run), *words, "size=160x90", "camera=90"]) == 0
-    assert "changed" not in json.loads((run / "evaluation.json").read_text())
-    assert json.loads((run / "evaluation.json").read_text())["episodes"] == 1
+    drawn = Path(capsys.readouterr().out.removeprefix("run: ").strip())
+    assert "changed" not in json.loads((drawn / "evaluation.json").read_text())
+    assert json.loads((drawn / "evaluation.json").read_text())["episodes"] == 1
     assert json.loads((run / "run.json").read_text())["config"] == info["config"], "as trained"
-    video = run / "video.mp4"
+    video = drawn / "video.mp4"
     if video.exists():  # there is OpenGL
         shown = next(imageio_ffmpeg.read_frames(str(video)))
         assert tuple(shown["source_size"]) == (160, 90)
+    assert main(["evaluate", str(drawn), "episodes=1"]) == 0, "it serves as a run"
+    assert main(["export", str(drawn), str(tmp_path / "walk.bvh")]) == 0
+    capsys.readouterr()
+    assert "--overwrite" in complaint(capsys, "export", str(drawn), str(tmp_path / "walk.bvh"))
+    assert main(["export", str(drawn), str(tmp_path / "walk.bvh"), "--overwrite"]) == 0
+    assert {f: f.read_bytes() for f in own} == own, "the run's own result stays"
     assert main(["resume", str(run), "budget.samples=128"]) == 0
     assert main(["evaluate", str(run)]) == 0
     assert json.loads((run / "evaluation.json").read_text())["samples"] == 128

@@ -102,8 +102,14 @@ def test_a_repaired_copy(sunk: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert cli.main(["motion", "check", str(out)]) == 0
     mended = read_clip(out, plugins.installed().registry)
     assert mended.licence == "Apache-2.0 (generated)"
-    assert cli.main(["motion", "check", str(sunk), "--fix", str(out), "--json"]) == 0
-    repaired = json.loads(capsys.readouterr().out.partition("No findings.\n")[2])["repair"]
+    again = ["motion", "check", str(sunk), "--fix", str(out), "--json"]
+    kept = out.read_bytes()
+    capsys.readouterr()
+    assert cli.main(again) == 2
+    assert f"{out} is there already." in capsys.readouterr().err
+    assert out.read_bytes() == kept
+    assert cli.main([*again, "--overwrite"]) == 0
+    repaired = json.loads(capsys.readouterr().out)["repair"]
     assert repaired["file"] == str(out)
     assert len(repaired["done"]) == 2
     assert [finding["kind"] for finding in repaired["before"]] == ["ground_offset", "spike"]
@@ -117,7 +123,8 @@ def test_a_loop_is_cut_out(tmp_path: Path, walk: Clip, capsys: pytest.CaptureFix
     loop = read_clip(out, plugins.installed().registry)
     assert loop.loop
     assert loop.duration == pytest.approx(walk.duration, abs=0.02)
-    assert cli.main(["motion", "check", str(out), "--fix", str(path), "--loop"]) == 2
+    again = ["motion", "check", str(out), "--fix", str(tmp_path / "again.npz"), "--loop"]
+    assert cli.main(again) == 2
     assert "loops already" in capsys.readouterr().err
 
 
@@ -183,6 +190,8 @@ def test_what_the_user_can_cause_is_one_line(
 def test_the_clip_itself_is_not_replaced(sunk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = sunk.read_bytes()
     assert cli.main(["motion", "check", str(sunk), "--fix", str(sunk)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert cli.main(["motion", "check", str(sunk), "--fix", str(sunk), "--overwrite"]) == 2
     assert "would replace the clip itself" in capsys.readouterr().err
     assert sunk.read_bytes() == before
 

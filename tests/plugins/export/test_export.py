@@ -323,7 +323,7 @@ def test_a_trained_run_is_exported_without_simulating_again(
         pytest.skip("the plugin humanoid is not installed")
     if "spacetime/walk" not in registry.tasks:
         pytest.skip("the plugin spacetime is not installed")
-    run, out = tmp_path / "run", tmp_path / "walk.glb"
+    run = tmp_path / "run"
     quick = ["num_worlds=8", "learner.rollout_steps=4", "learner.minibatches=2"]
     quick += ["policy.feedback.hidden=[16]", "budget.samples=64", "evaluation.episodes=2"]
     quick += ["evaluation.seconds=0.5", "run.video_seconds=0.2"]
@@ -333,6 +333,7 @@ def test_a_trained_run_is_exported_without_simulating_again(
     recorded = np.load(run / "recording.npz")
     capsys.readouterr()
     for arguments, track_name in (((), "qpos"), (("--reference",), "reference_qpos")):
+        out = tmp_path / f"{track_name}.glb"
         assert export(run, out, *arguments) == 0
         assert "6 frames at 30 Hz · 0.17 s · 13 joints of humanoid" in capsys.readouterr().out
         file = GltfFile(out)

@@ -34,7 +34,7 @@ MISTAKES = {
     f"train {WALK} lr=1e-3": "An option of a part is written as PART.lr.",
     f"train {WALK} samples=1000": "Did you mean 'budget.samples'?",
     f"train {WALK} worlds=16": "Did you mean 'num_worlds'?",
-    f"train {WALK} budget=100000": "it takes a mapping of samples, minutes.",
+    f"train {WALK} budget=100000": "it takes a mapping of samples, minutes, usual_samples.",
     f"train {WALK} learner.gamma=2": "learner.gamma=2.0 is not possible: it must be at most 1.",
     f"train {WALK} device=gpu": "Use cpu, cuda, or cuda:1.",
     f"train {WALK} scene.character=humanoyd": "Did you mean 'humanoid'?",

@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import re
+import shutil
 import struct
 import threading
 from collections.abc import Iterator
@@ -170,15 +171,18 @@ class Fetching:
 
 @pytest.fixture
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The data folder, which does not exist yet."""
-    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path / "data"))
+    """The working folder, beside the user's data folder, into which nothing is to be written."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "users").mkdir()
+    monkeypatch.chdir(tmp_path / "data")
+    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path / "users"))
     loaded = plugins.load(only=[], extra=[("motion", Fetching())])
     monkeypatch.setattr(plugins, "installed", lambda: loaded)
     return tmp_path / "data"
 
 
 def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
+    return {path.name for path in folder.iterdir()} if folder.exists() else set()
 
 
 def fetched(*arguments: str) -> None:
@@ -283,7 +287,7 @@ def test_the_server_does_not_choose_the_name(site: Site, data: Path, tmp_path: P
     site.redirects["/walk.txt"] = "/a/walk.txt"
     fetched(f"{site.address}/walk.txt")
     assert names(data / "motions" / "fetched") == {"walk.txt", "walk.provenance.json", "SHA256SUMS"}
-    assert names(tmp_path) == {"data"}
+    assert names(tmp_path) == {"data", "users"}
 
 
 # ---------------------------------------------------------------------- fetching
@@ -299,9 +303,9 @@ def test_a_clip_of_the_database(
     site: Site, data: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fetched("02_01", "--from", f"{site.address}/")
-    folder = data / "motions" / "cmu"
-    assert (folder / "02.asf").read_bytes() == SKELETON
-    assert (folder / "02_01.amc").read_bytes() == MOTION
+    folder = Path("motions") / "cmu"
+    assert (data / folder / "02.asf").read_bytes() == SKELETON
+    assert (data / folder / "02_01.amc").read_bytes() == MOTION
     assert names(folder) == {
         "02.asf", "02.provenance.json", "02_01.amc", "02_01.provenance.json", "SHA256SUMS"
     }  # fmt: skip
@@ -331,7 +335,7 @@ def test_a_clip_of_the_database(
     assert capsys.readouterr().out.splitlines() == [
         f"{folder}/02.asf: there already, verified",
         f"{folder}/02_01.amc: there already, verified",
-        f"Use it with motion.name=02_01 and the environment variable UNDERSTUDY_DATA={data}",
+        "Use it with motion.name=02_01",
     ]
 
 
@@ -364,9 +368,26 @@ def test_without_a_data_folder_clips_go_below_the_working_folder(
     monkeypatch.chdir(tmp_path)
     fetched("02_01", "--from", site.address)
     assert (tmp_path / "motions" / "cmu" / "02_01.amc").read_bytes() == MOTION
-    assert capsys.readouterr().out.endswith(
-        f"motion.name=02_01 and the environment variable UNDERSTUDY_DATA={tmp_path}\n"
-    )
+    assert capsys.readouterr().out.endswith("Use it with motion.name=02_01\n")
+
+
+def test_nothing_is_left_of_what_cannot_be_fetched(
+    site: Site, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused(capsys, f"{site.address}/no_such_walk.bvh")
+    assert not any(data.iterdir()), "no empty folder"
+
+
+def test_the_users_data_folder_is_read_and_not_written(site: Site, data: Path) -> None:
+    fetched("02_01", "--from", site.address)
+    users = data.parent / "users"
+    assert not any(users.iterdir())
+    shutil.copytree(data / "motions", users / "motions")
+    shutil.rmtree(data / "motions")
+    site.asked.clear()
+    fetched("02_01", "--from", site.address)
+    assert site.asked == []
+    assert not any(data.iterdir()), "it is there already"
 
 
 def still() -> bytes:
@@ -395,7 +416,7 @@ def test_an_address_with_terms(site: Site, data: Path, capsys: pytest.CaptureFix
     fetched(f"{site.address}/clips/still.json#top", "--licence", "CC BY 4.0")
     path = data / "motions" / "fetched" / "still.json"
     assert capsys.readouterr().out.splitlines() == [
-        f"{path}: fetched, {len(content)} bytes",
+        f"{path.relative_to(data)}: fetched, {len(content)} bytes",
         f"Use it with motion.file={path}",
     ]
     motion = Motion(MotionOptions(file=str(path)), plugins.installed().registry, Inputs())
@@ -467,7 +488,7 @@ def cut_short(site: Site, capsys: pytest.CaptureFixture[str], *, after: int = 50
 
 
 def test_a_later_call_goes_on(site: Site, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = data / "motions" / "fetched"
+    folder = Path("motions") / "fetched"
     url = cut_short(site, capsys)
     assert names(folder) == {"02_01.amc.part", "02_01.amc.validator"}
     fetched(url)
@@ -730,7 +751,7 @@ def test_a_recorded_digest_must_fit(
 def test_a_file_changed_here_is_kept(
     site: Site, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = data / "motions" / "cmu" / "02_01.amc"
+    path = Path("motions") / "cmu" / "02_01.amc"
     fetched("02_01", "--from", site.address)
     path.write_bytes(b"edited")
     error = refused(capsys, "02_01", "--from", site.address)
@@ -813,7 +834,7 @@ def test_wrong_arguments(
     error = refused(capsys, *arguments)
     assert problem in error
     assert "secret" not in error
-    assert not data.exists()
+    assert not any(data.iterdir())
 
 
 def test_a_folder_that_cannot_be_made(

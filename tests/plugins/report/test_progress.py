@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from report_runs import make_run
 
-from understudy_report.progress import ProgressLine, clock, share
+from understudy_report.progress import ProgressLine, clock, ending, share
 
 
 @pytest.mark.parametrize(
@@ -21,6 +21,24 @@ from understudy_report.progress import ProgressLine, clock, share
 )
 def test_share(budget: dict[str, float | None], expected: tuple[float, float | None]) -> None:
     assert share(budget, {"samples": 250, "seconds": 10.0}) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "usual", "left", "words"),
+    [
+        (0.9, 1250, 3891.0, "until 90 % succeed, usually in 0:40"),  # not "at most 1:04:51 left"
+        (0.9, 200, 30.0, "until 90 % succeed, at most 0:30 left"),  # it takes longer than usual
+        (0.9, 1250, 30.0, "until 90 % succeed, at most 0:30 left"),  # the budget ends it before
+        (0.9, None, None, "until 90 % succeed"),
+        (None, 1250, 30.0, "at most 0:30 left"),
+        (None, None, None, ""),
+    ],
+)
+def test_when_it_ends(
+    criterion: float | None, usual: int | None, left: float | None, words: str
+) -> None:
+    config = {"evaluation": {"criterion": criterion}, "budget": {"usual_samples": usual}}
+    assert ending(config, {"samples": 250, "seconds": 10.0}, left) == words
 
 
 def test_clock() -> None:

@@ -14,7 +14,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,7 +30,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
 from understudy_motion.fetch import cmu, deepmimic, download
-from understudy_motion.library import DATA_VARIABLE
+from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.reading import (
     RECORD_SUFFIX,
     ReadOptions,
@@ -95,8 +95,8 @@ class Fetch(Command):
             "--to",
             type=Path,
             metavar="FOLDER",
-            help=f"destination; by default motions/cmu or motions/deepmimic, for addresses "
-            f"motions/fetched, in ${DATA_VARIABLE} or else here",
+            help="destination; by default motions/cmu or motions/deepmimic, for addresses "
+            "motions/fetched, of the working folder",
         )
         parser.add_argument(
             "--sha256", metavar="DIGEST", help="what the clip's digest must be (of one clip only)"
@@ -136,7 +136,7 @@ def wanted(
         known = [(by, clip) for by in PUBLISHERS for clip in by.clips(name)]
         files += [
             Wanted(
-                path=(folder or _default_folder(by.FOLDER)) / file,
+                path=(folder or _default_folder(by.FOLDER, by.files(clip))) / file,
                 addresses=by.addresses(clip, file, base or by.OFFICIAL),
                 sha256=None if file.endswith(SKELETON) else digest,
                 licence=licence or by.LICENCE,
@@ -149,7 +149,7 @@ def wanted(
         if known:
             continue
         url = _address(name)
-        path = (folder or _default_folder("fetched")) / _file_name(url)
+        path = (folder or _default_folder("fetched", [_file_name(url)])) / _file_name(url)
         files.append(Wanted(path, (url,), digest, licence))
         if mirror is not None:
             raise ConfigError(
@@ -175,8 +175,7 @@ def fetch(file: Wanted, registry: Registry) -> str:
     """
     folder = file.path.parent
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with _alone(folder):
+        with _made(folder), _alone(folder):
             expected = {"--sha256": file.sha256, SUMS: _sums(folder).get(file.path.name)}
             _refuse_namesake(file)
             if file.path.exists():
@@ -192,9 +191,8 @@ def usage(file: Wanted) -> str:
     if file.publisher is None or path.parent.parent.name != "motions":
         return f"Use it with {shlex.quote(f'motion.file={path}')}"
     root = path.parents[2]
-    named = os.environ.get(DATA_VARIABLE)
     line = f"Use it with motion.name={path.stem}"
-    if named and Path(named).resolve() == root:
+    if root in {folder.resolve() for folder in (Path(), data_folder()) if folder is not None}:
         return line
     return f"{line} and the environment variable {DATA_VARIABLE}={shlex.quote(str(root))}"
 
@@ -351,6 +349,19 @@ def _sha256(path: Path) -> str:
 
 
 @contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Make the folder; what was made goes again if nothing came into it."""
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # not empty
+            for path in new:
+                path.rmdir()
+
+
+@contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """Keep other fetches out of the folder."""
     descriptor = os.open(folder, os.O_RDONLY)
@@ -368,8 +379,13 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _default_folder(collection: str) -> Path:
-    return Path(os.environ.get(DATA_VARIABLE) or ".") / "motions" / collection
+def _default_folder(collection: str, files: Sequence[str]) -> Path:
+    """Of the data folder where it has these files already, else of the working folder."""
+    data = data_folder()
+    known = data / "motions" / collection if data is not None else None
+    if known is not None and all((known / file).exists() for file in files):
+        return known
+    return Path("motions") / collection
 
 
 def _base(mirror: str) -> str:
