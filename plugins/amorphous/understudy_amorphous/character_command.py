@@ -197,7 +197,7 @@ def _recorded(run: Run) -> _Recorded:
 
 
 def _scene(run: Run) -> AmorphousScene:
-    experiment = run.experiment(installed().registry)
+    experiment = run.experiment()
     control = experiment.root.control
     context = Context(
         seed=0,
@@ -205,6 +205,7 @@ def _scene(run: Run) -> AmorphousScene:
         num_worlds=1,
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
+        registry=experiment.registry,
         inputs=experiment.inputs,
     )
     chosen = experiment.need("scene")

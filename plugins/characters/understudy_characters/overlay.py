@@ -12,6 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from understudy.setup.registry import Registry
+
 
 @dataclass(frozen=True)
 class Gauge:
@@ -39,7 +41,7 @@ class Overlay(ABC):
 
     @abstractmethod
     def marks(
-        self, config: Mapping[str, Any], tracks: Mapping[str, np.ndarray]
+        self, config: Mapping[str, Any], tracks: Mapping[str, np.ndarray], registry: Registry
     ) -> Sequence[Gauge | Region]:
         """What to draw; nothing for the run of another task.
 
@@ -47,6 +49,7 @@ class Overlay(ABC):
             config: the run's configuration.
             tracks: the recorded state fields by name, each (T, …): ``qpos``, and where the task has
                 them ``reference_qpos`` and ``phase``.
+            registry: where the parts that the configuration names are found.
 
         Raises:
             UnderstudyError: the tracks do not say enough, or do not fit the task.

@@ -13,7 +13,6 @@ from understudy.errors import ConfigError, FileError
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.setup.config import Experiment
-from understudy.setup.plugins import installed
 from understudy.task import Context, Scene
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
@@ -181,7 +180,7 @@ def unsimulated(run: Run) -> Experiment:
         ConfigError: the rest of its configuration is not valid here.
     """
     config = {key: value for key, value in run.config.items() if key != "simulator"}
-    return run.experiment(installed().registry, config)
+    return run.experiment(config=config)
 
 
 def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
@@ -192,6 +191,7 @@ def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
         num_worlds=1,
         control_dt=1.0 / control.frequency,
         substeps=control.substeps,
+        registry=experiment.registry,
         inputs=experiment.inputs,
         sections=dict(sections),
     )

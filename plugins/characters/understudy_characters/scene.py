@@ -60,7 +60,8 @@ class CharacterScene(MujocoScene):
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self._options = options
-        name, spec = character_spec(options.character, installed().registry, context)
+        registry = context.registry if context and context.registry else installed().registry
+        name, spec = character_spec(options.character, registry, context)
         timestep = context.control_dt / context.substeps if context else 1 / 600
         character = _compiled(name, spec)
         drive(spec, character, timestep, options.servos)

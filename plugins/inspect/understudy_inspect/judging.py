@@ -113,7 +113,7 @@ def load(
         most = config["evaluation"].get("episodes")
         asked = _value("episodes", own["episodes"])
         _set(config, "evaluation.episodes", min(most, asked) if type(most) is int else asked)
-    experiment = run.experiment(installed().registry, config)
+    experiment = run.experiment(config=config)
     run.info["config"] = experiment.effective()  # what is drawn; the file keeps what was trained
     reporter = Reporter(tell)
     if chosen:

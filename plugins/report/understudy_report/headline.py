@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from understudy.records.runs import Run
-from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
 from understudy_report import words
 from understudy_report.section import ReportSection
 from understudy_report.values import Row, interval, mapping, number, read_evaluation
@@ -20,7 +20,7 @@ class Headline(ReportSection):
 
     def html(self, run: Run) -> str:
         evaluation, rows = read_evaluation(run), run.metrics()
-        meaning = _meaning(run.info, evaluation)
+        meaning = _meaning(run.info, evaluation, run.registry)
         if changed := words.text(evaluation.get("changed") or ""):
             meaning = f"Judged otherwise than it was trained: {changed}. {meaning}"
         explained = f"<p>{escape(meaning)}</p>" if meaning else ""
@@ -36,7 +36,7 @@ def percent_interval(evaluation: Row) -> str:
     return "" if found is None else f"{100 * found[0]:.0f}–{100 * found[1]:.0f} %"
 
 
-def _meaning(info: Row, evaluation: Row) -> str:
+def _meaning(info: Row, evaluation: Row, registry: Registry) -> str:
     """What a success is, in a sentence, and what it does not count; nothing if nothing is a success."""
     text = words.text(evaluation.get("success") or "")
     if not text:
@@ -45,7 +45,7 @@ def _meaning(info: Row, evaluation: Row) -> str:
     name = next((name for name in measures if text.startswith(f"{name} ")), None)
     if name is not None:
         measure = mapping(measures[name])
-        about = _summary(words.text(measure.get("name", "")))
+        about = _summary(words.text(measure.get("name", "")), registry)
         over = _OVER.get(words.text(measure.get("reduce", "")), "")
         details = ", ".join(part for part in (about, over) if part)
         text = text.replace(name, f"{name} ({details}) is" if details else f"{name} is", 1)
@@ -84,10 +84,10 @@ _OVER = {
 }
 
 
-def _summary(measure: str) -> str:
+def _summary(measure: str, registry: Registry) -> str:
     """What the measure's component says of itself, if it is installed."""
-    known = installed().registry
-    return known.find("measure", measure).summary if measure in known.names("measure") else ""
+    component = registry.components.get(("measure", measure))
+    return component.summary if component is not None else ""
 
 
 def _sentence(info: Row, evaluation: Row, rows: Sequence[Row]) -> str:

@@ -15,7 +15,6 @@ from string import Template
 
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
-from understudy.setup.plugins import installed
 from understudy.setup.registry import Component, Registry
 from understudy_report import words
 from understudy_report.markup import check_markup
@@ -36,7 +35,7 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
     run
         The run; its evaluation, metrics, stick figures and video may be missing.
     registry
-        Where the sections are found; by default all that the installed plugins register.
+        Where the sections are found; by default where the parts of the run are.
 
     Raises
     ------
@@ -47,7 +46,7 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
         _name(run),
         "understudy report",
         words.text(run.info.get("created", ""))[:16].replace("T", " "),
-        _sections(run, registry or installed().registry),
+        _sections(run, registry or run.registry),
     )
     path = run.path / "report.html"
     write_atomically(path, page)

@@ -15,7 +15,6 @@ from understudy.errors import FileError
 from understudy.records import runs
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
 from understudy_mujoco.drawing import open_renderer
 from understudy_report.video import write_video
@@ -58,7 +57,7 @@ class SitInRoom(Command):
         ]
         placed = replaced(run.info["overrides"], furnished)
         config = compose_raw(replaced(placed, options.overrides))
-        experiment = run.experiment(installed().registry, config)
+        experiment = run.experiment(config=config)
         built = build_environment(
             experiment, num_worlds=max(1, options.trials), evaluating=True,
             episode_seconds=experiment.root.evaluation.seconds,

@@ -31,7 +31,6 @@ from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import build_environment, build_policy
 from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.config import Experiment
-from understudy.setup.plugins import installed
 from understudy.task import Context, Policy
 from understudy_report.section import ReportSection
 
@@ -63,7 +62,7 @@ class Trials(Command):
         config: Mapping[str, Any] = run.config
         if options.overrides:
             config = compose_raw(replaced(run.info["overrides"], options.overrides))
-        experiment = run.experiment(installed().registry, config)
+        experiment = run.experiment(config=config)
         found, samples = judge(experiment, run, options.trials)
         judged = {
             "overrides": options.overrides,

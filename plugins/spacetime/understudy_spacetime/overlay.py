@@ -11,6 +11,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.options import make_options
+from understudy.setup.registry import Registry
 from understudy.task import Context
 from understudy_basics import rotations
 from understudy_basics.rotations import angle_between
@@ -28,7 +29,7 @@ class BoundsOverlay(Overlay):
     that the run's terminations ``spacetime/*`` have; and how near each deviation is to its bound."""
 
     def marks(
-        self, config: Mapping[str, Any], tracks: Mapping[str, np.ndarray]
+        self, config: Mapping[str, Any], tracks: Mapping[str, np.ndarray], registry: Registry
     ) -> Sequence[Gauge | Region]:
         terms = {
             where: term
@@ -37,7 +38,7 @@ class BoundsOverlay(Overlay):
         }
         if not terms or "reference_qpos" not in tracks:
             return []
-        scene = _scene(config)
+        scene = _scene(config, registry)
         fields = _fields(scene, tracks)
         found: list[Gauge | Region] = []
         for where, term in terms.items():
@@ -48,10 +49,13 @@ class BoundsOverlay(Overlay):
         return found
 
 
-def _scene(config: Mapping[str, Any]) -> CharacterScene:
+def _scene(config: Mapping[str, Any], registry: Registry) -> CharacterScene:
     """The run's scene, of a task with spacetime bounds."""
     given = {key: value for key, value in config["scene"].items() if key != "name"}
-    return CharacterScene(make_options(CharacterScene.Options, given, "scene"))
+    context = Context(
+        0, torch.device("cpu"), 1, control_dt=1 / 30, substeps=20, registry=registry
+    )  # fmt: skip
+    return CharacterScene(make_options(CharacterScene.Options, given, "scene"), context)
 
 
 def _sizes(size: Size, who: str, tracks: Mapping[str, np.ndarray]) -> np.ndarray:

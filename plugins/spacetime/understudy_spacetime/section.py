@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from understudy.records.runs import Run
-from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_basics.rotations import angle_between
 from understudy_characters.layout import Layout
@@ -59,14 +58,14 @@ class Evolved:
 def evolution_of(run: Run) -> Evolved:
     """What the newest checkpoint of `run` has evolved to."""
     states = evolved_states(run.path.as_posix())
-    experiment = run.experiment(installed().registry)
+    experiment = run.experiment()
     control = experiment.root.control
     context = Context(
         0, torch.device("cpu"), 1,
         control_dt=1.0 / control.frequency, substeps=control.substeps,
         sections={"motion": experiment.registry.sections["motion"].make(
             experiment.sections["motion"], experiment.registry, experiment.inputs)},
-        inputs=experiment.inputs,
+        registry=experiment.registry, inputs=experiment.inputs,
     )  # fmt: skip
     context.scene = experiment.need("scene").build(context)
     layout = context.need_scene(CharacterScene, "the report of evolved states").layout

@@ -88,8 +88,9 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
         self._seed, self.device = root.seed, device_of(root.device)
         self._dt = 1.0 / root.control.frequency
         context = Context(
-            root.seed, self.device, 1, control_dt=self._dt, substeps=root.control.substeps
-        )
+            root.seed, self.device, 1, control_dt=self._dt, substeps=root.control.substeps,
+            registry=experiment.registry, inputs=experiment.inputs,
+        )  # fmt: skip
         scene = experiment.need("scene").build(context)
         if not isinstance(scene, CharacterScene):
             raise ConfigError("job 'styles/autoencoder' needs a character (scene=humanoid).")

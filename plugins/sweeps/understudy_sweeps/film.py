@@ -14,7 +14,6 @@ import torch
 from understudy.errors import FileError, RunError, UnderstudyError
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
-from understudy.setup import plugins
 from understudy.setup.building import build_sections
 from understudy.task import Context, Scene
 from understudy_motion.readers.npz import Archive
@@ -149,7 +148,7 @@ def recorded_tracks(file: Path) -> tuple[dict[str, np.ndarray], float, int]:
 
 def scene_of(folder: Path) -> Scene:
     """The scene of the run in `folder`, on the CPU."""
-    experiment = runs.open_run(folder).experiment(plugins.installed().registry)
+    experiment = runs.open_run(folder).experiment()
     root = experiment.root
     context = Context(
         seed=root.seed,

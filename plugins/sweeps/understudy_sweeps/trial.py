@@ -161,7 +161,7 @@ def _open(path: Path, trial: Trial, work: Work) -> Training:
     if (path / "run.json").exists():
         run = runs.open_run(path)
         run.lock()
-        experiment = run.experiment(plugins.installed().registry)
+        experiment = run.experiment()
         training = Training(experiment, reporter).prepare().attach(run)
         training.resume()
         return training

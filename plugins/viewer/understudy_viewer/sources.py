@@ -71,7 +71,7 @@ def _run(path: Path, registry: Registry, chosen: Character | None) -> Scene:
     for name in registry.names("overlay"):
         try:
             overlay = registry.find("overlay", name).factory()
-            marks.extend(overlay.marks(runs.open_run(path).config, tracks))
+            marks.extend(overlay.marks(runs.open_run(path).config, tracks, registry))
         except UnderstudyError as error:  # the motion can be seen all the same
             notes.append(str(error))
     return Scene(subjects, marks, notes)
