@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory
+from understudy.task.terms import ranges
 from understudy_pbd.scene import ParticleScene
 
 
@@ -46,11 +48,13 @@ class Toss(Fields):
         }
 
 
+@ranges(-math.inf, math.inf)
 def height(clearance: Tensor, *, c_1: float = 0.1, w_1: float = 10.0, w_2: float = 0.1) -> Tensor:
     """r_h (eq. 11) of d_ymin (m)."""
     return torch.where(clearance > 0, c_1 + w_1 * clearance, w_2 * clearance)
 
 
+@ranges(-math.inf, math.inf)
 def spin(
     clearance: Tensor,
     material_angular_velocity: Tensor,

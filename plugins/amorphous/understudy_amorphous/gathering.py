@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from understudy.task import Context, Fields
+from understudy.task.terms import ranges
 
 
 def distance_to(goal: Tensor, particle_position: Tensor) -> Tensor:
@@ -78,6 +81,7 @@ def path_length(
     return total / active_particles.sum(dim=1).clamp(min=1.0) if mean else total
 
 
+@ranges(-math.inf, math.inf)
 def gathering(
     farthest_distance: Tensor,
     previous_farthest_distance: Tensor,

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
+from understudy.task.terms import ranges
 
+
+@ranges(-math.inf, math.inf)
 def newly_occupied(occupied_cells: Tensor, previous_occupied_cells: Tensor) -> Tensor:
     """r_hc (eq. 7): how many more cells of a map have material."""
     return occupied_cells - previous_occupied_cells
 
 
+@ranges(-math.inf, math.inf)
 def lowered(particle_position: Tensor, previous_particle_position: Tensor) -> Tensor:
     """r_h (eq. 8): by how much the mean height of the particles fell, m."""
     return (previous_particle_position[..., 2] - particle_position[..., 2]).mean(dim=1)
 
 
+@ranges(-math.inf, math.inf)
 def movement(
     particle_position: Tensor,
     previous_particle_position: Tensor,
@@ -29,6 +36,7 @@ def movement(
     return torch.where(particle_position[..., 2] > c_min, moved, -k * moved).mean(dim=1)
 
 
+@ranges(-math.inf, 0.0)
 def outliers(particle_position: Tensor, *, c_rad: float = 3.2) -> Tensor:
     """r_o (eq. 10): minus the sum of how far particles are beyond `c_rad` (m) from the middle of the
     table, seen from above."""

@@ -24,7 +24,7 @@ from understudy_inspect.catalogue import Offer, offers
 _OF_KIND = {
     "reads": "renames fields that it reads: {ITS NAME: FIELD}",
     "provides": "renames fields that it gives: {ITS NAME: FIELD}",
-    "weight": "of its value in the reward",
+    "weight": "its factor where reward.combine is sum, its exponent where it is product",
     "outcome": "what the end is: failure, success, truncation, or report (no end)",
     "reduce": "how an episode's values become one: last, min, max, mean, sum, any",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +23,7 @@ from understudy.task import (
     Simulator,
     box,
 )
+from understudy.task.terms import ranges
 
 
 class GrainsScene(Scene):
@@ -228,6 +230,7 @@ class ToolTarget(Actuation):
         return tool_velocity
 
 
+@ranges(-math.inf, math.inf)
 def gathered(spread: Tensor, previous_spread: Tensor, *, scale: float = 10.0) -> Tensor:
     """How much nearer the grains came in this decision, times `scale` (1/m); negative if further."""
     return scale * (previous_spread - spread)

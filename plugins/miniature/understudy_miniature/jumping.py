@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, Fields, box
+from understudy.task.terms import ranges
 
 
 class Bar(Fields):
@@ -110,6 +112,7 @@ def completion(
     return passed * torch.exp(bar_clearance.clamp(max=0) / scale - mean_effort)
 
 
+@ranges(-math.inf, math.inf)
 def forward(velocity: Tensor, *, scale: float = 0.1) -> Tensor:
     """Velocity along the first axis, times `scale` (s/m)."""
     return scale * velocity[:, 0]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context
+from understudy.task.terms import ranges
 
 
 def wrapped(angle: Tensor) -> Tensor:
@@ -99,6 +100,7 @@ def turning(torso_angles: Tensor, reference_torso_angles: Tensor, *, scale: floa
     return torch.exp(-scale * away.square().sum(dim=1))
 
 
+@ranges(-math.inf, math.inf)
 class Nearing:
     """-V^sit = -(D_{t+1} - D_t) / δt (eq. 7, weight 0.5): how fast the pelvis comes to the seat, m/s."""
 
@@ -109,6 +111,7 @@ class Nearing:
         return (previous_seat_distance - seat_distance) / self._dt
 
 
+@ranges(-math.inf, math.inf)
 class SitDown:
     """r^meta (eq. 8): 1 while it sits (:class:`~understudy_sitting.state.Seat`), else 0.5 (-V^sit)."""
 
