@@ -23,6 +23,7 @@ COPIED = (
     "benchmarks",
     "docs",
     "pyproject.toml",
+    "hatch_build.py",
     "README.md",
     "Makefile",
 )
