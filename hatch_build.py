@@ -12,7 +12,7 @@ from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 def bundled(root: Path) -> dict[str, Path]:
     """By name: the folder of each plugin, from `root`."""
-    found = sorted((root / "plugins").glob("**/understudy_*/__init__.py"))
+    found = sorted((root / "plugins").glob("*/*/understudy_*/__init__.py"))
     packages = [file.parent for file in found]
     return {
         package.parent.name: package.parent.relative_to(root)

@@ -18,8 +18,7 @@ from understudy.random import generator, private_rng
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation, Measured
-from understudy.running.warm_start import misshapen
-from understudy.running.warm_start import newest_state
+from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context, State

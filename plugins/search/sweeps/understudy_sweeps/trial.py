@@ -22,7 +22,6 @@ from understudy.running.evaluation import Evaluation
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Reporter, Training
 from understudy.running.trials import Report, Trial, Work
-from understudy.setup import plugins
 from understudy.setup.composition import load_experiment, replaced
 
 #: In a trial's folder: after how many samples the outer loop ended it early.
