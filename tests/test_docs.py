@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "docs").rglob("*.md")),
-    *sorted((ROOT / "plugins").glob("*/README.md")),
+    *sorted((ROOT / "plugins").rglob("README.md")),
 ]
 TUTORIAL = ROOT / "docs" / "plugin-tutorial.md"
 EXTERNAL = ROOT / "tests" / "external" / "understudy-balance"

@@ -53,9 +53,12 @@ def _notebook(path: Path) -> str:
 def _sources() -> dict[str, tuple[str, str]]:
     """Generated pages: by place on the site, the file of the repository and its text."""
     found = {"index.md": ("README.md", (ROOT / "README.md").read_text(encoding="utf-8"))}
-    for page in sorted((ROOT / "plugins").glob("*/README.md")):
-        name = page.parent.name
-        found[f"plugins/{name}.md"] = (f"plugins/{name}/README.md", page.read_text("utf-8"))
+    plugins = ROOT / "plugins"
+    for page in sorted(
+        [*plugins.glob("README.md"), *plugins.glob("*/README.md"), *plugins.glob("*/*/README.md")]
+    ):
+        name = "index" if page.parent == plugins else page.parent.name
+        found[f"plugins/{name}.md"] = (page.relative_to(ROOT).as_posix(), page.read_text("utf-8"))
     found["notebook/index.md"] = (
         "docs/notebook/index.md", _notebook(ROOT / "docs/notebook/walk.ipynb"),
     )  # fmt: skip
@@ -128,7 +131,9 @@ def _on_site(path: str) -> str | None:
         if (ROOT / "docs" / inside).is_file() and not inside.endswith(".jsonl"):
             return inside
         return inside if inside in SOURCES else None
-    folder = re.fullmatch(r"plugins/(\w+)(/README\.md)?", path)
+    if path in ("plugins", "plugins/README.md"):
+        return "plugins/index.md"
+    folder = re.fullmatch(r"plugins/(?:\w+/)?(\w+)(/README\.md)?", path)
     if folder:
         return f"plugins/{folder[1]}.md" if f"plugins/{folder[1]}.md" in SOURCES else None
     module = re.fullmatch(r"kernel/understudy/(?:(\w+)/)?(\w+)\.py", path)

@@ -12,6 +12,7 @@ from worlds import SMALL, assert_same_state, make_training, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
+from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect import judging
@@ -105,7 +106,7 @@ def test_all_damaged(plugins: Plugins, tmp_path: Path) -> None:
 def test_an_untrained_policy_is_not_judged_as_the_trained_one(
     plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(judging, "installed", lambda: plugins)
+    monkeypatch.setattr(setup_plugins, "installed", lambda: plugins)
     run = tmp_path / "run"
     training = make_training(plugins, [*FAKE_TASK, *SMALL, "evaluation.final_episodes=4"], run)
     training.save()

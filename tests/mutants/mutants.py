@@ -25,27 +25,30 @@ TRAINING = f"{KERNEL}/running/training.py"
 CHECKPOINT = f"{KERNEL}/records/checkpoint.py"
 RUNS = f"{KERNEL}/records/runs.py"
 SIGNALS = f"{KERNEL}/signals.py"
-MUJOCO = "plugins/mujoco/understudy_mujoco/simulator.py"
-MJCF = "plugins/mujoco/understudy_mujoco/mjcf.py"
-PPO = "plugins/ppo/understudy_ppo/learner.py"
-OPTIMISERS = "plugins/basics/understudy_basics/optimisers.py"
-CLIP = "plugins/motion/understudy_motion/clip.py"
-NPZ = "plugins/motion/understudy_motion/readers/npz.py"
+MUJOCO = "plugins/physics/mujoco/understudy_mujoco/simulator.py"
+MJCF = "plugins/physics/mujoco/understudy_mujoco/mjcf.py"
+PPO = "plugins/learning/ppo/understudy_ppo/learner.py"
+OPTIMISERS = "plugins/learning/basics/understudy_basics/optimisers.py"
+CLIP = "plugins/figures/motion/understudy_motion/clip.py"
+NPZ = "plugins/figures/motion/understudy_motion/readers/npz.py"
 F01, F02, F05 = (f"tests/faults/test_0{n}.py" for n in ("1_nonfinite_state", "2_engine_reset", "5_nonfinite_update"))  # fmt: skip
 F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/test_09_damaged_files.py", "tests/faults/test_10_resume.py"  # fmt: skip
 F13 = "tests/faults/test_13_stop_signals.py"
 ANY = "tests/faults/test_13_any_moment.py"
 F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
 F06, F08 = "tests/faults/test_06_replay.py", "tests/faults/test_08_disk_full.py"
-NN, WARP = "plugins/basics/understudy_basics/nn.py", "tests/integration/test_mujoco_warp.py"
+NN, WARP = (
+    "plugins/learning/basics/understudy_basics/nn.py",
+    "tests/integration/test_mujoco_warp.py",
+)
 F24 = "tests/faults/test_24_mutated_models.py"
 INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluation.py"
 TRIAL, APART, MODELS = (
-    "plugins/mujoco/understudy_mujoco/trial.py",
-    "plugins/mujoco/understudy_mujoco/apart.py",
-    "plugins/mujoco/understudy_mujoco/scene.py",
+    "plugins/physics/mujoco/understudy_mujoco/trial.py",
+    "plugins/physics/mujoco/understudy_mujoco/apart.py",
+    "plugins/physics/mujoco/understudy_mujoco/scene.py",
 )
-JOURNAL, SWEEP, POOL, PROCESSES = (f"plugins/sweeps/understudy_sweeps/{n}.py" for n in ("journal", "sweep", "pool", "processes"))  # fmt: skip
+JOURNAL, SWEEP, POOL, PROCESSES = (f"plugins/search/sweeps/understudy_sweeps/{n}.py" for n in ("journal", "sweep", "pool", "processes"))  # fmt: skip
 F11, SWEEPS = "tests/faults/test_11_other_configuration.py", "tests/plugins/sweeps"
 F21, F22, F25 = "tests/faults/test_21_code_in_configurations.py", "tests/faults/test_22_paths.py", "tests/faults/test_25_odd_clips.py"  # fmt: skip
 
@@ -79,9 +82,9 @@ MUTANTS = (
            f"{F02} -k error_of_the_engine"),
     Mutant("the engine's warnings are ignored", MUJOCO, "self._broken |= raised[:, _BAD].any(axis=1)", "pass",
            f"{F02} -k even_if"),
-    Mutant("warnings are written", "plugins/mujoco/understudy_mujoco/scene.py",
+    Mutant("warnings are written", "plugins/physics/mujoco/understudy_mujoco/scene.py",
            "config.logto_file = config.logto_console = False", "pass", f"{F02} -k written_nowhere"),
-    Mutant("particles may fly", "plugins/pbd/understudy_pbd/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3",
+    Mutant("particles may fly", "plugins/physics/pbd/understudy_pbd/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3",
            "_EXTENT, _SPEED = 1e6, 1e6", "tests/faults/test_04_diverging_particles.py"),
     Mutant("a bad gradient is taken", PPO, "largest = norm(self._row[LOSSES_AND_NORMS], ord=torch.inf)",
            "largest = norm(self._row[3:5], ord=torch.inf)", f"{F05} -k gradient"),
@@ -89,7 +92,7 @@ MUTANTS = (
            "sound = torch.ones_like(largest, dtype=torch.bool)", f"{F05} -k loss"),
     Mutant("patience is off by one", OPTIMISERS, "    if bad >= patience:", "    if bad > patience:",
            f"{F05} -k exact"),
-    Mutant("the other patience is off by one", "plugins/deepmimic/understudy_deepmimic/curricula.py",
+    Mutant("the other patience is off by one", "plugins/papers/deepmimic/understudy_deepmimic/curricula.py",
            "self._since >= self._patience", "self._since > self._patience", "tests/plugins/deepmimic -k patience or stagnation or increase"),
     Mutant("a hopeless run goes on", f"{KERNEL}/running/statistics.py", "if share > 0.25:", "if share > 1.0:",
            "tests/kernel tests/faults/test_01_nonfinite_state.py tests/faults/test_05_nonfinite_update.py -k hopeless or quarter"),
@@ -165,7 +168,7 @@ MUTANTS = (
            'self._require(position.isfinite().all(-1), "root position is not finite")', "pass", f"{F25} -k none"),
     Mutant("a clip's rotation may be NaN", CLIP,
            'self._require(rotation.isfinite().all(-1).all(-1), "a rotation is not finite")', "pass", f"{F25} -k none"),
-    Mutant("JSON may be infinite", "plugins/motion/understudy_motion/readers/deepmimic.py",
+    Mutant("JSON may be infinite", "plugins/figures/motion/understudy_motion/readers/deepmimic.py",
            "finite = np.isfinite(rows)", "finite = np.ones(rows.shape, bool)", f"{F25} -k json"),
     Mutant("arrays may be NaN", NPZ, "finite = np.isfinite(array)\n", "finite = np.ones(array.shape, bool)\n", f"{F25} -k arrays"),
     Mutant("arrays may be of any size", NPZ, "if member.file_size > self._left:", "if False:", f"{F25} -k arrays"),
@@ -246,11 +249,11 @@ MUTANTS = (
     Mutant("includes of any depth", MJCF, "self._include(included, (*within, path), depth + 1)",
            "self._include(included, (*within, path))", f"{F22} -k within"),
     # What else must hold.
-    Mutant("dropped contacts are not counted", "plugins/mujoco_warp/understudy_mujoco_warp/simulator.py",
+    Mutant("dropped contacts are not counted", "plugins/physics/mujoco_warp/understudy_mujoco_warp/simulator.py",
            "        self._overflows += ((self._overflow & self._dropping) != 0).sum()\n", "", f"{WARP} -m slow -k overflow"),
-    Mutant("the GPU's controls do not arrive", "plugins/mujoco_warp/understudy_mujoco_warp/simulator.py",
+    Mutant("the GPU's controls do not arrive", "plugins/physics/mujoco_warp/understudy_mujoco_warp/simulator.py",
            '        self._views["ctrl"].copy_(control)\n', "", f"{WARP} -m slow -k agrees"),
-    Mutant("a dump is replayed from elsewhere", "plugins/inspect/understudy_inspect/replay.py",
+    Mutant("a dump is replayed from elsewhere", "plugins/showing/inspect/understudy_inspect/replay.py",
            'simulator.restore(snapshot)', "pass", F06),
     Mutant("what hardly varies is blown up", NN, "torch.rsqrt(self.variance + 1e-4)", "torch.rsqrt(self.variance)", f"{F06} -k normaliser"),
     Mutant("normalised values are of any size", NN, ".clamp(-self.clip, self.clip)", "", f"{F06} -k normaliser"),
@@ -262,9 +265,9 @@ MUTANTS = (
            "except ZeroDivisionError as error:  # the training can go on", f"{F08} -k dump"),
     Mutant("damaged archives are a traceback", NPZ, "except Exception as error:  # zipfile raises",
            "except ZeroDivisionError as error:  # zipfile raises", "tests/faults/test_24_mutated_clips.py"),
-    Mutant("the phase does not wrap", "plugins/characters/understudy_characters/reference.py",
+    Mutant("the phase does not wrap", "plugins/figures/characters/understudy_characters/reference.py",
            '(local / self.duration).clamp(0.0, 1.0 - 1e-6)', "local * 2", "tests/faults/test_26_laws.py -k phase"),
-    Mutant("advantages go on over an episode's end", "plugins/basics/understudy_basics/returns.py",
+    Mutant("advantages go on over an episode's end", "plugins/learning/basics/understudy_basics/returns.py",
            "decay = gamma * lam * continues", "decay = gamma * lam + 0 * continues", "tests/plugins/basics/test_returns.py"),
     Mutant("descriptors leak", RUNS, '            with open(self.metrics_file, "a", encoding="utf-8") as file:\n',
            '            file = open(self.metrics_file, "a", encoding="utf-8", buffering=1)\n            [os.dup(file.fileno()) for _ in range(20)]\n            if True:\n',
@@ -273,7 +276,7 @@ MUTANTS = (
            "tests/faults/test_30_cold_start.py"),
     Mutant("a home is needed", f"{KERNEL}/setup/plugins.py", 'GROUP = "understudy"\n',
            'GROUP = "understudy"\n(Path.home() / ".understudy").mkdir(exist_ok=True)\n', "tests/faults/test_30_cold_start.py"),
-    Mutant("a cache that cannot be written is used", "plugins/warp_torch/understudy_warp_torch/kernels.py",
+    Mutant("a cache that cannot be written is used", "plugins/physics/warp_torch/understudy_warp_torch/kernels.py",
            "    wp.config.kernel_cache_dir = temporary\n", "", "tests/plugins/warp_torch/test_kernels.py"),
     # The rest.
     Mutant("a diverged environment is measured", "benchmarks/cpu.py", 'if int(environment.quarantined):',

@@ -23,6 +23,7 @@ COPIED = (
     "benchmarks",
     "docs",
     "pyproject.toml",
+    "hatch_build.py",
     "README.md",
     "Makefile",
 )
@@ -72,7 +73,7 @@ def run(tree: Path, tests: str) -> subprocess.CompletedProcess[str]:
     chosen = ["-" + options[0], options[1:].strip()] if options else []
     if options.startswith("m slow -k "):
         chosen = ["-m", "slow", "-k", options.removeprefix("m slow -k ")]
-    path = [tree / "kernel", *sorted((tree / "plugins").iterdir()), tree / "tests"]
+    path = [tree / "kernel", *sorted((tree / "plugins").glob("*/*")), tree / "tests"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--timeout=300",
          *shlex.split(files), *chosen],

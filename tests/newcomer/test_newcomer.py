@@ -102,7 +102,7 @@ def test_the_source_distribution_can_be_worked_with(built: Path) -> None:
     with tarfile.open(archive) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
     assert {
-        "Makefile", "constraints.txt", "Dockerfile", "mkdocs.yml", "pyproject.toml", "LICENSE",
+        "Makefile", "constraints.txt", "Dockerfile", "mkdocs.yml", "pyproject.toml", "hatch_build.py", "LICENSE",
         "benchmarks/cpu.py", "docs/media/walk.mp4", "tests/conftest.py", "conf/config.yaml",
     } <= names  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = sorted(
-    p.name for p in (ROOT / "plugins").iterdir() if (p / f"understudy_{p.name}").is_dir()
+FOLDERS = {
+    p.name: p for p in (ROOT / "plugins").glob("*/*") if (p / f"understudy_{p.name}").is_dir()
+}
+NAMES = sorted(FOLDERS)
+#: The wings from the bottom up, as their page has them.
+WINGS = re.findall(
+    r"^\d+\. \[`(\w+)`\]", (ROOT / "plugins" / "README.md").read_text(encoding="utf-8"), re.M
 )
 
 
@@ -70,7 +76,25 @@ def test_the_kernel_imports_no_plugin() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_imports_only_what_it_declares(name: str) -> None:
-    assert imported(ROOT / "plugins" / name) - {name} <= requires(name)
+    assert imported(FOLDERS[name]) - {name} <= requires(name)
+
+
+def test_every_wing_has_its_place_and_a_page() -> None:
+    assert sorted(WINGS) == sorted({folder.parent.name for folder in FOLDERS.values()})
+    for wing in WINGS:
+        page = (ROOT / "plugins" / wing / "README.md").read_text(encoding="utf-8")
+        assert len(page.splitlines()) <= 40
+        own = {name for name in NAMES if FOLDERS[name].parent.name == wing}
+        assert {name for name in NAMES if f"]({name}/README.md)" in page} == own
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_builds_on_a_higher_wing(name: str) -> None:
+    def floor(plugin: str) -> int:
+        return WINGS.index(FOLDERS[plugin].parent.name)
+
+    needed = requires(name) | (imported(FOLDERS[name]) - {name})
+    assert {other for other in needed if floor(other) > floor(name)} == set()
 
 
 def test_declarations_have_no_cycle() -> None:

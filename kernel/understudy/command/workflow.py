@@ -47,7 +47,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         config = experiment.effective()
         config["run"] |= {"dir": at(run.config, "run.dir")}
         run.info["config"] = config
-    experiment = run.experiment(installed().registry)
+    experiment = run.experiment()
     distributed.start(experiment.root.device)
     leading = distributed.rank() == 0
     with _together(experiment):

@@ -33,6 +33,7 @@ from understudy.errors import RunError
 from understudy.inputs import Inputs
 from understudy.records import checkpoint
 from understudy.records.checkpoint import write_atomically
+from understudy.setup import plugins
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.registry import Registry
 
@@ -63,7 +64,13 @@ class Run:
 
     path: Path
     info: dict[str, Any]
+    _registry: Registry | None = None
     _lock: Any = None
+
+    @property
+    def registry(self) -> Registry:
+        """Where its parts are found: what it was composed of, else the installed plugins."""
+        return self._registry or plugins.installed().registry
 
     @property
     def checkpoints(self) -> Path:
@@ -77,10 +84,12 @@ class Run:
     def config(self) -> dict[str, Any]:
         return self.info["config"]
 
-    def experiment(self, registry: Registry, config: Mapping[str, Any] | None = None) -> Experiment:
+    def experiment(
+        self, registry: Registry | None = None, config: Mapping[str, Any] | None = None
+    ) -> Experiment:
         """Its configuration, or this one, validated; what parts read is what the run has copies of."""
         inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
-        return replace(validate(config or self.config, registry), inputs=inputs)
+        return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 
     def lock(self) -> None:
         """Hold the folder for this process.
@@ -173,7 +182,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
             "another one."
         ) from error
     _refuse_a_second(path)
-    run = Run(path, {})
+    run = Run(path, {}, experiment.registry)
     run.lock()
     _refuse_a_second(path)  # that another process has made meanwhile
     used = {(c.kind, c.name): c for c in experiment.components()}

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, TrainingError
 from understudy.random import WorldStreams
 from understudy.running.recorded import Recorded
 from understudy.running.statistics import EpisodeStatistics
@@ -203,6 +203,12 @@ class Environment:
         #: Called before each control period.
         self.on_period: Callable[[], None] | None = None
         self._controls: list[Tensor] = []
+        #: By term of a product that has an exponent: its least value so far, (N,).
+        self._least = {
+            term.where: zeros(())
+            for term in parts.rewards
+            if parts.combine == "product" and term.weight != 1.0
+        }
         self.recorded_step = Recorded(self._step, self)
 
     @property
@@ -442,9 +448,23 @@ class Environment:
 
     def _reward(self) -> Tensor:
         values = [(self._evaluate(term), term.weight) for term in self.parts.rewards]
+        for term, (value, _) in zip(self.parts.rewards, values, strict=True):
+            if term.where in self._least:
+                self._least[term.where].copy_(torch.fmin(self._least[term.where], value))
         if self.parts.combine == "sum":
             return functools.reduce(operator.add, [v * weight for v, weight in values])
         return functools.reduce(operator.mul, [v if w == 1.0 else v**w for v, w in values])
+
+    def refuse_negative(self) -> None:
+        """Raise :class:`TrainingError` if a reward that has an exponent has been negative."""
+        for where, least in self._least.items():
+            world = int(least.argmin())
+            if least[world] < 0:
+                raise TrainingError(
+                    f"{where} was {float(least[world]):g} in world {world}. With reward.combine=product "
+                    "its weight is an exponent, which a negative number cannot have. Use "
+                    f"reward.combine=sum, {where}.weight=1, or a term that is never negative."
+                )
 
     def _encode(self) -> dict[str, Tensor]:
         return {

@@ -134,6 +134,7 @@ class Reinforcement(Job):
             metrics[f"mark/{self.sharpen()}"] = 1.0
         self._failing = float(rollout.failed.float().mean())
         episodes = self.environment.statistics.collect()
+        self.environment.refuse_negative()
         refuse_hopeless(episodes["unsound"], rollout.rewards.shape[0], self.environment.num_worlds)
         collecting = (collected - began) / (time.perf_counter() - began)
         return {

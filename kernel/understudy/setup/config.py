@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -153,7 +154,9 @@ class StartOptions:
 
 @dataclass(frozen=True)
 class RewardOptions:
-    terms: Mapping[str, Any] = field(default_factory=dict)
+    terms: Mapping[str, Any] = field(default_factory=dict)  #: by name: {name: COMPONENT, weight: 1}
+    #: ``sum``: each term times its weight, added. ``product``: each term to the power of its weight,
+    #: multiplied; none may be negative.
     combine: Literal["sum", "product"] = "product"
 
 
@@ -353,7 +356,20 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
     if root.evaluation.objective != "success_rate":
         experiment.need_measure(root.evaluation.objective, "evaluation.objective")
     _ = experiment.failures
+    if root.reward.combine == "product":
+        for term in experiment.many("reward.terms"):
+            _refuse_negative(term)
     return experiment
+
+
+def _refuse_negative(term: Chosen) -> None:
+    """Raise :class:`ConfigError` for a term of a product that says it can be negative."""
+    low, high = getattr(term.component.factory, "range", (0.0, math.inf))
+    if low < 0:
+        raise ConfigError(
+            f"{term.where}: '{term.component.name}' lies between {low:g} and {high:g}, and "
+            "reward.combine=product takes no negative terms. Use reward.combine=sum, or another term."
+        )
 
 
 def root_keys(registry: Registry) -> set[str]:

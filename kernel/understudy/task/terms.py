@@ -46,6 +46,17 @@ def renamed(
     return {name: other.get(name, name) for name in names}
 
 
+def ranges(low: float, high: float) -> Callable[[T], T]:
+    """Declares between which values a reward term, a function or a class, lies. A product of rewards
+    refuses one that can be negative."""
+
+    def declare(term: T) -> T:
+        term.range = (low, high)  # type: ignore[attr-defined]
+        return term
+
+    return declare
+
+
 def parameters_of(function: Callable[..., Any]) -> dict[str, bool]:
     """The fields that a term's function reads, its positional parameters in order, and whether each
     is optional, having a default."""
@@ -66,7 +77,7 @@ class Term:
     options: Mapping[str, Any] = field(default_factory=dict)
     reads: Mapping[str, str] = field(default_factory=dict)  #: parameter → field
     optional: frozenset[str] = frozenset()  #: parameters that the task need not have a field for
-    weight: float = 1.0  #: of a reward
+    weight: float = 1.0  #: of a reward: its factor in a sum, its exponent in a product
     outcome: Outcome = "failure"  #: of a termination
     reduce: Reduction = "last"  #: of a measure
 

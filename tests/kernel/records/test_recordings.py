@@ -17,6 +17,7 @@ from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run
 from understudy.running.training import Training
+from understudy.setup import plugins as setup_plugins
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import hookimpl, load
 from understudy_inspect import judging
@@ -68,7 +69,7 @@ def test_observers_are_told_after_training_and_render(
         only=["mujoco", "basics", "ppo"],
         extra=[("test", sys.modules[worlds.__name__]), ("watch", Watch(watcher))],
     )
-    for module in (workflow, judging):
+    for module in (setup_plugins, workflow, judging):
         monkeypatch.setattr(module, "installed", lambda: plugins)
     monkeypatch.setattr(PaddleScene, "recorded", fields)
     overrides = [*QUICK, f"run.dir={path}"]

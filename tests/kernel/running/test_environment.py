@@ -1,20 +1,24 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
-from counted_task import Line, Push, Starts, Where, line, push, term
+from counted_task import LINE_TASK, Line, Push, Starts, Where, line, line_plugins, push, term
+from torch import Tensor
 from worlds import PADDLE_TASK, assert_same_state
 
 from understudy.errors import ConfigError, TrainingError
 from understudy.running.environment import Environment, Step
 from understudy.running.statistics import refuse_hopeless
+from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
+from understudy.task.terms import ranges
 from understudy.testing import check_environment, check_simulator
 from understudy.testing.fake import FAKE_TASK
 
@@ -491,3 +495,66 @@ def test_the_task_ends_with_as_many_numbers_as_it_says() -> None:
         line(actuation=Two()).reset()
     with pytest.raises(ConfigError, match=r"^encoder\.state has shape \(4, 1\)"):
         line(encoders={"state": Wide()}).reset()
+
+
+def test_the_weight_in_a_product_is_an_exponent() -> None:
+    def three(x: Tensor) -> Tensor:
+        return torch.full_like(x[:, 0], 3.0)
+
+    terms = [term(three, "one", weight=2.0), term(three, "two", weight=0.5)]
+    product = line(rewards=terms, combine="product")
+    total = line(rewards=terms, combine="sum")
+    for environment in (product, total):
+        environment.reset()
+    assert push(product).rewards.tolist() == pytest.approx([3.0**2.5] * 4)
+    assert push(total).rewards.tolist() == pytest.approx([7.5] * 4)
+    product.refuse_negative()
+
+
+@pytest.mark.parametrize(
+    ("combine", "weight", "refused"),
+    [("product", 0.5, True), ("product", 2.0, True), ("product", 1.0, False), ("sum", 0.5, False)],
+)
+def test_a_negative_reward_with_an_exponent_is_named_with_world_and_value(
+    combine: str, weight: float, refused: bool
+) -> None:
+    def lean(x: Tensor) -> Tensor:
+        return x[:, 0]
+
+    environment = line(
+        rewards=[term(lean, weight=weight, where="reward.terms.lean")], combine=combine
+    )  # type: ignore[arg-type]
+    environment.reset()
+    low = environment.table["x"][:, 0].min().item()
+    push(environment, 1.0, 1.0, -7.0 - low, 1.0)
+    push(environment, 9.0, 9.0, 9.0, 9.0)  # what has been is not forgotten
+    if not refused:
+        environment.refuse_negative()
+        return
+    with pytest.raises(TrainingError) as error:
+        environment.refuse_negative()
+    value = float(environment._least["reward.terms.lean"][2])
+    assert value < 0
+    for part in ("reward.terms.lean", f"{value:g}", "world 2", "reward.combine=sum"):
+        assert part in str(error.value)
+
+
+def test_a_training_stops_at_a_negative_reward_with_an_exponent() -> None:
+    @ranges(-math.inf, math.inf)
+    def declared(x: Tensor) -> Tensor:
+        return x[:, 0]
+
+    def silent(x: Tensor) -> Tensor:
+        return x[:, 0] - 5.0
+
+    plugins = line_plugins(reward={"declared": declared, "silent": silent})
+    task = [*LINE_TASK, "reward.combine=product"]
+    with pytest.raises(ConfigError) as refused:
+        load_experiment([*task, "+reward.terms.y={name: declared}"], plugins)
+    assert "reward.terms.y" in str(refused.value)
+    assert "reward.combine=sum" in str(refused.value)
+    load_experiment([*LINE_TASK, "reward.combine=sum", "+reward.terms.y={name: declared}"], plugins)
+    overrides = [*task, "+reward.terms.z={name: silent, weight: 0.5}"]
+    job = Training(load_experiment(overrides, plugins)).prepare().job
+    with pytest.raises(TrainingError, match=r"reward\.terms\.z was -\d"):
+        job.iterate(0)

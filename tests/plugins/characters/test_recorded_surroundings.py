@@ -16,11 +16,11 @@ from recorded_runs import record
 
 from understudy.errors import FileError
 from understudy.records import runs
+from understudy.setup import plugins as setup_plugins
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.testing import fake
-from understudy_characters import recording, scene
 from understudy_characters.recording import recorded_surroundings
 from understudy_characters.surroundings import Surroundings
 
@@ -57,8 +57,7 @@ def understudy_register(register: Registrar) -> None:
 def plugins(monkeypatch: pytest.MonkeyPatch) -> Plugins:
     extra = [("fake", fake), ("croucher", recorded_runs), ("stool", sys.modules[__name__])]
     found = load(extra=extra)
-    for module in (recording, scene):
-        monkeypatch.setattr(module, "installed", lambda: found)
+    monkeypatch.setattr(setup_plugins, "installed", lambda: found)
     return found
 
 

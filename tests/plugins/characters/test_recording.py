@@ -12,16 +12,16 @@ import torch
 from recorded_runs import NQ, croucher_plugins, make_run, record, track
 
 from understudy.errors import ConfigError, FileError, RunError
+from understudy.setup import plugins as setup_plugins
 from understudy.setup.registry import Component
 from understudy_basics import rotations
-from understudy_characters import recording
 from understudy_characters.recording import recorded_clips, recorded_surroundings, run_character
 
 
 @pytest.fixture(autouse=True)
 def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     plugins = croucher_plugins()
-    monkeypatch.setattr(recording, "installed", lambda: plugins)
+    monkeypatch.setattr(setup_plugins, "installed", lambda: plugins)
 
 
 def test_the_first_episode_becomes_a_clip(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_the_simulator_need_not_be_here(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     record(run)
     gone = Component("simulator", "gone", "no_such_library:Simulator", "test")
-    recording.installed().registry.add(gone)
+    setup_plugins.installed().registry.add(gone)
     info = json.loads((run / "run.json").read_text())
     for name in ("gone", "unheard_of"):
         info["config"]["simulator"] = {"name": name}

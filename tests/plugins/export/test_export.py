@@ -17,7 +17,6 @@ from understudy.command.cli import main
 from understudy.errors import FileError
 from understudy.setup import plugins
 from understudy.setup.registry import Registry
-from understudy_characters import recording
 from understudy_characters.character import Character, load_character
 from understudy_characters.fitting import fitting_character, worn
 from understudy_characters.recording import recorded_clips
@@ -34,7 +33,7 @@ IN_A_BVH = ReadOptions(unit="cm", up="y")
 @pytest.fixture(autouse=True)
 def registry(monkeypatch: pytest.MonkeyPatch) -> Registry:
     loaded = croucher_plugins()
-    for module in (plugins, recording, command):
+    for module in (plugins, command):
         monkeypatch.setattr(module, "installed", lambda: loaded)
     return loaded.registry
 

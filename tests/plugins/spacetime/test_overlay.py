@@ -12,7 +12,7 @@ from understudy.errors import ConfigError, FileError
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy.setup.plugins import Plugins
+from understudy.setup.plugins import Plugins, installed
 from understudy_basics import rotations
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_spacetime.overlay import BoundsOverlay
@@ -70,7 +70,9 @@ def test_gauges_are_beyond_their_limits_where_the_terminations_fire(
         assert fired.any(), f"{name} is never out of bounds, so this would test nothing"
         assert not fired.all()
     for world in range(WORLDS):
-        marks = BoundsOverlay().marks(config, {k: v[:, world] for k, v in tracks.items()})
+        marks = BoundsOverlay().marks(
+            config, {k: v[:, world] for k, v in tracks.items()}, installed().registry
+        )
         gauges = {mark.name: mark for mark in marks if isinstance(mark, Gauge)}
         assert gauges.keys() == set(GAUGES.values())
         for name, fired in outside.items():
@@ -86,7 +88,9 @@ def test_regions_hold_their_points_where_the_gauges_say_so(
     episode: tuple[dict[str, Any], Tracks, dict[str, np.ndarray]],
 ) -> None:
     config, tracks, _ = episode
-    marks = BoundsOverlay().marks(config, {k: v[:, 0] for k, v in tracks.items()})
+    marks = BoundsOverlay().marks(
+        config, {k: v[:, 0] for k, v in tracks.items()}, installed().registry
+    )
     regions = {mark.name: mark for mark in marks if isinstance(mark, Region)}
     gauges = {mark.name: mark for mark in marks if isinstance(mark, Gauge)}
     assert {name: region.shape for name, region in regions.items()} == {
@@ -106,7 +110,7 @@ def test_a_character_on_its_reference_is_in_the_middle_of_all_regions(
     config, tracks, _ = episode
     reference = tracks["reference_qpos"][:, 0]
     own = {"qpos": reference, "reference_qpos": reference, "phase": tracks["phase"][:, 0]}
-    for mark in BoundsOverlay().marks(config, own):
+    for mark in BoundsOverlay().marks(config, own, installed().registry):
         if isinstance(mark, Gauge):
             assert mark.values.max() < 1e-3
         else:
@@ -130,7 +134,11 @@ def test_hands_and_feet_are_where_the_reference_has_them(
     here = {name: track[:, 0] for name, track in tracks.items()}
     there = here | {name: moved(here[name]) for name in ("qpos", "reference_qpos")}
     before, after = (
-        [mark for mark in BoundsOverlay().marks(config, given) if isinstance(mark, Region)]
+        [
+            mark
+            for mark in BoundsOverlay().marks(config, given, installed().registry)
+            if isinstance(mark, Region)
+        ]
         for given in (here, there)
     )
     for one, other in zip(before, after, strict=True):
@@ -145,12 +153,16 @@ def test_a_size_over_phase_needs_the_phase(
     config, tracks, _ = episode
     without = {name: tracks[name][:, 0] for name in ("qpos", "reference_qpos")}
     with pytest.raises(FileError, match="has no 'phase'"):
-        BoundsOverlay().marks(config, without)
+        BoundsOverlay().marks(config, without, installed().registry)
 
 
 def marks_of(terms: dict[str, Any], **tracks: np.ndarray) -> list[Gauge | Region]:
     scene = {"name": "character", "character": "humanoid"}
-    return list(BoundsOverlay().marks({"scene": scene, "termination": {"terms": terms}}, tracks))
+    return list(
+        BoundsOverlay().marks(
+            {"scene": scene, "termination": {"terms": terms}}, tracks, installed().registry
+        )
+    )
 
 
 def test_draws_nothing_of_other_runs() -> None:

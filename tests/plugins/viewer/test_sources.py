@@ -17,7 +17,6 @@ from understudy.setup import plugins
 from understudy.setup.plugins import Plugins, hookimpl
 from understudy.setup.registry import Registrar, Registry
 from understudy.testing import fake
-from understudy_characters import recording
 from understudy_characters.fitting import fitting_character
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_humanoid.character import build_spec
@@ -34,7 +33,7 @@ class Lean(Overlay):
     """How high the trunk is."""
 
     def marks(
-        self, config: Mapping[str, Any], tracks: Mapping[str, np.ndarray]
+        self, config: Mapping[str, Any], tracks: Mapping[str, np.ndarray], registry: Registry
     ) -> Sequence[Gauge | Region]:
         height = tracks["qpos"][:, 2]
         phase = [Gauge("phase", tracks["phase"], 0.5 + 0 * height, "")] if "phase" in tracks else []
@@ -43,7 +42,7 @@ class Lean(Overlay):
 
 
 class Broken(Overlay):
-    def marks(self, config: Any, tracks: Any) -> Sequence[Gauge | Region]:
+    def marks(self, config: Any, tracks: Any, registry: Registry) -> Sequence[Gauge | Region]:
         raise FileError("Nothing can be drawn.")
 
 
@@ -64,7 +63,7 @@ def loaded() -> Plugins:
 
 @pytest.fixture
 def registry(loaded: Plugins, monkeypatch: pytest.MonkeyPatch) -> Registry:
-    monkeypatch.setattr(recording, "installed", lambda: loaded)
+    monkeypatch.setattr(plugins, "installed", lambda: loaded)
     return loaded.registry
 
 

@@ -1,0 +1,229 @@
+"""A character on its floor, as a scene; and the reference motion that its tasks share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from understudy.errors import FileError
+from understudy.setup.plugins import installed
+from understudy.task import Context
+from understudy_characters import staging
+from understudy_characters.character import Character, character_spec
+from understudy_characters.heads import head_body, ring
+from understudy_characters.layout import Layout, layout_of
+from understudy_characters.reference import ReferenceMotion
+from understudy_characters.servos import ServoOptions, drive, gains_of
+from understudy_characters.shapes import body_shapes
+from understudy_characters.state import Poses
+from understudy_characters.surroundings import Surroundings
+from understudy_motion.section import Motion
+from understudy_motion.writing import Shape
+from understudy_mujoco.scene import MujocoScene
+from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
+from understudy_mujoco.studio import draw as draw_figures
+
+#: In lengths of the figure: how far to the left the reference is drawn.
+_BESIDE = 0.74
+#: The camera's distance, in heights of what it shows; and the frames over which its path is smoothed.
+_DISTANCE, _SMOOTHING = 1.75, 6.0
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A body around the character, and where it is in T frames."""
+
+    name: str
+    positions: np.ndarray  #: (T, 3) m, world
+    rotations: np.ndarray  #: (T, 4), world
+    shapes: list[Shape]  #: in its frame
+
+
+class CharacterScene(MujocoScene):
+    """One character on a floor, each of its joints driven by a position servo, and what the config
+    sections that are :class:`Surroundings` put around it."""
+
+    @dataclass(frozen=True)
+    class Options:
+        character: str  #: name of a registered character, or path of an MJCF file
+        self_collision: bool = False  #: whether the character's links collide with one another
+        #: ``fast``: implicit integration, few Newton iterations; ``model``: what the model says.
+        solver: Literal["fast", "model"] = "fast"
+        end_effectors: tuple[str, ...] = ()  #: bodies that are hands and feet; empty finds them
+        servos: ServoOptions = field(default_factory=ServoOptions)
+
+    def __init__(self, options: Options, context: Context | None = None) -> None:
+        self._options = options
+        registry = context.registry if context and context.registry else installed().registry
+        name, spec = character_spec(options.character, registry, context)
+        timestep = context.control_dt / context.substeps if context else 1 / 600
+        character = _compiled(name, spec)
+        drive(spec, character, timestep, options.servos)
+        spec.modelname = name
+        spec.option.timestep = timestep
+        if options.solver == "fast":
+            staging.solve_fast(spec.option)
+        staging.collide(spec, set(character.carrier), options.self_collision)
+        root = next(body for body in spec.bodies if body.id == character.root)
+        root.name = character.joint_names[0]
+        staging.stage(spec, root.name)
+        sections = context.sections.values() if context else ()
+        self._around = tuple(s for s in sections if isinstance(s, Surroundings))
+        self.recorded = ("qpos", "reference_qpos", "phase")
+        own = {body.name for body in spec.bodies}
+        for one in self._around:
+            one.add(spec)
+            self.recorded += one.recorded
+        self._things = [body.name for body in spec.bodies if body.name not in own]
+        self._spec = spec
+        self.character = _compiled(name, self.spec())
+
+    def spec(self) -> mujoco.MjSpec:
+        spec = self._spec.copy()
+        spec.compiler.discardvisual = True
+        return spec
+
+    def shown(self) -> mujoco.MjSpec:
+        return self._spec.copy()
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        return self.character.model
+
+    @cached_property
+    def layout(self) -> Layout:
+        return layout_of(self.character, self._options.end_effectors)
+
+    @cached_property
+    def poses(self) -> Poses:
+        return Poses(self.character, self.layout)
+
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
+    ) -> Iterator[np.ndarray]:
+        """The recorded motion; where there is a reference, it in blue and the reference beside it in
+        orange, otherwise in the character's colours."""
+        track, reference = tracks["qpos"], tracks.get("reference_qpos")
+        at, length = self.layout.root_address, self.character.length
+
+        def place(model: mujoco.MjModel, data: mujoco.MjData, frame: int) -> None:
+            self._arrange(model, data, tracks, frame)
+
+        figures, beside = [Figure(track, place=place)], 0.0
+        if reference is not None:
+            beside = _BESIDE * length
+            figures = [
+                Figure(track, LEARNED, label="learned", place=place),
+                Figure(reference, REFERENCE, (0.0, beside), "reference"),
+            ]
+        heights = np.concatenate([self._sticks(figure.track)[..., 2].ravel() for figure in figures])
+        top = float(np.clip(np.nan_to_num(heights).max(), length, 3.0 * length))
+        camera = Camera(
+            aims=np.array([0.0, 0.5 * beside])
+            + gaussian_filter1d(track[:, at : at + 2], _SMOOTHING, axis=0, mode="nearest"),
+            height=0.45 * top,
+            distance=_DISTANCE * top,
+        )
+        if self.azimuth is not None:
+            camera = replace(camera, azimuth=self.azimuth)
+        return draw_figures(self.shown().compile(), figures, camera, width, height)
+
+    def surroundings(self, tracks: Mapping[str, np.ndarray]) -> Iterator[Thing]:
+        """What stands around the character in the recorded `tracks`, each (T, …), as large as in the
+        first frame."""
+        character = Character(self.character.name, self.shown().compile())
+        model, data = character.model, mujoco.MjData(character.model)
+        bodies = [model.body(name).id for name in self._things]
+        surfaces: list[list[Shape]] = []
+        poses = []
+        for frame in range(len(tracks["qpos"]) if bodies else 0):
+            self._arrange(model, data, tracks, frame)
+            mujoco.mj_kinematics(model, data)
+            poses.append((data.xpos[bodies].copy(), data.xquat[bodies].copy()))
+            if not surfaces:
+                surfaces = [body_shapes(character, body) for body in bodies]
+        for row, (name, surface) in enumerate(zip(self._things, surfaces, strict=False)):
+            if surface:
+                positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
+                yield Thing(name, positions, turns, surface)
+
+    def _arrange(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        tracks: Mapping[str, np.ndarray],
+        frame: int,
+    ) -> None:
+        """Put what stands around the character where it was in a `frame` of the recorded `tracks`."""
+        try:
+            seen = {name: recorded[frame] for name, recorded in tracks.items()}
+            for one in self._around:
+                one.place(model, data, seen)
+        except (LookupError, TypeError, ValueError) as error:
+            raise FileError(
+                "The recording does not say where what stands around the character is "
+                f"({type(error).__name__}: {error}); make another with `understudy render RUN`."
+            ) from error
+
+    def outlines(
+        self, tracks: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        reference = tracks.get("reference_qpos")
+        return self._sticks(tracks["qpos"]), None if reference is None else self._sticks(reference)
+
+    def _sticks(self, track: np.ndarray) -> np.ndarray:
+        """(T, S, 2, 3): a segment from each link's parent to the link, and a ring as its head; m, world."""
+        model, data = self.model, mujoco.MjData(self.model)
+        links = np.array([b for b in self.character.carrier if b != self.character.root])
+        ends = np.stack([model.body_parentid[links], links], axis=1)
+        head = head_body(self.character)
+        result, tops = [], []
+        for qpos in track:
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            result.append(data.xpos[ends])
+            tops.append(data.xipos[head or 0].copy())
+        sticks = np.array(result)
+        if head is None:
+            return sticks
+        return np.concatenate([sticks, ring(np.array(tops), self.character.length)], axis=1)
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            **super().describe(),
+            "character": self.character.name,
+            "end_effectors": list(self.layout.end_effectors),
+            "self_collision": self._options.self_collision,
+            "servos": gains_of(self.spec().compile()),
+        }
+
+
+def _compiled(name: str, spec: mujoco.MjSpec) -> Character:
+    try:
+        return Character(name, spec.compile())
+    except (ValueError, mujoco.FatalError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise FileError(f"The model of {name} does not compile: {reason}") from error
+
+
+def reference_motion(context: Context) -> ReferenceMotion:
+    """The task's reference motion, built once from the config section ``motion``."""
+    scene = context.need_scene(CharacterScene, "the reference motion")
+    motion = context.need_section("motion", Motion, "the reference motion")
+    return context.once(
+        "reference_motion",
+        lambda: ReferenceMotion(
+            motion.clip,
+            scene.character,
+            scene.layout,
+            control_dt=context.control_dt,
+            device=context.device,
+            floor=motion.floor,
+        ),
+    )

@@ -1,0 +1,267 @@
+"""``understudy sitting trials``: the main task judged as section 7 judges it.
+
+Success is 3.0 s of uninterrupted sitting: contact of the pelvis with the seat, upright and facing as the
+chair does (:class:`~understudy_sitting.state.Seat`). The paper's is of the contact alone, which a figure
+that has fallen across the seat has, too; it is reported beside it. The minimum distance is that of the
+pelvis to the seat's middle. All by the zone in which a trial began, and how often which skill followed
+which, by the side of the chair (figure 7).
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from html import escape
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.command.command import Command
+from understudy.errors import ConfigError, RunError
+from understudy.records import runs
+from understudy.records.runs import Run
+from understudy.running.environment import Environment
+from understudy.running.evaluation import wilson_interval
+from understudy.running.warm_start import misshapen, newest_state
+from understudy.setup.building import build_environment, build_policy
+from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.config import Experiment
+from understudy.task import Context, Policy
+from understudy_report.section import ReportSection
+
+#: s of uninterrupted sitting, or contact.
+SEATED = 3.0
+#: Trials of which some are filmed.
+_FILMED = 64
+FILE = "trials.json"
+SIDES = ("right", "left")
+
+
+class Trials(Command):
+    """Judges a controller that sits down, over many trials in one batch; writes RUN/trials.json."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("run", help="a finished run's folder")
+        parser.add_argument("--trials", type=int, default=10_000, help="how many; all at once")
+        parser.add_argument(
+            "--film", action="store_true",
+            help="film a success of each zone and the commonest failure, of 64 trials more, for the report",
+        )  # fmt: skip
+
+    def run(self, options: argparse.Namespace) -> int:
+        if options.trials < 1:
+            raise ConfigError(f"--trials={options.trials} is not possible: at least one.")
+        run = runs.open_run(options.run)
+        config: Mapping[str, Any] = run.config
+        if options.overrides:
+            config = compose_raw(replaced(run.info["overrides"], options.overrides))
+        experiment = run.experiment(config=config)
+        found, samples = judge(experiment, run, options.trials)
+        judged = {
+            "overrides": options.overrides,
+            "seed": experiment.root.seed,
+            "samples": samples,
+        }
+        found = {"judged": judged, **found}
+        if options.film:
+            from understudy_sitting.examples import film
+
+            found["films"] = film(experiment, run, _FILMED)
+        run.write_json(FILE, found)
+        print(json.dumps(found, indent=1))
+        return 0
+
+
+def learned(experiment: Experiment, context: Context, run: Run) -> tuple[Policy, int]:
+    """The newest policy of `run`, as `experiment` builds it, and from how many samples it learned.
+
+    Raises
+    ------
+    RunError
+        if the run has none, or it has another shape here.
+    """
+    state = newest_state(str(run.path))
+    policy = build_policy(experiment, context)
+    own = dict(policy.state_dict())
+    misfits = [*misshapen(own, state.get("policy"), "policy")]
+    misfits = misfits or [f"'policy/{name}' is only there" for name in state["policy"].keys() - own]
+    if misfits:
+        raise RunError(
+            f"The checkpoint of {run.path} does not fit this configuration: {min(misfits)}. Use the "
+            "policy and the skills that it was trained with."
+        )
+    policy.load_state_dict(state["policy"])
+    return policy, int(state["progress"]["samples"])
+
+
+@torch.no_grad()
+def judge(experiment: Experiment, run: Run, trials: int) -> tuple[dict[str, Any], int]:
+    """The figures of `trials` trials by the newest policy of `run`, acting by its mode, and from how
+    many samples that learned."""
+    built = build_environment(
+        experiment, num_worlds=trials, episode_seconds=experiment.root.evaluation.seconds, evaluating=True
+    )  # fmt: skip
+    environment = built.environment
+    try:
+        names = ("zone", "side", "seated_seconds", "contact_seconds", "seat_distance", "switch")
+        missing = [name for name in names if name not in environment.table.shapes]
+        if missing:
+            raise ConfigError(
+                f"{run.path} is no controller that sits down: it has no {missing[0]}."
+            )
+        context = replace(built.context, num_worlds=trials)
+        policy, samples = learned(experiment, context, run)
+        return _figures(*_carry_out(environment, policy, experiment)), samples
+    finally:
+        environment.close()
+
+
+def _carry_out(
+    environment: Environment, policy: Policy, experiment: Experiment
+) -> tuple[dict[str, Tensor], Tensor]:
+    """Of each trial: zone, longest time on the seat, longest contact with it, minimum distance; and counts (2, S, S) by side of which
+    skill (row) was followed by which (column), of decisions that did not end the trial."""
+    environment.reset(experiment.root.seed, "trials")
+    table = environment.table
+    n, device = environment.num_worlds, environment.device
+    skills = len(skills_of(experiment))
+    side = table["side"].clone().long()
+    found = {
+        "zone": table["zone"].clone(),
+        "seated": torch.zeros(n, device=device),
+        "contact": torch.zeros(n, device=device),
+        "distance": torch.full((n,), torch.inf, device=device),
+    }
+    counts = torch.zeros(2 * skills * skills, device=device)
+    running = torch.ones(n, dtype=torch.bool, device=device)
+
+    def see() -> None:
+        """Of each control period: sitting may begin and end between decisions."""
+        for name in ("seated", "contact"):
+            longest = found[name].maximum(table[f"{name}_seconds"])
+            found[name] = torch.where(running, longest, found[name])
+        distance = table["seat_distance"]
+        nearer = running & (distance < found["distance"])  # never NaN, of a world that went wrong
+        found["distance"] = torch.where(nearer, distance, found["distance"])
+
+    environment.on_period = see
+    before = None
+    seconds = environment.decision * environment.control_dt
+    for _ in range(max(1, round(experiment.root.evaluation.seconds / seconds))):
+        action = policy.distribution(environment.observations).mode()
+        step = environment.advance(action)
+        switch = table["switch"].long()
+        if before is not None:
+            place = (side * skills + before) * skills + switch
+            counts.index_add_(0, place, running.float())
+        before = switch.clone()
+        see()
+        running &= ~step.ended
+    return found, counts.view(2, skills, skills).cpu()
+
+
+def skills_of(experiment: Experiment) -> tuple[str, ...]:
+    """The skills that there are to choose from."""
+    skills = tuple(getattr(experiment.need("actuation").options, "runs", ()))
+    if not skills:
+        raise ConfigError("This controller chooses among no skills (actuation.runs).")
+    return skills
+
+
+def _figures(found: dict[str, Tensor], counts: Tensor) -> dict[str, Any]:
+    success, contact = (found[name] >= SEATED - 1e-3 for name in ("seated", "contact"))
+
+    def row(chosen: Tensor) -> dict[str, Any]:
+        n, rate = int(chosen.sum()), float(success[chosen].float().mean())
+        distance = found["distance"][chosen]
+        return {
+            "trials": n,
+            "success_rate": rate,
+            "success_rate_95": list(wilson_interval(rate, n)),
+            "contact_rate": float(contact[chosen].float().mean()),
+            "distance_mean": float(distance.mean()),
+            "distance_spread": float(distance.std()) if n > 1 else 0.0,
+        }
+
+    zones = sorted({int(zone) for zone in found["zone"].tolist()})
+    return {
+        "all": row(torch.ones_like(success)),
+        "zones": {str(zone): row(found["zone"] == zone) for zone in zones},
+        "transitions": {name: counts[k].int().tolist() for k, name in enumerate(SIDES)},
+    }
+
+
+class TransitionsSection(ReportSection):
+    """The trials by zone, and which skill followed which, by the side of the chair (figure 7)."""
+
+    title = "Trials"
+    order = 45
+
+    def html(self, run: Run) -> str | None:
+        file = run.path / FILE
+        if not file.is_file():
+            return None
+        found = json.loads(file.read_bytes())
+        rows = "".join(_zone(f"zone {zone}", row) for zone, row in found["zones"].items())
+        head = "<tr><th></th><th>trials</th><th>success</th><th>3 s of contact</th><th>minimum distance, m</th></tr>"
+        table = f"<table>{head}{_zone('all', found['all'])}{rows}</table>"
+        names = [
+            str(run).rpartition("/")[2]
+            for run in (run.config.get("actuation") or {}).get("runs", [])
+        ]
+        matrices = "".join(
+            _matrix(f"Beginning on the {side}", counts, names)
+            for side, counts in found["transitions"].items()
+        )
+        flow = "display:flex;flex-wrap:wrap;gap:24px"
+        judged = found.get("judged", {})
+        words = escape(" ".join(map(str, judged.get("overrides", ()))))
+        given = f"<p>Judged with {words}</p>" if words else ""
+        films = "".join(_film(run, shown) for shown in found.get("films", ()))
+        cards = (f"{given}{table}", ""), (films, f' style="{flow}"'), (matrices, f' style="{flow}"')
+        return "".join(
+            f'<div class="card"{style}>{inside}</div>' for inside, style in cards if inside
+        )
+
+
+def _film(run: Run, shown: Mapping[str, Any]) -> str:
+    file = run.path / str(shown["file"])
+    if not re.fullmatch(r"trials_\d+\.mp4", str(shown["file"])) or not file.is_file():
+        return ""
+    data = base64.b64encode(file.read_bytes()).decode()
+    video = f'<video muted loop controls playsinline width="480" src="data:video/mp4;base64,{data}"></video>'
+    return f'<figure style="margin:0">{video}<figcaption>{escape(str(shown["title"]))}</figcaption></figure>'
+
+
+def _zone(name: str, row: Mapping[str, Any]) -> str:
+    low, high = (100 * float(share) for share in row["success_rate_95"])
+    return (
+        f"<tr><th>{escape(name)}</th><td>{int(row['trials'])}</td>"
+        f"<td>{100 * float(row['success_rate']):.1f} % ({low:.1f} to {high:.1f})</td>"
+        f"<td>{100 * float(row['contact_rate']):.1f} %</td>"
+        f"<td>{float(row['distance_mean']):.3f} ± {float(row['distance_spread']):.3f}</td></tr>"
+    )
+
+
+def _matrix(title: str, counts: list[list[int]], names: list[str]) -> str:
+    """Shares of each row's changes, darker for more."""
+    labels = names if len(names) == len(counts) else [str(k) for k in range(len(counts))]
+    head = "".join(f"<th>{escape(label)}</th>" for label in labels)
+    rows = []
+    for label, row in zip(labels, counts, strict=True):
+        total = max(1, sum(int(count) for count in row))
+        cells = "".join(_cell(int(count) / total) for count in row)
+        rows.append(f"<tr><th>{escape(label)}</th>{cells}</tr>")
+    caption = f"<caption>{escape(title)}: from (row) to (column)</caption>"
+    return f"<table>{caption}<tr><th></th>{head}</tr>{''.join(rows)}</table>"
+
+
+def _cell(share: float) -> str:
+    return f'<td style="background:rgba(60,120,200,{share:.2f})">{share:.2f}</td>'

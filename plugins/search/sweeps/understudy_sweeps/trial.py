@@ -1,0 +1,241 @@
+"""One trial: a run folder in the sweep's, begun or gone on with, wherever an executor wants it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import sys
+import time
+from collections.abc import Generator, Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from hydra.core.override_parser.types import Quote, QuotedString
+
+from understudy.errors import ConfigError, FileError, RunError, TrainingError
+from understudy.records import runs
+from understudy.records.checkpoint import write_atomically
+from understudy.records.runs import Run
+from understudy.running.evaluation import Evaluation
+from understudy.running.reinforcement import Reinforcement
+from understudy.running.training import Reporter, Training
+from understudy.running.trials import Report, Trial, Work
+from understudy.setup.composition import load_experiment, replaced
+
+#: In a trial's folder: after how many samples the outer loop ended it early.
+_STOPPED = "stopped.json"
+#: In a trial's folder, once it is finished: what it was judged by.
+JUDGED = "evaluation.json"
+#: How the status begins of a trial which shows that the search makes no sense: the sweep ends.
+REFUSED = "refused: "
+#: Seconds to wait for whoever still holds the folder: a process whose sweep was killed saves first.
+PATIENCE = 60.0
+
+
+def folder_of(key: str, sweep: str | Path) -> Path:
+    """The run folder of the trial `key`, which stays inside the sweep's whatever the key is."""
+    name = quote(key, safe="")
+    return Path(sweep) / (name if name.strip(".") else name.replace(".", "%2E"))
+
+
+def note_stop(key: str, samples: float, work: Work) -> None:
+    """Let the trial end with what it had learned after `samples`, however often it is begun anew."""
+    path = folder_of(key, work.folder)
+    path.mkdir(parents=True, exist_ok=True)
+    write_atomically(path / _STOPPED, json.dumps({"samples": samples}).encode())
+
+
+def run_trial(trial: Trial, work: Work) -> Generator[Report | None, bool | None, None]:
+    """Carry out a trial in its own run folder, or go on with it; a failure becomes a report.
+
+    Gives a report after every evaluation and in the end, and None after every other iteration.
+    Reports that an earlier process may have made before it ended are made again. Sending it True
+    ends the trial early, with what it has learned by then. A caller that closes it leaves the trial
+    saved and resumable.
+    """
+    path = folder_of(trial.key, work.folder)
+    print(f"{trial.key}: {path}", file=sys.stderr)
+    _await(path)
+    try:
+        training = _open(path, trial, work)
+    except _Refused as error:
+        yield Report(trial.key, f"{REFUSED}{error}", run=str(path))
+        return
+    except (ConfigError, FileError, RunError) as error:
+        yield Report(trial.key, f"failed: {error}", run=str(path))
+        return
+    run = training.run
+    assert run is not None
+    try:
+        last = _stopped_at(run)
+        stopped = yield from _iterate(trial, training, run, last)
+        root = training.experiment.root
+        evaluation, recording = training.judge(root.run.video_seconds)
+        if recording is not None and recording.tracks:
+            recording.save(run.path / "recording.npz")
+        run.write_json(JUDGED, evaluation.as_json(training.progress.samples))
+        yield _result(trial, evaluation, training, "stopped" if stopped else training.outcome)
+    except TrainingError as error:  # anything else is no finding: what carries it out says so
+        samples = float(training.progress.samples)
+        yield Report(trial.key, f"failed: {error}", cost=samples, run=str(path))
+    finally:
+        training.close()
+        run.unlock()
+
+
+def _iterate(
+    trial: Trial, training: Training, run: Run, last: float
+) -> Generator[Report | None, bool | None, bool]:
+    """Until the training ends, or it is stopped, or has consumed `last` samples; whether it was
+    stopped."""
+    name = f"evaluation/{training.experiment.root.evaluation.objective}"
+
+    def report(row: Mapping[str, Any]) -> Report | None:
+        """Of an evaluation, be it one that was given up and has no objective."""
+        if not any(key.startswith("evaluation/") for key in row):
+            return None
+        samples, objective = row["samples"], row.get(name)
+        return Report(trial.key, "running", objective, _figures(row), samples, str(run.path))
+
+    for row in run.metrics():
+        again = report(row)
+        if again is not None and (yield again):
+            return True
+    with contextlib.closing(training.rows()) as rows:
+        while training.progress.samples < last:
+            row = next(rows, None)
+            if row is None:
+                return False
+            if (yield report(row)):
+                return True
+    return True
+
+
+def _stopped_at(run: Run) -> float:
+    try:
+        return float(json.loads((run.path / _STOPPED).read_bytes())["samples"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return math.inf
+
+
+def overrides_of(trial: Trial, work: Work) -> list[str]:
+    """The configuration of the run that the trial is. It is a run like any other, so it has neither
+    outer loop nor executor."""
+    own = [*trial.overrides, *(f"{name}={value!r}" for name, value in trial.point.items())]
+    if trial.seed is not None:
+        own.append(f"seed={trial.seed}")
+    if trial.fidelity is not None:
+        own.append(f"difficulty={trial.fidelity!r}")
+    if trial.start is not None:
+        own.append(f"start={written(trial.start)}")
+    if trial.initial_states is not None:
+        own.append(f"initial_states={written({'name': 'bank', 'file': trial.initial_states})}")
+    own += [
+        "outer_loop=null",
+        "executor=null",
+        f"run.dir={written(str(folder_of(trial.key, work.folder)))}",
+    ]
+    return replaced(work.overrides, own)
+
+
+def written(value: Any) -> str:
+    """Plain data as the value of an override: every string is quoted, whatever is in it."""
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{key}:{written(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ",".join(written(item) for item in value) + "]"
+    if isinstance(value, str):
+        return QuotedString(value, Quote.single).with_quotes()
+    return json.dumps(value)
+
+
+class _Refused(Exception):
+    """No trial of this search can mean what it is asked for; says why."""
+
+
+def _open(path: Path, trial: Trial, work: Work) -> Training:
+    reporter = Reporter(message=lambda text: print(text, file=sys.stderr))
+    if (path / "run.json").exists():
+        run = runs.open_run(path)
+        run.lock()
+        experiment = run.experiment()
+        training = Training(experiment, reporter).prepare().attach(run)
+        training.resume()
+        return training
+    overrides = overrides_of(trial, work)
+    experiment = load_experiment(overrides)
+    training = Training(experiment, reporter).prepare()
+    if trial.fidelity is not None:
+        _check_difficulty(training)
+    return training.attach(runs.create(experiment, overrides, training.job.sources()))
+
+
+def _check_difficulty(training: Training) -> None:
+    """Refuse a trial that is asked for at some difficulty of a task that has none.
+
+    It has one if a part reads the field ``difficulty``, or the curriculum itself makes more of it: a
+    time limit, a parameter of the simulator, how long decisions last.
+    """
+    if not isinstance(training.job, Reinforcement):
+        return
+    environment = training.job.environment
+    curriculum = environment.parts.curriculum
+    more = curriculum is not None and (
+        curriculum.decision() is not None or bool(set(curriculum.provides) - {"difficulty"})
+    )
+    read = {name for _, names in environment.readers() for name in names}
+    read.update(environment.parts.initial_states.reads)
+    if not more and read.isdisjoint(("difficulty", "previous_difficulty")):
+        raise _Refused(
+            "Nothing in this task reads `difficulty`, so trials at a low one would be neither easier "
+            "nor cheaper, and tell nothing. Choose an experiment whose parts read it, a search of whole "
+            "trials (outer_loop.name=gp_ucb), or one by another fidelity (outer_loop.name=boca "
+            "'outer_loop.fidelity={option: budget.samples, low: …, high: …, integer: true}')."
+        )
+
+
+def _await(path: Path) -> None:
+    """Until nobody trains in the folder `path`, which is made.
+
+    Raises
+    ------
+    RunError
+        if somebody still does after ``PATIENCE``, or the folder cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"The run folder {path} cannot be made: {error.strerror}.") from error
+    folder, deadline = Run(path, {}), time.monotonic() + PATIENCE
+    while True:
+        try:
+            folder.lock()
+            return folder.unlock()
+        except RunError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.1)
+
+
+def _figures(row: Mapping[str, Any]) -> dict[str, float]:
+    """What was measured, by name; and how far the curriculum is, as the row names it."""
+    return {
+        name.removeprefix("evaluation/"): value
+        for name, value in row.items()
+        if name.startswith(("evaluation/", "curriculum/")) and isinstance(value, int | float)
+    }
+
+
+def _result(trial: Trial, evaluation: Evaluation, training: Training, outcome: str) -> Report:
+    assert training.run is not None
+    return Report(
+        trial.key,
+        "ok",
+        evaluation.objective_value,
+        _figures(evaluation.row()),
+        float(training.progress.samples),
+        str(training.run.path),
+        outcome,
+    )

@@ -1,0 +1,218 @@
+"""What a component is, and what it can be given."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+import re
+import textwrap
+import typing
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import yaml
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import REQUIRED, Option, options_of
+from understudy.setup.config import EXTRAS, Root
+from understudy.setup.plugins import Plugins
+from understudy.setup.registry import Component
+from understudy_inspect.catalogue import Offer, offers
+
+#: What components of a kind take besides their own options.
+_OF_KIND = {
+    "reads": "renames fields that it reads: {ITS NAME: FIELD}",
+    "provides": "renames fields that it gives: {ITS NAME: FIELD}",
+    "weight": "its factor where reward.combine is sum, its exponent where it is product",
+    "outcome": "what the end is: failure, success, truncation, or report (no end)",
+    "reduce": "how an episode's values become one: last, min, max, mean, sum, any",
+}
+
+
+def describe(name: str, plugins: Plugins) -> str:
+    """The text about ``KIND/NAME``, a part or a file of options; NAME alone does where it is clear.
+
+    Raises
+    ------
+    ConfigError
+        if there is no such part, or several.
+    """
+    registry = plugins.registry
+    kind, _, rest = name.partition("/")
+    if name in _groups():
+        return _table(name, options_of(_groups()[name]), _comments(_groups()[name]))
+    if (kind, rest) in registry.components:
+        return _component(registry.components[kind, rest], plugins)
+    for offer in offers(plugins, kind):
+        if offer.name == rest:
+            return _offer(kind, offer, plugins)
+    found = [(k, n) for k, n in registry.components if n == name]
+    if len(found) == 1:
+        return _component(registry.components[found[0]], plugins)
+    typed = [f"{k}/{n}" for k, n in registry.components]
+    if found:
+        raise ConfigError(
+            f"There are several '{name}': " + ", ".join(f"{k}/{n}" for k, n in found) + "."
+        )
+    if kind in registry.kinds and rest:
+        raise ConfigError(f"There is no {kind} '{rest}'.{suggestion(rest, registry.names(kind))}")
+    raise ConfigError(
+        f"There is nothing called '{name}'. Write KIND/NAME, as in learner/ppo."
+        + (suggestion(name, typed) if "Did you" in suggestion(name, typed) else "")
+        + registry.absent()
+    )
+
+
+def names(plugins: Plugins) -> list[str]:
+    """All that :func:`describe` knows, as one types it."""
+    kinds = {kind for kind, _ in plugins.registry.components} | {"experiment", "task"}
+    files = {f"{kind}/{offer.name}" for kind in kinds for offer in offers(plugins, kind)}
+    parts = {f"{kind}/{name}" for kind, name in plugins.registry.components if kind != "command"}
+    return sorted(files | parts | set(_groups()))
+
+
+def _groups() -> dict[str, type]:
+    """The groups of the root that have options of the kernel's own."""
+    return {
+        option.name: option.annotation
+        for option in options_of(Root).values()
+        if dataclasses.is_dataclass(option.annotation) and isinstance(option.annotation, type)
+    }
+
+
+def _component(component: Component, plugins: Plugins) -> str:
+    factory = component.factory
+    schema = getattr(factory, "Options", None)
+    comments = _comments(schema) if schema is not None else {}
+    parts = [
+        f"{component.kind}/{component.name}: {component.summary}".rstrip(": "),
+        f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")"),
+        *_paragraphs(factory),
+        *(_paragraphs(schema) if schema is not None and "(" not in (schema.__doc__ or "(") else []),
+    ]  # fmt: skip
+    if schema is None and not inspect.isclass(factory):
+        reads = [
+            parameter.name
+            for parameter in inspect.signature(factory).parameters.values()
+            if parameter.kind is not inspect.Parameter.KEYWORD_ONLY
+        ]
+        parts.append(f"Reads: {', '.join(reads)}." if reads else "")
+    extra = {n: o for n, o in EXTRAS.get(component.kind, {}).items() if n not in component.options}
+    table = _table("Options", {**component.options, **extra}, {**_OF_KIND, **comments})
+    parts.append(table if component.options or extra else "It has no options.")
+    files = [
+        f"  {component.kind}={offer.name}  [{offer.plugin}] {offer.summary}".rstrip()
+        for offer in offers(plugins, component.kind)
+        if _chooses(offer, component.name)
+    ]
+    if files:
+        parts.append("\n".join(["Chosen by", *files]))
+    cited = [
+        t for (plugin, _), t in plugins.registry.citations.items() if plugin == component.plugin
+    ]
+    if cited:
+        parts.append("\n".join(["Please cite", *(f"  {text}" for text in cited)]))
+    return "\n\n".join(part for part in parts if part)
+
+
+def _offer(group: str, offer: Offer, plugins: Plugins) -> str:
+    """A file of options as it stands, and what the component that it names can be given."""
+    head = (
+        f"{group}={offer.name}  (plugin {offer.plugin or 'understudy'}: {group}/{offer.name}.yaml)"
+    )
+    parts = [head, textwrap.indent(offer.text.strip(), "  ")]
+    for (kind, name), component in plugins.registry.components.items():
+        if kind == group and _chooses(offer, name):
+            parts.append(_component(component, plugins))
+    return "\n\n".join(parts)
+
+
+def _chooses(offer: Offer, component: str) -> bool:
+    content = yaml.safe_load(offer.text)
+    return isinstance(content, Mapping) and content.get("name") == component
+
+
+def _paragraphs(thing: Any) -> Iterator[str]:
+    text = inspect.getdoc(thing) if inspect.isclass(thing) or inspect.isfunction(thing) else None
+    if text:
+        yield re.sub(r":\w+:`~?([^`]*)`|``([^`]*)``", lambda m: m[1] or m[2], text)
+
+
+def _table(title: str, options: Mapping[str, Option], comments: Mapping[str, str]) -> str:
+    rows = list(_rows(options, comments, ""))
+    first = min(40, max((len(f"{name}={default}") for name, default, _ in rows), default=0))
+    lines = []
+    for name, default, text in rows:
+        wrapped = textwrap.wrap(text, max(40, 96 - first)) or [""]
+        lines.append(f"  {f'{name}={default}':<{first}}  {wrapped[0]}".rstrip())
+        lines += [f"  {'':<{first}}  {more}" for more in wrapped[1:]]
+    return "\n".join([title, *lines])
+
+
+def _rows(
+    options: Mapping[str, Option], comments: Mapping[str, str], prefix: str
+) -> Iterator[tuple[str, str, str]]:
+    """(key, default as one types it, type and comment) of each option, and of those within it."""
+    for name, option in options.items():
+        inner = _dataclass_in(option.annotation)
+        kind, about = _type(option.annotation), comments.get(name, "")
+        text = f"{kind}; {about}" if kind and about else kind or about
+        default = "…" if option.default is REQUIRED else _typed(option.default)
+        if inner is not None and dataclasses.is_dataclass(option.default):
+            yield from _rows(options_of(inner), _comments(inner), f"{prefix}{name}.")
+            continue
+        yield f"{prefix}{name}", default, text
+        if inner is not None:
+            yield from _rows(options_of(inner), _comments(inner), f"{prefix}{name}.")
+
+
+def _typed(value: Any) -> str:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    return json.dumps(value, ensure_ascii=False, default=str) if value != {} else "{}"
+
+
+def _dataclass_in(annotation: Any) -> type | None:
+    """The dataclass that an option is, or may be."""
+    for item in (annotation, *typing.get_args(annotation)):
+        if dataclasses.is_dataclass(item) and isinstance(item, type):
+            return item
+    return None
+
+
+def _type(annotation: Any) -> str:
+    if typing.get_origin(annotation) is typing.Literal:
+        return " or ".join(str(choice) for choice in typing.get_args(annotation))
+    words = {int: "whole number", float: "number", str: "text", bool: "true or false", Any: ""}
+    if annotation in words:
+        return words[annotation]
+    if typing.get_origin(annotation) in (tuple, list):
+        inner = [_type(a) for a in typing.get_args(annotation) if a is not Ellipsis]
+        return f"list of {inner[0]}" if len(set(inner)) == 1 and inner[0] else "list"
+    if typing.get_origin(annotation) in (dict, Mapping):
+        return "mapping"
+    choices = [_type(a) for a in typing.get_args(annotation) if a is not type(None)]
+    choices = [choice for choice in dict.fromkeys(choices) if choice]
+    return " or ".join([*choices, *(["null"] if type(None) in typing.get_args(annotation) else [])])
+
+
+def _comments(schema: type) -> dict[str, str]:
+    """By option: what the ``#:`` comments above and behind it in the source of `schema` say."""
+    try:
+        lines = inspect.getsource(schema).splitlines()
+    except (OSError, TypeError):
+        return {}
+    found: dict[str, str] = {}
+    above: list[str] = []
+    for line in lines:
+        comment = re.match(r"\s*#: ?(.*)", line)
+        field = re.match(r"\s*(\w+)\s*:[^#]*(?:#:? ?(.*))?", line)
+        if comment:
+            above.append(comment[1])
+        elif field and field[1] in getattr(schema, "__dataclass_fields__", {}):
+            found.setdefault(field[1], " ".join([*above, field[2] or ""]).strip())
+            above = []
+        else:
+            above = []
+    return {name: text.replace("``", "") for name, text in found.items()}

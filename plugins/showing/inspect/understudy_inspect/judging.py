@@ -1,0 +1,223 @@
+"""Evaluating a run again, and drawing it."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import yaml
+
+from understudy.command.command import Command
+from understudy.command.workflow import judge, tell
+from understudy.errors import ConfigError, RunError, suggestion
+from understudy.records import checkpoint, runs
+from understudy.records.checkpoint import write_atomically
+from understudy.records.runs import Run
+from understudy.running.training import Reporter, Training
+from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.plugins import installed
+
+#: Words for what one changes of an evaluation most often, and the keys that they stand for.
+_EVALUATION = {"episodes": "evaluation.final_episodes", "seconds": "evaluation.seconds"}
+_PICTURE = {
+    "episodes": "evaluation.final_episodes",
+    "seconds": "run.video_seconds",
+    "size": "run.video_size",
+    "camera": "run.video_camera",
+}
+
+
+#: Keys that say where a run is judged, not what of it.
+_WHERE = ("device", "num_worlds")
+#: Of a run folder: where what was drawn otherwise is.
+RENDERS = "renders"
+
+
+class Evaluate(Command):
+    """Judges the newest checkpoint on starts that no training drew, and writes ``evaluation.json``. What is
+    judged otherwise, of whatever words follow, has a file of its own: ``evaluation-episodes-4.json``."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.usage = (
+            "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION] [KEY=VALUE …]"
+        )
+        parser.add_argument("run", help="run folder")
+
+    def run(self, options: argparse.Namespace) -> int:
+        training, run, _, chosen = load(options.run, options.overrides, _EVALUATION)
+        try:
+            evaluation, _ = training.judge()
+        finally:
+            training.close()
+        changed = _changed(options.overrides, _EVALUATION)
+        result = evaluation.as_json(training.progress.samples, changed)
+        name = _name(options.overrides, chosen)
+        file = f"evaluation-{name}.json" if name else "evaluation.json"
+        run.write_json(file, result)
+        print(json.dumps(result, indent=1))
+        tell(f"Written to {run.path / file}." + (_KEPT if name else ""))
+        return 0
+
+
+_KEPT = " The run's own result is as it was."
+
+
+class Render(Command):
+    """Judges the newest checkpoint while recording it, and makes the run's pictures and report anew. What
+    is drawn otherwise, of whatever words follow, is a folder of its own in ``RUN/renders``, which serves as a
+    run wherever one is played or exported."""
+
+    takes_overrides = True
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.usage = (
+            "understudy render RUN [episodes=N] [seconds=S] [size=WIDTHxHEIGHT] [camera=DEGREES] "
+            "[checkpoint=ITERATION] [KEY=VALUE …]"
+        )
+        parser.add_argument("run", help="run folder")
+
+    def run(self, options: argparse.Namespace) -> int:
+        training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)
+        reporter.observers = installed().observers()
+        changed = _changed(options.overrides, _PICTURE)
+        changed += [f"checkpoint={int(chosen)}"] if chosen else []
+        name = _name(options.overrides, chosen)
+        try:
+            if name:
+                run = _beside(run, name, chosen, options.overrides, training)
+            judge(training, run, reporter, changed)
+        finally:
+            training.close()
+        if name:
+            tell(f"This is in a folder of its own.{_KEPT}")
+        print(f"run: {run.path}")
+        return 0
+
+
+def _name(words: Sequence[str], chosen: str) -> str:
+    """Of what is judged as `words` say: for files, the same for the same words; none without words."""
+    words = [f"checkpoint={int(chosen)}" if w.startswith("checkpoint=") else w for w in words]
+    text = " ".join(sorted(words))
+    plain = re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-.")
+    if plain == text.replace("=", "-").replace(" ", "-") and len(plain) < 80:
+        return plain
+    digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()[:8]
+    return f"{plain[:60]}-{digest}" if text else ""
+
+
+def _beside(run: Run, name: str, chosen: str, words: Sequence[str], training: Training) -> Run:
+    """A folder within that of `run` for what is drawn otherwise as `words` say, with what of it plays and
+    exports: policy, inputs, metrics."""
+    own = replace(run, path=run.path / RENDERS / name)
+    state, meta = _checkpoint(run, chosen)[0] if chosen else run.newest()
+    if "policy" in state:
+        state = {key: state[key] for key in ("policy", "progress")}
+    inputs = training.experiment.inputs
+    overrides = [word for word in words if word.partition("=")[0] not in (*_PICTURE, "checkpoint")]
+    info = {**run.info, "overrides": replaced(run.info["overrides"], overrides)}
+    try:
+        own.checkpoints.mkdir(parents=True, exist_ok=True)
+        checkpoint.save(own.checkpoints / f"{state['progress']['iteration']:08d}", state, meta)
+        for asked, names in inputs.kept.items():
+            inputs.file(asked, list)  # all inside that folder, and whole
+            for copied in names:
+                target = own.path / "inputs" / copied
+                target.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(target, (inputs.folder / copied).read_bytes())
+        info["inputs"] = inputs.copy(own.path / "inputs")
+        own.write_json("run.json", info)
+        if run.metrics_file.is_file():
+            write_atomically(own.metrics_file, run.metrics_file.read_bytes())
+    except OSError as error:
+        raise RunError(f"{own.path} cannot be written: {error.strerror}.") from error
+    return own
+
+
+def _changed(words: Sequence[str], short: Mapping[str, str]) -> list[str]:
+    """Those of the `words` of a command line that make another task of what was trained."""
+    aside = {*short, *short.values(), "checkpoint", *_WHERE}
+    return [word for word in words if word.partition("=")[0] not in aside]
+
+
+def load(
+    path: str, words: Sequence[str], short: Mapping[str, str]
+) -> tuple[Training, Run, Reporter, str]:
+    """The run at `path` with what was learned of it, as `words` of the command line change it, and the
+    name of the checkpoint if they choose one.
+
+    Words are overrides; those of `short` set what the run recorded and nothing else.
+    """
+    run = runs.open_run(path)
+    given = {key: value for key, _, value in (word.partition("=") for word in words)}
+    own = {key: given[key] for key in (*short, "checkpoint") if key in given}
+    overrides = [word for word in words if word.partition("=")[0] not in own]
+    config = copy.deepcopy(run.config)
+    if overrides:
+        config = compose_raw(replaced(run.info["overrides"], overrides))
+    chosen = own.pop("checkpoint", "")
+    for key, value in own.items():
+        _set(config, short[key], _value(key, value))
+    if "episodes" in own:  # as many at once as there are
+        most = config["evaluation"].get("episodes")
+        asked = _value("episodes", own["episodes"])
+        _set(config, "evaluation.episodes", min(most, asked) if type(most) is int else asked)
+    experiment = run.experiment(config=config)
+    run.info["config"] = experiment.effective()  # what is drawn; the file keeps what was trained
+    reporter = Reporter(tell)
+    if chosen:
+        (state, _), chosen = _checkpoint(run, chosen)
+    else:
+        state, _ = run.newest(reporter.message)
+        if run.metrics() and not state["progress"]["samples"]:
+            raise RunError(
+                f"{path}: only the checkpoint before training is intact. Resume it first."
+            )
+    training = Training(experiment, reporter)
+    training.load_learned(state)
+    return training, run, reporter, chosen
+
+
+def _checkpoint(run: Run, chosen: str) -> tuple[tuple[Any, Any], str]:
+    """The (state, meta) of the checkpoint made after the iteration `chosen`, and its name."""
+    there = {path.name: path for path in checkpoint.newest(run.checkpoints)}
+    name = chosen.rpartition("/")[2].partition(".")[0]
+    name = name.zfill(8) if name.isdigit() else name
+    if name not in there:
+        known = [str(int(n)) for n in there]
+        raise RunError(f"{run.path} keeps no checkpoint={chosen}.{suggestion('', known)}")
+    return checkpoint.load(there[name]), name
+
+
+def _value(key: str, text: str) -> Any:
+    if key == "size":
+        width, _, height = text.partition("x")
+        if not (width.isdigit() and height.isdigit()):
+            raise ConfigError(
+                f"size={text} is not possible. Write size=WIDTHxHEIGHT, as size=640x360."
+            )
+        return [int(width), int(height)]
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        value = text
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"{key}={text} is not possible: it takes a number.")
+    if key == "episodes" and (not isinstance(value, int) or value < 1):
+        raise ConfigError(f"episodes={text} is not possible: it takes a whole number from 1.")
+    return value
+
+
+def _set(config: dict[str, Any], path: str, value: Any) -> None:
+    group, _, key = path.partition(".")
+    before = config.get(group) or {}
+    if not isinstance(before, Mapping):
+        raise RunError(f"The run's configuration is damaged: its '{group}' is no mapping.")
+    config[group] = {**before, key: value}

@@ -1,0 +1,118 @@
+"""The report of a run: one HTML file that needs nothing else, not even the network.
+
+Names, configurations and metrics may come from strangers, so all text is escaped where it enters
+the page, and the page's security policy lets no script run but the stick figure player.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from string import Template
+
+from understudy.records.checkpoint import write_atomically
+from understudy.records.runs import Run
+from understudy.setup.registry import Component, Registry
+from understudy_report import words
+from understudy_report.markup import check_markup
+from understudy_report.section import ReportSection
+from understudy_report.stick_figures import PLAYER_SCRIPT
+from understudy_report.values import mapping, sequence
+
+_HERE = Path(__file__).parent
+_PAGE = Template((_HERE / "page.html").read_text(encoding="utf-8"))
+_STYLE = (_HERE / "page.css").read_text(encoding="utf-8")
+
+
+def write_report(run: Run, registry: Registry | None = None) -> Path:
+    """Write ``report.html`` into the folder of `run` from what is there; returns its path.
+
+    Parameters
+    ----------
+    run
+        The run; its evaluation, metrics, stick figures and video may be missing.
+    registry
+        Where the sections are found; by default where the parts of the run are.
+
+    Raises
+    ------
+    RunError
+        if the file cannot be written; the old one is untouched.
+    """
+    page = html_page(
+        _name(run),
+        "understudy report",
+        words.text(run.info.get("created", ""))[:16].replace("T", " "),
+        _sections(run, registry or run.registry),
+    )
+    path = run.path / "report.html"
+    write_atomically(path, page)
+    return path
+
+
+def _name(run: Run) -> str:
+    """The experiment of `run`, else its task, else its folder's name."""
+    given = map(words.text, sequence(run.info.get("overrides")))
+    named = [o.partition("=")[2] for o in given if o.lstrip("+").startswith("experiment=")]
+    task = mapping(run.info.get("config")).get("task")
+    return words.text((named or [task])[-1] or run.path.name)
+
+
+def html_page(title: str, over: str, created: str, content: str, style: str = "") -> bytes:
+    """A page of `content`, which is HTML, in the style of all pages and what `style` adds to it."""
+    page = _PAGE.substitute(
+        policy=_security_policy(),
+        style=_STYLE + style,
+        title=escape(title),
+        over=escape(over),
+        created=escape(created),
+        sections=content,
+    )
+    # JSON can smuggle in lone surrogates, which UTF-8 has no bytes for.
+    return page.encode(errors="replace")
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What a section gave."""
+
+    order: float
+    title: str
+    content: str  # HTML
+
+
+def _sections(run: Run, registry: Registry) -> str:
+    names = registry.names("report_section")
+    parts = [_part(registry.find("report_section", name), run) for name in names]
+    return "".join(
+        "<section>" + (f"<h2>{escape(part.title)}</h2>" if part.title else "") + part.content + "</section>"
+        for part in sorted((p for p in parts if p is not None), key=lambda p: p.order)
+    )  # fmt: skip
+
+
+def _part(component: Component, run: Run) -> _Part | None:
+    """What a section shows, or a sentence that names the one that cannot show itself."""
+    order, title = ReportSection.order, component.name
+    try:
+        section: ReportSection = component.factory()
+        order, title = float(section.order), str(section.title)
+        content = section.html(run)
+        if content is None:
+            return None
+        check_markup(content)
+        return _Part(order, title, content)
+    except Exception as error:  # it comes from any plugin, and the others are worth reading
+        why = f"{type(error).__name__}: {error}"
+        text = f"The section '{component.name}' of plugin '{component.plugin}' is left out: {why[:500]}"
+        return _Part(order, title, f'<p class="failed">{escape(text)}</p>')
+
+
+def _security_policy() -> str:
+    digest = base64.b64encode(hashlib.sha256(PLAYER_SCRIPT.encode()).digest()).decode()
+    return (
+        "default-src 'none'; style-src 'unsafe-inline'; img-src data:; media-src data:; "
+        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    )
