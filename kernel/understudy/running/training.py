@@ -234,7 +234,9 @@ class Training:
     def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
-        own = 1 if self.progress.met else 2 if self._spent() >= 1 else 3 if self.job.finished() else 0
+        own = (
+            1 if self.progress.met else 2 if self._spent() >= 1 else 3 if self.job.finished() else 0
+        )
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0

@@ -41,7 +41,7 @@ class Context:
     decision: int = 1  #: control periods of one decision, unless a curriculum says otherwise
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at and trainings lead to
     evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
-    coarse: bool = False  #: whether physics is coarser than the task's, as at a training's beginning
+    coarse: bool = False  #: whether physics is coarser than the task's, as trainings may begin
     registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)
     inputs: Inputs = field(default_factory=Inputs)  #: through which parts read files

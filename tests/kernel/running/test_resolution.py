@@ -57,9 +57,7 @@ def test_the_criterion_at_coarse_physics_only_sharpens(
     asked: list[str] = []
 
     def answering(kind: str, rates: list[float]) -> object:
-        def evaluate(
-            draw: str, episodes: int, *, give_up_below: float | None = None
-        ) -> Evaluation:
+        def evaluate(draw: str, episodes: int, *, give_up_below: float | None = None) -> Evaluation:
             asked.append(f"{kind} {draw}")
             return Evaluation(episodes, "", rates.pop(0))
 
