@@ -7,17 +7,22 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import torch
 from robots import MOTORS, robot_file, robot_xml
 
 from understudy.errors import ConfigError
+from understudy.task import Context
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
 from understudy_characters.servos import (
     ServoOptions,
     drive,
+    drives,
+    free_inertia,
     gains,
     has_servos,
     lags,
+    steadying_rotors,
     torque_limits,
 )
 from understudy_humanoid.character import build_spec
@@ -172,3 +177,75 @@ def test_a_light_limb_does_not_shake(tmp_path: Path) -> None:
         mujoco.mj_step(model, data)
         largest = max(largest, abs(data.qpos[address]))
     assert largest < 0.3
+
+
+# ---------------------------------------------------------------------- at coarse time steps
+
+
+def at_hertz(named: str | Path, hertz: int, speed: float | None = 10.0) -> mujoco.MjModel:
+    context = Context(0, torch.device("cpu"), 1, control_dt=1 / 30, substeps=hertz // 30)
+    options = CharacterScene.Options(str(named), servos=ServoOptions(step_speed=speed))
+    return CharacterScene(options, context).model
+
+
+def shaken(model: mujoco.MjModel, hertz: int, worlds: int = 8, decisions: int = 8) -> np.ndarray:
+    """(W, nv - 6) rad: where the joints are after targets of 0.15 rad of noise, drawn 30 times a second."""
+    data, found = mujoco.MjData(model), []
+    for world in range(worlds):
+        rng = np.random.default_rng(world)
+        mujoco.mj_resetData(model, data)
+        for _ in range(decisions):
+            data.ctrl[:] = 0.15 * rng.normal(size=model.nu)
+            mujoco.mj_step(model, data, hertz // 30)
+        away = np.zeros(model.nv)
+        mujoco.mj_differentiatePos(model, away, 1.0, model.qpos0, data.qpos)
+        found.append(away[6:])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("named", ["humanoid", "jumper", "sitting/humanoid", "robot"])
+def test_servos_track_at_any_time_step_as_they_do_at_a_fine_one(tmp_path: Path, named: str) -> None:
+    """Root mean square over worlds, of the worst joint, away from where it is at 2400 Hz."""
+    source = robot_file(tmp_path) if named == "robot" else named
+    fine = shaken(at_hertz(source, 2400), 2400)
+    for hertz in (60, 90, 150, 240, 300, 600):
+        away = shaken(at_hertz(source, hertz), hertz) - fine
+        assert np.sqrt((away**2).mean(axis=0)).max() < 0.15, hertz
+
+
+def test_without_rotors_servos_at_their_limits_do_not_hold_at_a_coarse_step() -> None:
+    fine = shaken(at_hertz("humanoid", 2400), 2400)
+    away = shaken(at_hertz("humanoid", 150, None), 150) - fine
+    assert np.sqrt((away**2).mean(axis=0)).max() > 0.3
+
+
+@pytest.mark.parametrize("speed", [5.0, 10.0])
+def test_no_servo_turns_its_joint_faster_than_stated_in_one_step(speed: float) -> None:
+    """By its whole torque, alone and from rest."""
+    model = at_hertz("humanoid", 150, speed)
+    character = Character("humanoid", model)
+    for one, inertia in zip(drives(character), free_inertia(character), strict=True):
+        limits = [
+            model.actuator_forcerange[a, 1]
+            for a in range(model.nu)
+            if model.actuator_trnid[a, 0] == one.joint and model.actuator_gear[a, one.axis] == 1
+        ]
+        assert limits[0] / 150 / inertia < 1.001 * speed
+
+
+def test_at_their_own_time_step_servos_stay_as_they_are() -> None:
+    np.testing.assert_array_equal(at_hertz("humanoid", 600).dof_armature[6:], 0.01)
+    np.testing.assert_array_equal(at_hertz("humanoid", 150, None).dof_armature[6:], 0.01)
+
+
+def test_what_a_rotor_lacks_by_hand() -> None:
+    """A joint of 0.01 kg m^2 and 3 N m turns by 3 rad/s in 1/100 s; to turn by 2 it needs 0.015."""
+    spec = mujoco.MjSpec.from_string("""<mujoco><compiler inertiagrouprange="0 5"/><worldbody>
+      <body><freejoint/><inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/>
+      <body><joint axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/></body></body>
+      </worldbody></mujoco>""")
+    character = Character("arm", spec.compile())
+    assert free_inertia(character) == pytest.approx([0.01], rel=1e-6)
+    for limit, lacks in ((3.0, 0.005), (1.0, 0.0), (np.inf, 0.0)):
+        found = steadying_rotors(character, np.array([limit]), 0.01, 2.0)
+        assert found == pytest.approx([lacks], abs=1e-8)
