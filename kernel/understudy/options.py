@@ -118,7 +118,9 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
     names = (getattr(k, "__name__", str(k)) if not typing.get_origin(k) else str(k) for k in kinds)
     expected = " or ".join(names).replace("typing.", "").replace("collections.abc.", "")
-    return ConfigError(f"{where}={value!r} is not possible: it takes {expected}.")
+    text = str in kinds and isinstance(value, (int, float))
+    hint = f" As text it is quoted twice: {where}=\"'{value}'\"." if text else ""
+    return ConfigError(f"{where}={value!r} is not possible: it takes {expected}.{hint}")
 
 
 def make_options(schema: type, values: Any, where: str) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import os
 import re
 import signal
@@ -32,6 +33,9 @@ from understudy.signals import StopRequest
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status. Without `arguments`, the process ends with it."""
     own = arguments is None
+    for stream in (sys.stdout, sys.stderr):
+        if own and isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal may not have every letter
     with StopRequest(at_once=True, for_good=own) as stop:
         try:
             return _run(list(sys.argv[1:] if own else arguments) or ["--help"])
@@ -53,6 +57,10 @@ def _run(arguments: list[str]) -> int:
     parser = _parser(arguments)
     options, overrides = parser.parse_known_args(arguments)
     _check(overrides, options.overrides_allowed)
+    if overrides:
+        from understudy.setup.composition import readable
+
+        overrides = [readable(override) for override in overrides]  # as run.json is to have them
     return options.function(options, overrides)
 
 

@@ -9,6 +9,7 @@ mebibyte or more that become much smaller by it (worlds' lists with unused place
 from __future__ import annotations
 
 import ctypes
+import errno
 import hashlib
 import json
 import math
@@ -28,8 +29,19 @@ from understudy.errors import RunError
 
 #: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
 FORMAT = 3
+#: Errors of file systems that have no locks, or cannot be asked to write at once.
+UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.ENOTTY)
 _LEAST, _MOST = 2**20, 2**32  #: bytes of a tensor that is deflated, and of all of them together
 _TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.int64)}
+
+
+def sync(descriptor: int) -> None:
+    """Have the disk hold what was written, on file systems that can be asked to."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in UNSUPPORTED:
+            raise
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -43,11 +55,11 @@ def write_atomically(path: Path, data: bytes) -> None:
         with open(temporary, "wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            sync(file.fileno())
         os.replace(temporary, path)
         folder = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(folder)
+            sync(folder)
         finally:
             os.close(folder)
     except OSError as error:

@@ -105,7 +105,10 @@ class Run:
                 f"Another process is training in {self.path}. Wait for it, or give run.dir another folder."
             ) from error
         except OSError as error:
-            raise RunError(f"{self.path} cannot be written: {error.strerror}.") from error
+            if error.errno not in checkpoint.UNSUPPORTED:
+                raise RunError(f"{self.path} cannot be written: {error.strerror}.") from error
+            text = f"The file system of {self.path} has no locks: start no second training in it."
+            print(text, file=sys.stderr)
 
     def unlock(self) -> None:
         if self._lock is not None:

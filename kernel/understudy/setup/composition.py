@@ -12,6 +12,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
@@ -42,6 +43,41 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
         raise ConfigError(_plain(error, plugins) + plugins.registry.absent()) from error
     finally:
         GlobalHydra.instance().clear()
+
+
+_PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
+_STRUCTURE = re.compile(r"[^\[\],]+")
+
+
+def readable(override: str) -> str:
+    """`override` with its value quoted where it is outside Hydra's grammar, as names of files may be."""
+    key, equals, value = override.partition("=")
+    if not equals or _PLAIN.fullmatch(override):
+        return override
+    parser = OverridesParser.create()
+
+    def reads(text: str) -> bool:
+        try:
+            return not parser.parse_override(f"{key}={text}").is_sweep_override()
+        except HydraException:
+            return False
+
+    def quoted(text: str) -> str:
+        return QuotedString(text, Quote.single).with_quotes()
+
+    if reads(value) or (value.count(",") and not _is_file(value) and not value.startswith("[")):
+        return override
+    if value.startswith("[") and not _is_file(value):
+        words = _STRUCTURE.sub(lambda w: w[0] if reads(w[0]) else quoted(w[0].strip()), value)
+        return f"{key}={words}" if reads(words) else override
+    return override if value.startswith(("{", "'", '"')) else f"{key}={quoted(value)}"
+
+
+def _is_file(value: str) -> bool:
+    try:
+        return Path(value).exists()
+    except (OSError, ValueError):
+        return False
 
 
 def _check(override: str, plugins: Plugins) -> None:
@@ -170,6 +206,7 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         ConfigError: if Hydra cannot compose it, or it contains a key that names code.
     """
     plugins = plugins or installed()
+    overrides = [readable(override) for override in overrides]
     kept, emptied, chosen = sorts(overrides, plugins)
     with hydra_session(plugins, overrides):
         config = compose("config", overrides=for_hydra(kept, plugins))

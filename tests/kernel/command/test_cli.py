@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -218,3 +221,25 @@ def test_lists(capsys: pytest.CaptureFixture[str]) -> None:
     line = next(x for x in shown if x.startswith("learner.gamma: 0.95"))
     assert line.endswith("# default of learner ppo [ppo]")
     assert next(x for x in shown if x.startswith("seed: 7")).endswith("command line: seed=7")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize(
+    "command", ["--help", "experiments", "describe learner/ppo", "motion check walk"]
+)
+def test_terminals_without_utf_8(command: str, encoding: str) -> None:
+    """What they cannot show is replaced; the rest is printed."""
+    code = "import sys; from understudy.command.cli import main; sys.exit(main())"
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command.split()], capture_output=True, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.decode(encoding)) > 100
+
+
+def test_names_that_are_no_text_are_shown(tmp_path: Path) -> None:
+    code = "import sys; from understudy.command.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "motion", "check", os.fsencode(tmp_path) + b"/\xff.bvh"]
+    done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONUTF8": "1"})
+    assert (done.returncode, done.stderr.count(b"there is no such file")) == (2, 1)

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import errno
+from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 import torch
@@ -9,6 +12,7 @@ from worlds import assert_same_state
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
+from understudy.records.runs import Run
 
 
 def test_round_trip(tmp_path: Path) -> None:
@@ -122,3 +126,39 @@ def test_write_atomically(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
     with pytest.raises(RunError, match="could not be written"):
         checkpoint.write_atomically(tmp_path / "nowhere/x", b"")
+
+
+@pytest.mark.parametrize("code", [errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP])
+def test_a_file_system_that_cannot_be_asked_to_write_at_once(
+    code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.fsync", fails_with(code))
+    checkpoint.write_atomically(tmp_path / "x", b"one")
+    assert (tmp_path / "x").read_bytes() == b"one"
+    monkeypatch.setattr("os.fsync", fails_with(errno.EIO))
+    with pytest.raises(RunError, match="could not be written"):
+        checkpoint.write_atomically(tmp_path / "x", b"two")
+
+
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks(
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = Run(tmp_path, {})
+    monkeypatch.setattr("fcntl.flock", fails_with(code))
+    run.lock()
+    assert "has no locks: start no second training in it" in capsys.readouterr().err
+    run.unlock()
+    monkeypatch.setattr("fcntl.flock", fails_with(errno.EIO))
+    with pytest.raises(RunError, match="cannot be written"):
+        run.lock()
+
+
+def fails_with(code: int) -> Callable[..., NoReturn]:
+    def fail(*arguments: object) -> NoReturn:
+        raise OSError(code, "no")
+
+    return fail

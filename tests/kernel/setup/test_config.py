@@ -11,7 +11,7 @@ from worlds import SMALL, make_training
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy.setup.composition import compose_raw, load_experiment, replaced
+from understudy.setup.composition import compose_raw, load_experiment, readable, replaced
 from understudy.setup.config import Root, refuse_code, validate
 from understudy.setup.plugins import Plugins, load
 from understudy.testing import fake
@@ -297,3 +297,51 @@ def test_strings_written_as_overrides(text: str) -> None:
 def test_other_data_written_as_overrides() -> None:
     value = {"run": "a", "more": [1, 2.5, None, True, {"x": []}]}
     assert compose_raw([f"start={written(value)}"], line_plugins())["start"] == value
+
+
+NAMES = (
+    "clip (1).bvh",
+    "läufer.bvh",
+    "epoch=9.bvh",
+    "take#2.bvh",
+    "it's.bvh",
+    "a;b & c.bvh",
+    "~x!.bvh",
+)
+
+
+@pytest.mark.parametrize("name", [*NAMES, "100% [new] {1}.bvh", "back\\\\slash(\\'.bvh"])
+def test_names_outside_the_grammar_are_taken_as_they_are(name: str) -> None:
+    """Hydra's grammar has no such words; quoted, they mean what was typed, and are quoted once."""
+    override = readable(f"motion.file={name}")
+    assert compose_raw(["experiment=spacetime/walk", override])["motion"]["file"] == name
+    assert readable(override) == override
+    listed = compose_raw(
+        ["experiment=spacetime/walk", f"evaluation.failures=[root, {NAMES[0]},läufer]"]
+    )
+    assert listed["evaluation"]["failures"] == ["root", NAMES[0], "läufer"]
+
+
+def test_a_list_without_brackets_is_a_file_if_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    override = "motion.file=walk,run.bvh"
+    with pytest.raises(ConfigError, match="has several values and a run takes one"):
+        compose_raw(["experiment=spacetime/walk", override])
+    Path("walk,run.bvh").touch()
+    Path("3").touch()
+    raw = compose_raw(["experiment=spacetime/walk", override, "seed=3"])
+    assert (raw["motion"]["file"], raw["seed"]) == ("walk,run.bvh", 3)
+
+
+@pytest.mark.parametrize("value", ["[0.1", "[[0, 1], [2, (3]", "{name: x", "'x", '"x'])
+def test_what_begins_like_a_structure_is_not_taken_for_a_name(value: str) -> None:
+    with pytest.raises(ConfigError, match=r"cannot be read\. Check brackets and quotes"):
+        compose_raw(["experiment=spacetime/walk", f"motion.file={value}"])
+
+
+def test_a_number_where_text_is_wanted() -> None:
+    with pytest.raises(ConfigError, match=r"As text it is quoted twice: run\.dir=\"'2024'\""):
+        load_experiment(["experiment=spacetime/walk", "run.dir=2024"])
+    assert load_experiment(["experiment=spacetime/walk", "run.dir='2024'"]).root.run.dir == "2024"

@@ -37,7 +37,9 @@ _HALF, _THICKNESS, _OVERHANG = (0.30, 0.5), 0.03, 0.06
 
 def build_cook() -> mujoco.MjSpec:
     """A standing figure whose joints have people's ranges (`cook.xml`)."""
-    return mujoco.MjSpec.from_string((Path(__file__).parent / "cook.xml").read_text())
+    return mujoco.MjSpec.from_string(
+        (Path(__file__).parent / "cook.xml").read_text(encoding="utf-8")
+    )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from understudy.errors import ConfigError, RunError
-from understudy.records.checkpoint import write_atomically
+from understudy.records.checkpoint import sync, write_atomically
 from understudy.running.trials import Report, Trial
 
 
@@ -84,7 +83,7 @@ class Journal:
             with open(self.path, "a", encoding="utf-8") as file:
                 file.write(_row(event))
                 file.flush()
-                os.fsync(file.fileno())
+                sync(file.fileno())
         except OSError as error:
             raise RunError(
                 f"{self.path} could not be written: {error.strerror}. Make room and repeat the "

@@ -141,4 +141,4 @@ def _flat(value: Any, prefix: str) -> Iterator[tuple[str, str]]:
         for key, item in value.items():
             yield from _flat(item, f"{prefix}.{key}" if prefix else str(key))
     else:
-        yield prefix, json.dumps(value)
+        yield prefix, json.dumps(value, ensure_ascii=False)

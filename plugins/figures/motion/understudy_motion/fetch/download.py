@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import os
 import re
 import socket
 import ssl
@@ -33,6 +32,7 @@ from urllib.request import (
 
 from understudy import __version__
 from understudy.errors import FileError
+from understudy.records.checkpoint import sync
 from understudy_motion.reading import read_bytes
 
 PART = ".part"
@@ -161,7 +161,9 @@ def _attempt(url: str, part: Path, progress: Progress) -> None:
             discard(part)
             size, total = 0, r.length
             if again := _validator(r):
-                _validator_file(part).write_text(json.dumps({"url": url, "validator": again}))
+                _validator_file(part).write_text(
+                    json.dumps({"url": url, "validator": again}), encoding="utf-8"
+                )
         else:
             raise FileError(f"{url}: the server answered {r.status} {r.reason}.")
         with part.open("ab") as file:
@@ -173,7 +175,7 @@ def _attempt(url: str, part: Path, progress: Progress) -> None:
                 file.write(block)
                 progress(size, total)
             file.flush()
-            os.fsync(file.fileno())
+            sync(file.fileno())
     if size == 0:
         raise FileError(f"{url} is empty.")
     if total is not None and size != total:
@@ -270,7 +272,7 @@ def _validator(response: http.client.HTTPResponse) -> str:
 def _begun(part: Path, url: str) -> str:
     """The validator of the content of which `part` is the beginning, if that is the content of `url`."""
     try:
-        note: Any = json.loads(_validator_file(part).read_text())
+        note: Any = json.loads(_validator_file(part).read_text(encoding="utf-8"))
         if part.is_file() and note["url"] == url and note["validator"].isprintable():
             return note["validator"]
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):

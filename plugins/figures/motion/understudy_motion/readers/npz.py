@@ -172,7 +172,7 @@ def _literals(pickled: bytes) -> np.ndarray:
                 numbers = []
             elif numbers is None or opcode.name in _STRUCTURE:
                 continue
-            elif opcode.name in _NUMBERS:
+            elif opcode.name in _NUMBERS and argument is not None:
                 numbers.append(float(argument))
             else:
                 numbers = None
