@@ -252,7 +252,7 @@ def test_official_addresses() -> None:
     )
 
 
-def test_a_skeleton_is_fetched_once() -> None:
+def test_a_skeleton_is_fetched_once(data: Path) -> None:
     files = [file.path.name for file in command.wanted(["02_01..02_02", "02_02", "03_01"])]
     assert files == ["02.asf", "02_01.amc", "02_02.amc", "03.asf", "03_01.amc"]
 
@@ -948,8 +948,9 @@ def real_mirror() -> Path | None:
 def test_a_recorded_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mirror = real_mirror()
     known = registry(AmcReader)
-    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path))
-    for file in command.wanted(["02_01"], str(mirror)):
+    monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path / "users"))
+    monkeypatch.chdir(tmp_path)
+    for file in command.wanted(["02_01"], str(mirror and mirror.resolve())):
         assert command.fetch(file, known).startswith("fetched")
     motion = Motion(MotionOptions(name="02_01"), known, Inputs())
     assert motion.provenance()["licence"] == cmu.LICENCE

@@ -50,7 +50,18 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "lying_character.txt").write_text("{}")
     (folder / "README.md").write_text("no clip")
     monkeypatch.setenv(library.DATA_VARIABLE, str(tmp_path))
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
     return tmp_path
+
+
+def test_clips_of_the_working_folder_are_found_after_those_of_the_data_folder(data: Path) -> None:
+    own = Path("motions") / "fetched"
+    own.mkdir(parents=True)
+    for name in ("lying", "mine"):
+        (own / f"{name}.json").write_text(LYING)
+    assert library.files("mine", None, GENERATED)[0] == own / "mine.json"
+    assert library.files("lying", None, GENERATED)[0].is_relative_to(data / "motions" / "ours")
 
 
 def test_generated_clips_are_found_by_name(data: Path) -> None:
