@@ -228,13 +228,13 @@ def test_a_million_frames_are_refused_at_once(tmp_path: Path) -> None:
     path = tmp_path / "long.txt"
     frame = json.dumps(row(), separators=(",", ":"))
     path.write_text('{"Loop":"none","Frames":[' + ",".join([frame] * 10**6) + "]}")
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(FileError, match=r"long\.txt: larger than"):
         deepmimic.DeepMimicReader().read(path)
     path.write_text('{"Loop":"none","Frames":[' + ",".join(["[]"] * 10**6) + "]}")
     with pytest.raises(FileError, match="1000000 frames; a clip has from 2 to"):
         deepmimic.DeepMimicReader().read(path)
-    assert time.perf_counter() - began < 5.0
+    assert time.process_time() - began < 5.0
 
 
 def test_the_largest_allowed_file_loads_in_seconds(tmp_path: Path) -> None:
