@@ -19,7 +19,7 @@ from understudy_characters.character import Character, character_spec
 from understudy_characters.heads import head_body, ring
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
-from understudy_characters.servos import ServoOptions, drive, gains_of
+from understudy_characters.servos import COARSE_SPEED, ServoOptions, drive, gains_of
 from understudy_characters.shapes import body_shapes
 from understudy_characters.state import Poses
 from understudy_characters.surroundings import Surroundings
@@ -64,7 +64,10 @@ class CharacterScene(MujocoScene):
         name, spec = character_spec(options.character, registry, context)
         timestep = context.control_dt / context.substeps if context else 1 / 600
         character = _compiled(name, spec)
-        drive(spec, character, timestep, options.servos)
+        servos = options.servos
+        if context and context.coarse and servos.step_speed is None:
+            servos = replace(servos, step_speed=COARSE_SPEED)
+        drive(spec, character, timestep, servos)
         spec.modelname = name
         spec.option.timestep = timestep
         if options.solver == "fast":

@@ -26,6 +26,8 @@ STRENGTH = 0.45
 ROTOR = 0.02
 #: s: up to this time step servos are left as they are made (600 Hz: thesis, section 3.5).
 FINE = 1 / 600
+#: rad/s, of ``step_speed`` in coarse physics.
+COARSE_SPEED = 10.0
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,9 @@ class ServoOptions:
     #: rad off its target at which a servo gives its whole torque: at least and at most.
     deflection: tuple[float, float] = (0.1, 0.3)
     #: rad/s by which a servo's whole torque turns its joint in one sub-step, at most; where these are
-    #: longer than 1/600 s, rotors get the inertia for it. Null leaves them as they are.
-    step_speed: float | None = 10.0
+    #: longer than 1/600 s, rotors get the inertia for it. Null does so only in coarse physics
+    #: (``resolution.substeps``), at 10 rad/s.
+    step_speed: float | None = None
 
     def __post_init__(self) -> None:
         check_range(self, "natural_frequency", "damping_ratio", "step_speed", above=0)
