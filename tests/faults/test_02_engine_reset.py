@@ -125,6 +125,7 @@ def test_marks_outlast_several_steps(plugins: Plugins) -> None:
         if state_is_set:
             simulator.restore(start)
         assert simulator.failed().tolist() == [i == 5 and not state_is_set for i in range(16)]
+        simulator.step(torch.zeros(16, 1))
         assert not simulator.failed().any()
 
 

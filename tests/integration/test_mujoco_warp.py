@@ -80,11 +80,17 @@ def test_environment_conforms(device: str) -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e12])
-def test_a_bad_world_ends_alone(device: str, value: float) -> None:
+@pytest.mark.parametrize(
+    ("field", "place"), [("qvel", 3), ("qpos", 4)]
+)  # the latter of a quaternion
+@pytest.mark.parametrize("decision", [1, 2])
+def test_a_bad_world_ends_alone(
+    device: str, decision: int, field: str, place: int, value: float
+) -> None:
     """Fault 1: that world fails and begins anew; the others go on; nothing non-finite gets out."""
-    environment = build(device).environment
+    environment = build(device, f"control.decision={decision}").environment
     environment.reset(seed=1)
-    environment.parts.simulator.read("qvel")[2, 3] = value
+    environment.parts.simulator.read(field)[2, place] = value
     step = environment.step(environment.observations["feedforward"])
     expected = torch.zeros(8, dtype=torch.bool)
     expected[2] = True

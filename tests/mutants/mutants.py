@@ -32,6 +32,7 @@ OPTIMISERS = "plugins/learning/basics/understudy_basics/optimisers.py"
 CLIP = "plugins/figures/motion/understudy_motion/clip.py"
 NPZ = "plugins/figures/motion/understudy_motion/readers/npz.py"
 F01, F02, F05 = (f"tests/faults/test_0{n}.py" for n in ("1_nonfinite_state", "2_engine_reset", "5_nonfinite_update"))  # fmt: skip
+POISON = "tests/faults/test_01_poisoned_fields.py"
 F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/test_09_damaged_files.py", "tests/faults/test_10_resume.py"  # fmt: skip
 F13 = "tests/faults/test_13_stop_signals.py"
 ANY = "tests/faults/test_13_any_moment.py"
@@ -60,19 +61,23 @@ MUTANTS = (
     Mutant("the simulator's word is ignored", ENVIRONMENT, "self._unsound |= simulator.failed()", "pass", F02),
     Mutant("the simulator is asked once a decision", ENVIRONMENT, "self._unsound |= simulator.failed()",
            "self._unsound.copy_(simulator.failed())", f"{F02} -k clock"),
-    Mutant("marks are forgotten before they are read", MUJOCO,
-           "        self._views[\"ctrl\"][:] = control.numpy()\n",
-           "        self._views[\"ctrl\"][:] = control.numpy()\n        self._broken[:] = False\n", f"{F02} -k several_steps"),
-    Mutant("marks are never forgotten", MUJOCO, "        self._broken[:] = False  # not before", "        # not before",
+    Mutant("marks are forgotten before they are read", MUJOCO, "if self._asked:  # not before", "if True:  # not before",
            f"{F02} -k several_steps"),
+    Mutant("marks are never forgotten", MUJOCO, "self._broken[:] = self._asked = False", "pass", f"{F02} -k several_steps"),
+    Mutant("a step hides a bad quaternion", "plugins/mujoco_warp/understudy_mujoco_warp/simulator.py",
+           "        self._bad |= ~self._sound()\n", "", f"{WARP} -m slow -k bad_world"),
     Mutant("a bad reward is none", ENVIRONMENT, "self._unsound | ~sound(rewards)", "self._unsound", f"{F01} -k derived"),
     Mutant("a bad observation is none", ENVIRONMENT, "unsound = unsound | ~sound(value)", "pass",
            f"{F01} -k derived"),
     Mutant("a bad reward is counted", ENVIRONMENT, "rewards = rewards.masked_fill(unsound, 0.0)", "pass", F01),
     Mutant("last observations are bad", ENVIRONMENT,
            "name: torch.where(rows(step.unsound, value), step.observations[name], value)", "name: value", F01),
-    Mutant("first observations are bad", ENVIRONMENT,
-           "name: torch.where(rows(sound(value), value), value, 0.0)", "name: value", f"{F01} -k derived"),
+    Mutant("first observations are bad", ENVIRONMENT, "name: without_unsound(value) for", "name: value for",
+           f"{F01} -k derived"),
+    Mutant("records are bad", f"{KERNEL}/running/collector.py", "without_unsound(environment.table[name])",
+           "environment.table[name]", POISON),
+    Mutant("an index is made of NaN", "plugins/amorphous/understudy_amorphous/maps.py",
+           "cell.long().clamp(0, cells - 1)", "cell.clamp(0, cells - 1).long()", POISON),
     Mutant("huge is not bad", ENVIRONMENT, "LARGEST = 1e10", "LARGEST = 1e30", F01),
     Mutant("all worlds' draws are used", ENVIRONMENT, "self._streams.give_back(~worlds, before)", "pass",
            "tests/faults/test_17_determinism.py"),

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from understudy.random import WorldStreams
-from understudy.running.environment import Environment
+from understudy.running.environment import Environment, without_unsound
 from understudy.task import Policy, Rollout
 
 
@@ -49,7 +49,7 @@ class Collector:
             for name, value in observations.items():
                 rollout.observations[name][t] = value
             for name in self._records:
-                rollout.records[name][t] = environment.table[name]
+                rollout.records[name][t] = without_unsound(environment.table[name])
             distribution = policy.distribution(observations)
             action = distribution.sample(self.streams)
             rollout.actions[t] = action

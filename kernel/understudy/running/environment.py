@@ -474,10 +474,7 @@ class Environment:
 
     def _first(self) -> dict[str, Tensor]:
         """The observations after :meth:`_begin`; zero in worlds that began unsound and fail next."""
-        return {
-            name: torch.where(rows(sound(value), value), value, 0.0)
-            for name, value in self._encode().items()
-        }
+        return {name: without_unsound(value) for name, value in self._encode().items()}
 
     def _begin(self, worlds: Tensor) -> None:
         parts, before = self.parts, self._streams.state_dict()
@@ -652,3 +649,8 @@ def sound(value: Tensor) -> Tensor:
     """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
     size = value.abs()[:, None].flatten(1)  # amax is NaN where a number is; it takes no empty rows
     return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
+
+
+def without_unsound(value: Tensor) -> Tensor:
+    """`value` (N, …), 0 in the rows where a number is not finite or of no sane size."""
+    return torch.where(rows(sound(value), value), value, 0) if value.is_floating_point() else value

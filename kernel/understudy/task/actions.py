@@ -54,7 +54,9 @@ class ActionSpace:
         """The parts of `action` (…, A) by name: boxes (…, size), choices (…,) int64."""
         columns = action.split([part.columns for part in self.parts.values()], dim=-1)
         return {
-            name: piece if isinstance(part, Box) else piece.squeeze(-1).long()
+            name: piece
+            if isinstance(part, Box)
+            else piece.squeeze(-1).long().clamp(0, part.count - 1)
             for (name, part), piece in zip(self.parts.items(), columns, strict=True)
         }
 

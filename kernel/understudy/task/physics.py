@@ -90,7 +90,7 @@ class Simulator(ABC):
     @abstractmethod
     def failed(self) -> Tensor:
         """(N,) bool: worlds that went wrong (non-finite, diverged, reset by the engine) since their state
-        was set or this was last asked. It is asked after every step."""
+        was set, or in the steps since this was last asked. It is asked after every step."""
 
     @abstractmethod
     def snapshot(self) -> dict[str, Tensor]:

@@ -63,7 +63,8 @@ def share_distance(
     distance = distance_to(goal, particle_position)
     ordered = torch.where(active_particles > 0, distance, torch.inf).sort(dim=1).values
     count = active_particles.sum(dim=1)
-    last = ((share * count - 1e-3).ceil() - 1).clamp(min=0).long()  # 0.95 · 200 are 190, not 191
+    last = ((share * count - 1e-3).ceil() - 1).long()  # 0.95 · 200 are 190, not 191
+    last = last.clamp(0, ordered.shape[1] - 1)
     found = ordered.gather(1, last.unsqueeze(1)).squeeze(1)
     return torch.where(count > 0, found, 0.0)
 

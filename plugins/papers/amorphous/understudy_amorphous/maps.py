@@ -59,7 +59,7 @@ def spread(points: Tensor, values: Tensor, grid: Grid) -> Tensor:
     inside = (cell >= 0) & (cell < cells)
     weight = (near[:, :, 0, :, None] + near[:, :, 1, None, :]).sqrt()  # (B, P, 5, 5), eq. 3
     weight = weight * (inside[:, :, 0, :, None] & inside[:, :, 1, None, :])
-    index = cell.clamp(0, cells - 1).long()
+    index = cell.long().clamp(0, cells - 1)  # in this order NaN too has a place
     index = index[:, :, 0, :, None] * cells + index[:, :, 1, None, :]
     index = index + torch.arange(worlds, device=points.device).view(-1, 1, 1, 1) * cells * cells
     weighted = weight.unsqueeze(-1) * values[:, :, None, None, :]

@@ -361,7 +361,7 @@ class AroundChair(InitialStates):
             difficulty, dtype=torch.bool
         )  # fmt: skip
         zone = torch.where(keeps, any_zone.clamp(max=3.0), hardest)
-        row = zone.long() - 1
+        row = (zone.long() - 1).clamp(0, len(self._begin) - 1)
         angle = self._begin[row] + self._width[row] * drawn[:, 1]
         newest = zone == hardest
         if self._sector is not None:

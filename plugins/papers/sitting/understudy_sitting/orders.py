@@ -69,4 +69,4 @@ class InOrder(Actuation):
 
     def control(self, action: Tensor, switch: Tensor, **fields: Tensor) -> Tensor:
         controls = torch.stack([controller(fields) for controller in self._controllers])
-        return controls[switch.long(), self._worlds]
+        return controls[switch.long().clamp(0, self._last), self._worlds]

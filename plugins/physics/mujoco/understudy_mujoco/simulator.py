@@ -81,6 +81,7 @@ class MujocoSimulator(Simulator):
         #: (kinds,) since the start; the engine's own counters begin anew with their world.
         self._counts = np.zeros(len(_WARNINGS), dtype=np.int64)
         self._broken = np.zeros(context.num_worlds, dtype=bool)
+        self._asked = False  #: whether anybody was told of those
 
     def _start(self, model: mujoco.MjModel, worlds: int, threads: int) -> None:
         self.model = model
@@ -167,6 +168,8 @@ class MujocoSimulator(Simulator):
         self._forward(ids)
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
+        if self._asked:  # not before: several steps may come between
+            self._broken[:] = self._asked = False
         self._views["ctrl"][:] = control.numpy()
         before = self._warnings()
         count = self._substeps if substeps is None else substeps
@@ -177,9 +180,8 @@ class MujocoSimulator(Simulator):
 
     def failed(self) -> Tensor:
         sound = np.isfinite(self._views["qpos"]).all(1) & np.isfinite(self._views["qvel"]).all(1)
-        found = torch.from_numpy(self._broken | ~sound)
-        self._broken[:] = False  # not before it was read: several steps may come between
-        return found
+        self._asked = True
+        return torch.from_numpy(self._broken | ~sound)
 
     def snapshot(self) -> dict[str, Tensor]:
         copies = {name: torch.from_numpy(value.copy()) for name, value in self._varied.items()}

@@ -156,6 +156,9 @@ class MujocoWarpSimulator(Simulator):
             | dropped.CCD
         )
         self._overflows = torch.zeros((), dtype=torch.int64, device=self._device)
+        #: (N,) worlds that began a step with numbers that the step may hide: it normalises quaternions.
+        self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
+        self._asked = False  #: whether anybody was told of those
         self._stage = Stage.KINEMATICS
         self._settle()
 
@@ -289,6 +292,7 @@ class MujocoWarpSimulator(Simulator):
         return self._views[name]
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
+        self._bad &= ~worlds
         groups = self._set_parameters(worlds, state)
         for name, view in self._state.items():
             put_rows(
@@ -298,16 +302,25 @@ class MujocoWarpSimulator(Simulator):
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         count = self._substeps if substeps is None else substeps
+        if self._asked:
+            self._bad.zero_()
+            self._asked = False
+        self._bad |= ~self._sound()
         self._views["ctrl"].copy_(control)
         self._run(("step", count), lambda: self._advance(count))
         self._overflows += ((self._overflow & self._dropping) != 0).sum()
         self._overflow.zero_()
 
     def failed(self) -> Tensor:
+        self._asked = True
+        return self._bad | ~self._sound()
+
+    def _sound(self) -> Tensor:
+        """(N,) bool: the state is finite and of sane size."""
         sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
         for name in self.state_fields:
             sound &= (self._views[name].abs() < _LIMIT).all(dim=1)  # false for NaN
-        return ~sound
+        return sound
 
     def snapshot(self) -> dict[str, Tensor]:
         return {name: view.clone() for name, view in {**self._state, **self._varied}.items()}
@@ -315,6 +328,7 @@ class MujocoWarpSimulator(Simulator):
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
         if worlds is None:
             worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
+        self._bad &= ~worlds
         groups = self._set_parameters(worlds, snapshot)
         for name, view in self._state.items():
             put_rows(view, worlds, snapshot[name])

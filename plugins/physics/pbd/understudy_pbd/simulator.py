@@ -145,6 +145,9 @@ class ParticleSimulator(Simulator):
             wp.to_torch(system.control) if t else torch.zeros(self._n, 0, device=self._device)
         )
         self._overflow = wp.to_torch(system.overflow)
+        #: (N,) worlds that began a step with numbers that the step may hide: it moves the tools anew.
+        self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
+        self._asked = False  #: whether anybody was told of those
 
     def _build(self, model: ParticleModel) -> tuple[Any, Features]:
         """The system on Warp's present device, and what its kernels have to know."""
@@ -320,6 +323,7 @@ class ParticleSimulator(Simulator):
         return self._views[name]
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
+        self._bad &= ~worlds
         for name in self._varied:
             if name in state:
                 put_rows(self._known[name], worlds, state[name])
@@ -330,16 +334,25 @@ class ParticleSimulator(Simulator):
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         count = self._substeps if substeps is None else substeps
+        if self._asked:
+            self._bad.zero_()
+            self._asked = False
+        self._bad |= ~self._sound()
         self._control.copy_(control)
         changed = (*self._state.values(), self._overflow)
         self._warp.run(count, lambda: self._advance(count), changed)
 
     def failed(self) -> Tensor:
+        self._asked = True
+        return self._bad | ~self._sound()
+
+    def _sound(self) -> Tensor:
+        """(N,) bool: the state is finite, and particles are near and slow enough."""
         sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
         for name in self.state_fields:
             limit = _SPEED if name.endswith("velocity") else _EXTENT
             sound &= (self._views[name].abs() < limit).flatten(1).all(dim=1)  # false for NaN
-        return ~sound
+        return sound
 
     def snapshot(self) -> dict[str, Tensor]:
         varied = {name: self._known[name] for name in self._varied}
@@ -348,6 +361,7 @@ class ParticleSimulator(Simulator):
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
         if worlds is None:
             worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
+        self._bad &= ~worlds
         for name in self._varied:
             if name in snapshot:
                 put_rows(self._known[name], worlds, snapshot[name])
