@@ -35,7 +35,7 @@ _PICTURE = {
 
 
 #: Keys that say where a run is judged, not what of it.
-_WHERE = ("device", "num_worlds")
+_WHERE = ("device", "num_worlds", "simulator.threads")
 #: Of a run folder: where what was drawn otherwise is.
 RENDERS = "renders"
 
