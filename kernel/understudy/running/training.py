@@ -257,15 +257,22 @@ class Training:
         if not distributed.decided(int(ripe), self.job.device):
             return {}
         self._rehearsed = False
+        if (every := self._every()) < math.inf:  # what was learned mostly holds: look soon
+            soon = self.progress.samples - round(every / 2)
+            self.progress.evaluated_at = min(self.progress.evaluated_at, soon)
         return {f"mark/{self.job.sharpen()}": 1.0}
 
     def _due(self) -> bool:
         """Whether it is time for an evaluation, and one may be worth its while."""
-        options, progress = self.experiment.root.evaluation, self.progress
-        every = options.every_samples
-        if every is None:
-            every = math.inf if options.criterion is None else 100_000
-        return progress.samples - progress.evaluated_at >= max(every, 1) and self.job.promising()
+        waited = self.progress.samples - self.progress.evaluated_at
+        return waited >= self._every() and self.job.promising()
+
+    def _every(self) -> float:
+        """After how many samples evaluations follow one another."""
+        options = self.experiment.root.evaluation
+        if options.every_samples is None:
+            return math.inf if options.criterion is None else 100_000
+        return max(options.every_samples, 1)
 
     def _evaluate_if_due(self) -> dict[str, float]:
         """Evaluate now and then; the criterion is met when it holds on one draw of starts and then on
