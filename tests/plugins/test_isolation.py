@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from quick import ELSEWHERE
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = {
@@ -110,7 +111,7 @@ def test_declarations_have_no_cycle() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_works_with_only_what_it_declares(name: str) -> None:
     if name == "mujoco_warp":
-        pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     allowed = {name, *requires(name), *MATERIAL.get(name, ())}
     environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join(allowed)}
     code = f"from understudy.testing import check_plugin; check_plugin('{name}')"
@@ -120,7 +121,7 @@ def test_works_with_only_what_it_declares(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_its_own_tests_pass_alone(name: str) -> None:
-    tests = ROOT / "tests" / "plugins" / name
+    tests = ROOT / "tests" / "plugins" / ELSEWHERE.get(name, name)
     if not tests.is_dir():
         pytest.skip("it has no tests of its own")
     allowed = {name, *requires(name), *MATERIAL.get(name, ())}
