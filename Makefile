@@ -62,6 +62,7 @@ check: install
 	$(BIN)/ruff format --check kernel plugins tests benchmarks
 	$(BIN)/ruff check kernel plugins tests benchmarks
 	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/python -m pytest -q tests/plugins/test_every_component.py
 
 # Try every part in every task and write docs/parts-and-tasks.md.
 parts-and-tasks: install

@@ -35,7 +35,7 @@ class Documented(Where):
 
     @dataclass(frozen=True)
     class Options:
-        size: int = 3
+        size: int = 3  #: a number
 
 
 class Undocumented(Encoder):
@@ -48,6 +48,11 @@ def untyped(x, *, limit: float = 1.0):
 
 def untyped_option(x: Tensor, *, limit=1.0):
     """Its option has no type."""
+
+
+def unsaid_option(x: Tensor, *, limit: float = 1.0) -> Tensor:
+    """Nothing says what its option is."""
+    return x
 
 
 def undocumented(x: Tensor) -> Tensor: ...
@@ -65,6 +70,7 @@ def test_check_component() -> None:
         (undocumented, "has no docstring"),
         (untyped, "parameter 'x' of encoder 'mine' has no type"),
         (untyped_option, "'limit' of encoder 'mine' has no type"),
+        (unsaid_option, "encoder 'mine': no sentence on 'limit'"),
     ],
 )
 def test_check_component_refuses(target: Any, message: str) -> None:
@@ -289,7 +295,12 @@ def infinite(qpos: Tensor) -> Tensor:
     return qpos[:, 0] / 0.0
 
 
-def odd_default(qpos: Tensor, *, scale: float = None) -> Tensor:  # type: ignore[assignment]  # noqa: RUF013
+def odd_default(
+    qpos: Tensor,
+    *,
+    #: of nothing
+    scale: float = None,  # type: ignore[assignment]  # noqa: RUF013
+) -> Tensor:
     """Has a default that is not of its type."""
     return qpos[:, 0]
 

@@ -79,9 +79,9 @@ class Linear(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        samples: int
-        start: float = 0.0
-        knots: Knots = Knots()
+        samples: int  #: training samples until the task's difficulty, from 1
+        start: float = 0.0  #: the first difficulty, in [0, 1]
+        knots: Knots = Knots()  #: what changes with the difficulty
 
         def __post_init__(self) -> None:
             check_range(self, "samples", least=1)
@@ -132,12 +132,13 @@ class Adaptive(Curriculum):
     @dataclass(frozen=True)
     class Options:
         threshold: float  #: of the mean return, or of the share of successes
+        #: what is judged: the share of successes, or the mean return
         by: Literal["return", "success"] = "success"
-        start: float = 0.0
-        step: float = 0.1
+        start: float = 0.0  #: the first difficulty, in [0, 1]
+        step: float = 0.1  #: by how much the difficulty rises, above 0, at most 1
         episodes: int = 64  #: how many ended episodes are judged together at least
         counts: str | None = None  #: field (N,): only episodes where it is not 0 count; null, all
-        knots: Knots = Knots()
+        knots: Knots = Knots()  #: what changes with the difficulty
 
         def __post_init__(self) -> None:
             check_range(self, "start", least=0, most=1)

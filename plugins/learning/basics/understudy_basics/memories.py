@@ -112,7 +112,7 @@ class RedrawnTarget(Memory):
     @dataclass(frozen=True)
     class Options:
         low: tuple[float, ...]  #: of the box
-        high: tuple[float, ...]
+        high: tuple[float, ...]  #: the box's other corner, in the target's unit
         every: float | None = None  #: seconds after which it is drawn again
         #: Distance of ``position``, then a field that is read, at which it is drawn again.
         within: float | None = None

@@ -310,9 +310,9 @@ def action_distribution(space: ActionSpace, outputs: Tensor, std: Tensor) -> Dis
 class Schedule:
     """A value that goes linearly from `start` to `end` over `samples` training samples."""
 
-    start: float
-    end: float
-    samples: int = 1_000_000
+    start: float  #: the value at the beginning
+    end: float  #: the value from ``samples`` on
+    samples: int = 1_000_000  #: training samples until ``end``, from 1
 
     def __post_init__(self) -> None:
         check_range(self, "samples", least=1)

@@ -40,7 +40,7 @@ class MLPPolicy(Policy):
     class Options:
         observation: str = "state"  #: name of the encoder read
         hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)
-        activation: Literal["relu", "elu", "tanh"] = "relu"
+        activation: Literal["relu", "elu", "tanh"] = "relu"  #: between the layers
         #: Standard deviation of the boxes' numbers, in their units.
         noise: Schedule = field(default_factory=lambda: Schedule(0.1, 0.05))
         learn_noise: bool = False  #: learn the deviation from ``noise.start`` instead of scheduling

@@ -22,8 +22,8 @@ class Between:
     """Seconds after which training episodes are cut, drawn for each evenly between these. Worlds then
     do not all begin at once, and a short rollout of many worlds has all phases of an episode."""
 
-    least: float
-    most: float
+    least: float  #: s, above 0
+    most: float  #: s, at least `least`
 
     def __post_init__(self) -> None:
         check_range(self, "least", above=0)
@@ -41,7 +41,7 @@ class Lengths(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        seconds: Between
+        seconds: Between  #: how long training episodes are
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -78,8 +78,9 @@ class Clusters(Curriculum):
     @dataclass(frozen=True)
     class Options:
         seconds: Between  #: how long training episodes are
-        start: int = 1
-        most: int = 4
+        start: int = 1  #: clusters in the beginning, from 1
+        most: int = 4  #: clusters in the end (section 4.1 has 4); at most ``scene.blocks``
+        #: what is judged: the share of episodes that end near the goal, or the mean return
         by: Literal["distance", "return"] = "distance"
         threshold: float = 0.5  #: of the share of episodes, or of the mean return
         within: float = 1.5  #: m; Table 3 reports 1.06 m on average

@@ -170,7 +170,7 @@ class ToolState(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        axes: tuple[str, ...] = ("x", "y", "yaw")
+        axes: tuple[str, ...] = ("x", "y", "yaw")  #: those that the tool moves along or turns about
         #: Also the material's angular velocity, as for flipping (section 4.3).
         material_spin: bool = False
 

@@ -54,6 +54,7 @@ class CMFBO(OuterLoop):
         easier: bool = True
         #: … and with which parts of it.
         parts: tuple[Part, ...] = ("actor", "critic", "normaliser")
+        #: how the objective is modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
         def __post_init__(self) -> None:

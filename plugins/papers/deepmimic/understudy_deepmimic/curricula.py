@@ -210,8 +210,9 @@ class Annealed(Curriculum):
     @dataclass(frozen=True)
     class Options:
         start: float = 0.5  #: s
+        #: training samples until episodes are longest, from 1 (the released program)
         samples: int = 32_000_000
-        power: float = 4.0
+        power: float = 4.0  #: exponent of the share of ``samples``, above 0 (the released program)
         patience: int | None = 500  #: iterations; null goes on to the budget
 
         def __post_init__(self) -> None:

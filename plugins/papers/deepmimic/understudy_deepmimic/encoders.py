@@ -26,7 +26,7 @@ class StateEncoder(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        deviation: bool = True
+        deviation: bool = True  #: whether the policy sees how far it is from the reference
 
     shape: Shape
 

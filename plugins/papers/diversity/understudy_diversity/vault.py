@@ -192,7 +192,13 @@ class Limbs(Actuation):
         return torch.cat([tuck, self._push * torch.tanh(action[:, 1:])], dim=1)
 
 
-def passing(crossing: Tensor, cleared: Tensor, *, scale: float = 1.0) -> Tensor:
+def passing(
+    crossing: Tensor,
+    cleared: Tensor,
+    *,
+    #: m, above 0
+    scale: float = 1.0,
+) -> Tensor:
     """When the bar is passed, e^{(cleared - 1 m) / scale}: sparse, and more for passing higher."""
     return crossing * ((cleared - 1.0) / scale).exp()
 

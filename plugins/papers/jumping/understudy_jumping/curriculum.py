@@ -28,9 +28,9 @@ class Accumulated(Curriculum):
     class Options:
         threshold: float = 30.0  #: R_T
         step: float = 1 / 150  #: of the difficulty: Δz over z_max - z_min
-        start: float = 0.0
+        start: float = 0.0  #: the first difficulty, in [0, 1]
         batch: int = 4096  #: samples of the paper's iteration
-        groups: int = 1
+        groups: int = 1  #: of worlds, from 1, each with a difficulty of its own
         #: Control periods of a decision: (difficulty, periods) with rising difficulties.
         decision: tuple[tuple[float, int], ...] = field(default_factory=tuple)
 

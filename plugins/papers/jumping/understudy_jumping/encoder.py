@@ -22,7 +22,7 @@ class GlobalState(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: bool = False
+        takeoff: bool = False  #: whether the policy sees what the episode began with
 
     shape: Shape
 

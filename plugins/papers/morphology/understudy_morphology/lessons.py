@@ -34,12 +34,13 @@ class Lessons(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        ratio: float = 0.75
+        ratio: float = 0.75  #: by which help lessens, in (0, 1) (Yu et al. 2018, section 4.2.2)
+        #: of the first lesson's return, in [0, 1] (Yu et al. 2018, section 4.2.2)
         share: float = 0.7
         least: float = 0.025  #: 5 of 200 N/m
         lasting: float = 6.0  #: s
         speed: float = 0.5  #: share of the target velocity
-        episodes: int = 32
+        episodes: int = 32  #: how many ended episodes are judged together at least
         patience: int | None = None  #: iterations; null goes on to the budget
 
         def __post_init__(self) -> None:

@@ -85,16 +85,18 @@ class LearnPoses(NetworkJob[PoseVAE]):
         #: Folders of clips, clip files, names of generated clips, or names in $UNDERSTUDY_DATA/motions.
         clips: tuple[str, ...]
         character: str = "humanoid"  #: whose joints and lengths the poses have
+        #: whether every pose is learned from left to right, too
         mirror: bool = (
             True  #: learn mirror images too; with them the authors' clips are 20 230 poses
         )
         held_out: float = 0.1  #: share of the clips that only evaluations see
         latent: int | None = 13  #: L; null takes as many as principal components cover ``coverage``
         coverage: float = 0.85  #: of the variance
+        #: units of the encoder's layers, and in reverse of the decoder's (section 4.4)
         hidden: tuple[int, ...] = (256, 256)
-        beta: float = 1e-5
-        batch: int = 128
-        learning_rate: float = 1e-4
+        beta: float = 1e-5  #: weight of the KL divergence (section 4.4), from 0
+        batch: int = 128  #: poses of an optimiser step, from 1
+        learning_rate: float = 1e-4  #: of Adam, above 0 (section 4.4)
         unit: Unit | None = None  #: of lengths, where a clip file does not say
         up: Axis | None = None  #: the vertical axis, where a clip file does not say
         rate: float | None = None  #: frames per second, where a clip file does not say

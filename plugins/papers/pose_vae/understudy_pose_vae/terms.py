@@ -19,7 +19,11 @@ from understudy_pose_vae.job import POSES, trained_poses
 
 
 def naturalness(
-    offset_norm: Tensor, offset_limit: Tensor | None = None, *, limit: float = 48.0
+    offset_norm: Tensor,
+    offset_limit: Tensor | None = None,
+    *,
+    #: rad, c_offset where no curriculum gives it (section 4.6.1)
+    limit: float = 48.0,
 ) -> Tensor:
     """r_naturalness = 1 - clip((‖a_offset‖₁ / c_offset)², 0, 1) (eq. 4.3).
 

@@ -24,6 +24,7 @@ class Chain(OuterLoop):
 
     @dataclass(frozen=True)
     class Options:
+        #: by name, the overrides of each
         stages: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:

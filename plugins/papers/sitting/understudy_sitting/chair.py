@@ -45,7 +45,7 @@ class ChairOptions:
         None  #: path of an OBJ, STL, PLY or glTF file with z up, on the floor, facing x
     )
     mesh_scale: float = 1.0  #: of its lengths, to m
-    friction: float = 1.0
+    friction: float = 1.0  #: sliding, of MuJoCo's contacts
     pelvis: str = "root"  #: the figure's link that sits
 
     def __post_init__(self) -> None:

@@ -171,7 +171,7 @@ class Reference(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        torso: str = TORSO
+        torso: str = TORSO  #: name of the body
 
     def __init__(self, options: Options, context: Context) -> None:
         scene, body = torso_link(context, options.torso, "fields 'sitting/reference'")

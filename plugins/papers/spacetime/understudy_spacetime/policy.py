@@ -20,7 +20,7 @@ class FeedforwardFeedback(Policy):
     class Options:
         #: Name of the observation that holds q̂; null is one network without a feedforward controller.
         feedforward: str | None = "feedforward"
-        feedback: MLPPolicy.Options = field(default_factory=MLPPolicy.Options)
+        feedback: MLPPolicy.Options = field(default_factory=MLPPolicy.Options)  #: the network of Δq
 
     def __init__(self, options: Options, context: Context) -> None:
         super().__init__()

@@ -39,9 +39,10 @@ class BOCA(OuterLoop):
 
     @dataclass(frozen=True)
     class Options(SearchOptions):
-        fidelity: Fidelity = field(default_factory=Fidelity)
+        fidelity: Fidelity = field(default_factory=Fidelity)  #: what makes a trial cheap
         #: λ(0) / λ(1), linear in between; null is learned from what trials cost.
         cost_ratio: float | None = None
+        #: how the objective is modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
         def __post_init__(self) -> None:

@@ -21,6 +21,7 @@ class GPUCB(OuterLoop):
 
     @dataclass(frozen=True)
     class Options(SearchOptions):
+        #: how the objective is modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
