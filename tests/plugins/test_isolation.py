@@ -25,18 +25,19 @@ WINGS = re.findall(
 
 
 #: Plugins for any figure: what their tests and tasks move is the humanoid, with what that needs.
-FIGURE = {"basics", "humanoid", "characters", "motion", "mujoco"}
+FIGURE = {"networks", "tensors", "humanoid", "characters", "motion", "mujoco"}
 #: Plugins for a training that takes seconds.
-TOYS = {"basics", "miniature", "ppo"}
+TOYS = {"curricula", "miniature", "networks", "ppo", "skills", "tensors", "terms"}
 MATERIAL = {
     "amorphous": {"export", "humanoid"},
-    "basics": TOYS,
     "characters": FIGURE,
     "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
+    "curricula": TOYS,
     "doctor": FIGURE,
     "jumping": {"bayes", "diversity", "export", "play", "sweeps"},
     "export": FIGURE | TOYS | {"report", "spacetime", "viewer"},
     "gym": FIGURE | TOYS | {"report", "spacetime"},
+    "networks": TOYS,
     "play": FIGURE | {"deepmimic", "inspect", "ppo", "sitting", "spacetime", "sweeps"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
@@ -44,9 +45,11 @@ MATERIAL = {
     "reproduce": TOYS
     | FIGURE
     | {"bayes", "cmfbo", "deepmimic", "morphology", "mujoco_warp", "spacetime", "warp_torch"},
+    "skills": TOYS,
     "spacetime": FIGURE | {"deepmimic", "retarget", "styles"},
     "styles": FIGURE | {"ppo", "report"},
     "sweeps": TOYS,
+    "terms": TOYS,
 }
 
 

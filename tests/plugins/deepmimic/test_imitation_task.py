@@ -16,11 +16,11 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Context, Policy
 from understudy.testing import check_environment, check_plugin
-from understudy_basics import rotations
-from understudy_basics.nn import DiagonalGaussian
 from understudy_deepmimic.encoders import StateEncoder
 from understudy_deepmimic.horizon import Horizon, NormalisedReturn, horizon
+from understudy_networks.nn import DiagonalGaussian
 from understudy_ppo.learner import PPO
+from understudy_tensors import rotations
 
 WALK = ("experiment=deepmimic/walk", "num_worlds=4")
 

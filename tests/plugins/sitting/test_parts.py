@@ -15,10 +15,11 @@ from understudy.running.trials import Report, Trial
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_basics import bank, rotations
 from understudy_sitting.chain import Chain
 from understudy_sitting.initial_states import PLACE, TURN
 from understudy_sitting.targets import TargetAhead, TargetByChair
+from understudy_skills import bank
+from understudy_tensors import rotations
 
 
 def test_targets_are_drawn_in_front_and_drawn_again() -> None:

@@ -12,9 +12,9 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
-from understudy_basics import averages, optimisers
-from understudy_basics.nn import set_precision
-from understudy_basics.returns import digest, explained_variance, observations_of
+from understudy_networks import averages, optimisers
+from understudy_networks.nn import set_precision
+from understudy_networks.returns import digest, explained_variance, observations_of
 from understudy_trpo.natural_gradient import (
     Product,
     conjugate_gradient,

@@ -15,7 +15,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Context, Encoder, Fields, Shape
 from understudy_amorphous.scene import AmorphousScene
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 #: A particle counts in its own cell and in two rings around it.
 _RINGS = 2

@@ -12,7 +12,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, Shape, box
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 #: q = [x, y, z, φ, ψ, θ] (section 3.5): position in m, then turns about the tool's x, y and z axes.
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
-from understudy_basics.rotations import turn_matrix
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import turn_matrix
 
 
 class StateEncoder(Encoder):

@@ -14,8 +14,8 @@ from torch.nn.functional import pad
 
 from understudy.options import check_range
 from understudy.task import Context
-from understudy_basics.rotations import angle_between, turn_matrix
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import angle_between, turn_matrix
 
 
 def pose(

@@ -26,7 +26,7 @@ from understudy.task import (
     Scene,
     box,
 )
-from understudy_basics.tensors import TensorSimulator
+from understudy_tensors.simulator import TensorSimulator
 
 START, RUN_UP = -1.05, 3.0  #: m, where take-offs are; m/s, how fast all are along x
 GRAVITY, HEIGHT = 9.81, 1.0  #: m/s²; m, of the centre of mass at take-off

@@ -7,7 +7,7 @@ from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "basics", "mujoco", "motion", "characters", "humanoid", "inspect", "ppo", "deepmimic", "pose_vae",
+    "networks", "skills", "tensors", "terms", "mujoco", "motion", "characters", "humanoid", "inspect", "ppo", "deepmimic", "pose_vae",
     "report",
 )  # fmt: skip
 

@@ -13,11 +13,12 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
-from understudy_basics import bank, rotations
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import MAT, Arena, arena_of
 from understudy_jumping.run_up import takeoff_features
 from understudy_jumping.takeoff import POSES, Takeoff, takeoff_states
+from understudy_skills import bank
+from understudy_tensors import rotations
 
 EPISODE_FIELDS: Mapping[str, Shape] = {
     "obstacle_height": (), "obstacle_width": (), "mat_height": (),

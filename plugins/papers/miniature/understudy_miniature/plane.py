@@ -26,8 +26,8 @@ from understudy.task import (
     Shape,
     box,
 )
-from understudy_basics.tensors import TensorSimulator
 from understudy_miniature.drawing import draw_points
+from understudy_tensors.simulator import TensorSimulator
 
 
 class PlaneScene(Scene):

@@ -21,8 +21,8 @@ from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context
-from understudy_basics.nn import mlp
-from understudy_basics.supervised import NetworkJob
+from understudy_networks.nn import mlp
+from understudy_networks.supervised import NetworkJob
 
 
 class Poses(ABC):

@@ -15,10 +15,10 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Encoder, Fields, InitialStates, Memory, Shape
-from understudy_basics.rotations import heading, tangent_normal
 from understudy_morphology.assistance import torques
 from understudy_morphology.figure import FEET, TORSO
 from understudy_morphology.scene import ROOT_POSITIONS, WalkerScene
+from understudy_tensors.rotations import heading, tangent_normal
 
 
 class Gait(Fields):

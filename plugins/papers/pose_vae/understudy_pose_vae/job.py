@@ -22,15 +22,15 @@ from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context, State
-from understudy_basics import rotations
-from understudy_basics.kept import files_of
-from understudy_basics.nn import mlp
-from understudy_basics.supervised import NetworkJob
 from understudy_characters.character import load_character
 from understudy_motion.reading import Axis, ReadOptions, Unit
+from understudy_networks.nn import mlp
+from understudy_networks.supervised import NetworkJob
 from understudy_pose_vae import pictures
 from understudy_pose_vae.clips import PoseSet, read_poses
 from understudy_pose_vae.features import PoseFeatures
+from understudy_skills.kept import files_of
+from understudy_tensors import rotations
 
 
 class PoseVAE(nn.Module):

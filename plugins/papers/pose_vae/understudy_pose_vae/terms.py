@@ -13,9 +13,9 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, RunError
 from understudy.task import Context, Memory, Shape
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_pose_vae.job import POSES, trained_poses
+from understudy_tensors import rotations
 
 
 def naturalness(

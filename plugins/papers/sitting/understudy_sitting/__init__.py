@@ -4,10 +4,23 @@ from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
-from understudy_basics.packaged import register_skills
+from understudy_skills.packaged import register_skills
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "play", "ppo", "report")
+REQUIRES = (
+    "curricula",
+    "networks",
+    "skills",
+    "tensors",
+    "terms",
+    "characters",
+    "humanoid",
+    "motion",
+    "mujoco",
+    "play",
+    "ppo",
+    "report",
+)
 
 _HERE = "understudy_sitting"
 #: By module and kind: the component's name, its class or function, and what it is.

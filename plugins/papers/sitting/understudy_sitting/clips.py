@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import torch
 
-from understudy_basics import rotations
 from understudy_humanoid.clips import generated_sit, generated_turn_left, generated_walk
 from understudy_motion.clip import Clip, resample
+from understudy_tensors import rotations
 
 
 def generated_step_back(

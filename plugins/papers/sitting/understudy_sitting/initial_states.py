@@ -13,11 +13,12 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
-from understudy_basics import bank, rotations
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_sitting.chair import BODY, Chair
 from understudy_sitting.state import flat_turn
+from understudy_skills import bank
+from understudy_tensors import rotations
 
 PLACE, TURN = f"mocap_pos/{BODY}", f"mocap_quat/{BODY}"
 #: m: the seat's front edge is so far ahead of the seated hips (as in the generated clip ``sit``).

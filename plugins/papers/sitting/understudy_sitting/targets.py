@@ -11,8 +11,8 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory, Shape
-from understudy_basics import rotations
 from understudy_sitting.state import flat_turn
+from understudy_tensors import rotations
 
 
 class TargetAhead(Memory):

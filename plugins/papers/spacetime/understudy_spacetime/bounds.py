@@ -15,8 +15,8 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.task import Context
-from understudy_basics.rotations import angle_between
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import angle_between
 
 Size = float | list[list[float]]
 

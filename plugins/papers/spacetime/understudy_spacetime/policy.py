@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from understudy.errors import ConfigError
 from understudy.task import Context, Policy
-from understudy_basics.nn import DiagonalGaussian
-from understudy_basics.policies import MLPPolicy, observation_size
+from understudy_networks.nn import DiagonalGaussian
+from understudy_networks.policies import MLPPolicy, observation_size
 
 
 class FeedforwardFeedback(Policy):

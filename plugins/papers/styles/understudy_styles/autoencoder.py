@@ -20,9 +20,9 @@ from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context
-from understudy_basics.supervised import NetworkJob
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
+from understudy_networks.supervised import NetworkJob
 from understudy_styles.features import clip_features
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from understudy_basics.rotations import tangent_normal
+from understudy_tensors.rotations import tangent_normal
 
 
 def lean(root_rotation: Tensor) -> Tensor:
