@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
@@ -103,12 +103,25 @@ class Clock:
         self._until = until
         self.unreached = 0
 
-    def pytest_sessionstart(self) -> None:
         signal.signal(signal.SIGALRM, self._late)
-        signal.setitimer(signal.ITIMER_REAL, max(0.1, self._until - time.time()))
 
     def _late(self, number: int, frame: FrameType | None) -> None:
         pytest.skip("the time is over")
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_setup(self) -> Iterator[None]:
+        yield from self._within()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self) -> Iterator[None]:
+        yield from self._within()
+
+    def _within(self) -> Iterator[None]:
+        signal.setitimer(signal.ITIMER_REAL, max(0.01, self._until - time.time()))
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> bool | None:

@@ -14,6 +14,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_curricula.episodes import Judged
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class Adaptive(Curriculum):
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._target = options, context.difficulty
         self.records = (options.counts,) if options.counts else ()
-        self._ended, self._total = 0, 0.0
+        self._judged = Judged(options.episodes)
         first = context.difficulty if context.evaluating else min(options.start, self._target)
         self._stage = _Stage(first, options.knots, context)
         # Worlds whose present episode began before the last step.
@@ -163,7 +164,7 @@ class Adaptive(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self._options
-        ended = rollout.terminated | rollout.truncated
+        ended = rollout.ended
         first = ended & (ended.cumsum(0) == 1)
         counted = ended & ~(first & self._older)
         if options.counts:
@@ -171,15 +172,11 @@ class Adaptive(Curriculum):
         self._older &= ~ended.any(0)
         succeeded = (rollout.terminated & ~rollout.failed).float()
         score = succeeded if options.by == "success" else rollout.episode_returns
-        scores = torch.where(counted, score, 0.0)
-        sums = torch.stack([counted.double().sum(), scores.double().sum()])
-        count, total = distributed.total(sums).tolist()
-        self._ended, self._total = self._ended + int(count), self._total + total
         found: dict[str, float] = {"difficulty": self._stage.difficulty}
-        if self._ended < options.episodes:
+        mean = self._judged.digest(counted, score)
+        if mean is None:
             return found
-        mean = found[options.by] = self._total / self._ended
-        self._ended, self._total = 0, 0.0
+        found[options.by] = mean
         if mean >= options.threshold and self._stage.difficulty < self._target:
             self._stage.move(min(self._target, self._stage.difficulty + options.step))
             self._older.fill_(True)
@@ -191,12 +188,12 @@ class Adaptive(Curriculum):
 
     def state_dict(self) -> State:
         return {
-            "difficulty": self._stage.difficulty, "ended": self._ended, "total": self._total,
+            "difficulty": self._stage.difficulty, **self._judged.state_dict(),
             "older": self._older.nonzero().flatten().tolist(),
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
-        self._ended, self._total = state["ended"], state["total"]
+        self._judged.load_state_dict(state)
         self._stage.move(state["difficulty"])
         older = torch.tensor(state["older"], dtype=torch.long, device=self._older.device)
         self._older.zero_()

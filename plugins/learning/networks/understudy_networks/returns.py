@@ -58,7 +58,7 @@ def digest(
     """
     values = policy.value(rollout.observations)
     last = policy.value(rollout.last_observations)
-    ended = rollout.terminated | rollout.truncated
+    ended = rollout.ended
     following = torch.cat([values[1:], last.unsqueeze(0)])
     next_values = torch.where(ended, rollout.final_values, following)
     continues = (~ended).to(values.dtype)

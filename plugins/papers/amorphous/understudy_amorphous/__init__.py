@@ -7,6 +7,7 @@ from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = (
+    "curricula",
     "networks",
     "tensors",
     "terms",

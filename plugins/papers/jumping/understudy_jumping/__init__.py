@@ -33,7 +33,6 @@ def understudy_register(register: Registrar) -> None:
     add("termination", "landed", "terms:landed", "landed on the mat")
     add("reward", "spin", "terms:spin", "little rotation of the root")
     add("reward", "safety", "terms:safety", "not on the head")
-    add("reward", "naturalness", "terms:naturalness", "few and small offsets")
     add("initial_states", "run_up", "run_up:Beginnings", "in the run-up's clip")
     add(
         "actuation", "offset_targets", "run_up:OffsetTargets", "the reference's targets and offsets"

@@ -74,7 +74,7 @@ class Accumulated(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options, before = self._options, self.decision()
-        ended = (rollout.terminated | rollout.truncated).double()
+        ended = rollout.ended.double()
         returns = (ended * rollout.episode_returns).sum(dim=0)
         sums = torch.zeros(2, options.groups, dtype=torch.float64, device=returns.device)
         sums[0].index_add_(0, self._group, ended.sum(dim=0))

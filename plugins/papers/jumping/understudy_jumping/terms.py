@@ -34,12 +34,3 @@ def safety(
 ) -> Tensor:
     """r_safety (eq. 4.15): `unsafe` of a landing on the head, else 1."""
     return torch.where(head_first != 0, unsafe, 1.0)
-
-
-def naturalness(mean_offset: Tensor, offset_limit: Tensor) -> Tensor:
-    """r_naturalness = 1 - clip((ō / c_offset)², 0, 1) (eq. 4.3), ō the mean over the episode.
-
-    Where no pose auto-encoder gives a pose, ō is of how far the servos' targets are from the pose
-    that the athlete has.
-    """
-    return 1.0 - (mean_offset / offset_limit).square().clamp(0.0, 1.0)

@@ -12,6 +12,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_curricula.episodes import totals
 
 
 class Lessons(Curriculum):
@@ -76,17 +77,16 @@ class Lessons(Curriculum):
         return min(self._target, 1.0 if left < self._options.least else 1.0 - left)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        options, ended = self._options, rollout.terminated | rollout.truncated
+        options, ended = self._options, rollout.ended
         seconds = rollout.records["episode_time"] + self._dt
-        sums = [
-            ended.double(),
+        sums = totals(
+            ended,
             torch.where(ended, rollout.episode_returns, 0.0),
             torch.where(ended, seconds, 0.0),
             rollout.records["forward_velocity"],
             rollout.records["target_velocity"],
-        ]
-        totals = distributed.total(torch.stack([value.double().sum() for value in sums]))
-        self._sums += totals.cpu()
+        )
+        self._sums += torch.tensor(sums, dtype=torch.float64)
         self._since += 1
         found = {"difficulty": self._at}
         count, returns, lasted, gone, to_go = self._sums.tolist()

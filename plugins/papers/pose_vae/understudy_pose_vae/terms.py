@@ -29,7 +29,9 @@ def naturalness(
 
     c_offset, in rad, is the field ``offset_limit`` where a curriculum provides it, else `limit`; section
     4.6.1 has 48 at the easiest and 15 at the hardest. For a reward at the end of an episode only, let
-    `offset_norm` be its mean so far (memory ``running_mean``, ``reads: {offset_norm: MEAN}``).
+    `offset_norm` be its mean so far (memory ``running_mean``, ``reads: {offset_norm: MEAN}``). Where no
+    pose auto-encoder gives a pose, it may be how far the servos' targets are from the pose that the
+    figure has.
     """
     most = limit if offset_limit is None else offset_limit
     return 1 - ((offset_norm / most) ** 2).clamp(0.0, 1.0)

@@ -20,6 +20,7 @@ REQUIRES = (
     "play",
     "ppo",
     "report",
+    "sweeps",
 )
 
 _HERE = "understudy_sitting"
@@ -87,7 +88,6 @@ _PARTS = {
     ("trials", "report_section"): {
         "sitting/trials": ("TransitionsSection", "success by zone, which skill followed which"),
     },
-    ("chain", "outer_loop"): {"sitting/chain": ("Chain", "trainings that build on one another")},
     ("initial_states", "initial_states"): {
         "sitting/from_reference": ("FromReference", "the reference, the chair behind"),
         "sitting/where_others_ended": ("WhereOthersEnded", "where other skills ended"),

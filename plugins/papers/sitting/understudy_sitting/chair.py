@@ -19,9 +19,9 @@ from torch import Tensor
 from understudy.inputs import Inputs
 from understudy.options import check_range
 from understudy.setup.registry import Registry
+from understudy_characters.meshes import convex_parts
 from understudy_characters.staging import make_solid
 from understudy_characters.surroundings import Surroundings
-from understudy_sitting.meshes import convex_parts
 
 BODY, SEAT = "chair", "chair_seat"
 #: Sensors of contacts between two bodies, or of a body with the seat.
