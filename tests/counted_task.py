@@ -17,7 +17,8 @@ from torch import Tensor, nn
 
 from understudy.command import workflow
 from understudy.random import WorldStreams
-from understudy.running.environment import Environment, Parts, Step
+from understudy.running.environment import Environment, Step
+from understudy.running.promises import Parts
 from understudy.setup import composition
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins, hookimpl, load

@@ -8,6 +8,8 @@ from pathlib import Path
 import yaml
 
 import understudy
+from understudy.setup.plugins import installed
+from understudy_inspect.catalogue import offers
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -45,3 +47,15 @@ def test_ci_runs_what_the_workflow_runs() -> None:
     assert "bash .ci/run" in [step.get("run") for step in steps]
     supported = re.findall(r"Python :: (3\.\d+)", (ROOT / "pyproject.toml").read_text("utf-8"))
     assert workflow["jobs"]["run"]["strategy"]["matrix"]["python"] == supported
+
+
+def test_what_the_page_of_ideas_swaps_in_is_there() -> None:
+    text = (ROOT / "docs" / "ideas.md").read_text(encoding="utf-8")
+    named = re.findall(r"`\+?(\w+)=([\w/]+)` \|$", text, re.MULTILINE)
+    assert len(named) > 12
+    plugins = installed()
+    for group, name in named:
+        known = {offer.name for offer in offers(plugins, group)} | set(
+            plugins.registry.names(group)
+        )
+        assert name in known, f"{group}={name}"

@@ -43,7 +43,7 @@ NN, WARP = (
     "tests/integration/test_mujoco_warp.py",
 )
 F24 = "tests/faults/test_24_mutated_models.py"
-INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluation.py"
+INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluator.py"
 TRIAL, APART, MODELS = (
     "plugins/physics/mujoco/understudy_mujoco/trial.py",
     "plugins/physics/mujoco/understudy_mujoco/apart.py",

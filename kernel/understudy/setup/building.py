@@ -11,7 +11,8 @@ import torch
 
 from understudy.errors import ConfigError, PluginError
 from understudy.random import private_rng
-from understudy.running.environment import Environment, Parts
+from understudy.running.environment import Environment
+from understudy.running.promises import Parts
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context, Policy, Scene

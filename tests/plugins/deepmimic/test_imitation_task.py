@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from worlds import make_training
 
-from understudy.running.evaluation import Evaluation, Evaluator
+from understudy.running.evaluation import Evaluation
+from understudy.running.evaluator import Evaluator
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins

@@ -9,7 +9,7 @@ import torch
 from robots import robot_file
 
 from understudy.errors import ConfigError
-from understudy.running.evaluation import Evaluator
+from understudy.running.evaluator import Evaluator
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
