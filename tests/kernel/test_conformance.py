@@ -17,10 +17,10 @@ from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Component, Registrar
 from understudy.task import Encoder
 from understudy.testing import (
+    check_capturable,
     check_component,
     check_environment,
     check_plugin,
-    check_recordable,
     check_simulator,
     fake,
 )
@@ -138,7 +138,7 @@ def test_check_environment_refuses(parts: Mapping[str, Any], message: str) -> No
         check_environment(line(**parts))
 
 
-def test_check_recordable() -> None:
+def test_check_capturable() -> None:
     far = term(lambda x: x[:, 0].abs() > 0.3, "far")
     rows = torch.tensor([0])
 
@@ -148,7 +148,7 @@ def test_check_recordable() -> None:
         x[:, 0] = 2.0
         return torch.as_tensor(x.masked_fill(x > 1, 1.0)[..., 0])
 
-    check_recordable(line(terminations=[far], rewards=[term(allowed, "allowed")], seconds=3))
+    check_capturable(line(terminations=[far], rewards=[term(allowed, "allowed")], seconds=3))
 
 
 @pytest.mark.parametrize(
@@ -174,10 +174,10 @@ def test_check_recordable() -> None:
         ),
     ],
 )
-def test_check_recordable_refuses(waits: Any, message: str) -> None:
+def test_check_capturable_refuses(waits: Any, message: str) -> None:
     environment = line(rewards=[term(waits, "waits")])
     with pytest.raises(AssertionError, match=f"{message}.* in a step waits for the device"):
-        check_recordable(environment)
+        check_capturable(environment)
     environment.step(torch.zeros(4, 1))  # nothing is left behind
 
 
@@ -188,7 +188,7 @@ def test_a_simulator_may_wait() -> None:
         def failed(self) -> Tensor:
             return torch.tensor([bool(x > 1e9) for x in self.x.flatten().tolist()])
 
-    check_recordable(line(simulator=Waiting(None, SimpleNamespace(num_worlds=4, substeps=1))))
+    check_capturable(line(simulator=Waiting(None, SimpleNamespace(num_worlds=4, substeps=1))))
 
 
 # ---------------------------------------------------------------------- simulators

@@ -2,7 +2,7 @@
 
 Everything is masked tensor arithmetic over all worlds; there is no Python loop over worlds and, on
 an accelerator, nothing is fetched to the host inside :meth:`Environment.step`. Tensors that live
-longer than a step are changed in place, so that a step can be recorded and replayed.
+longer than a step are changed in place, so that a step can be captured and replayed.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from torch import Tensor
 from understudy.errors import ConfigError, TrainingError
 from understudy.random import WorldStreams
 from understudy.running import promises
+from understudy.running.captured import Captured
 from understudy.running.promises import Parts
-from understudy.running.recorded import Recorded
 from understudy.running.statistics import EpisodeStatistics
 from understudy.running.table import FieldTable
 from understudy.task import (
@@ -29,7 +29,7 @@ from understudy.task import (
     Shape,
     State,
 )
-from understudy.task.terms import Bound, Term
+from understudy.task.terms import Term, Wired
 
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
@@ -188,7 +188,7 @@ class Environment:
             for term in parts.rewards
             if parts.combine == "product" and term.weight != 1.0
         }
-        self.recorded_step = Recorded(self._step, self)
+        self.captured_step = Captured(self._step, self)
 
     @property
     def action_size(self) -> int:
@@ -277,7 +277,7 @@ class Environment:
 
     def step(self, action: Tensor) -> Step:
         """Apply `action` (N, A) for one decision, judge, and begin ended worlds anew."""
-        return self.recorded_step(action)
+        return self.captured_step(action)
 
     def _step(self, action: Tensor) -> Step:
         step = self.advance(action)
@@ -387,7 +387,7 @@ class Environment:
             self._keep(bound, bound.part.advance(self.action, **table.pick(bound.reads)))
         return bound.part.control(self.action, **table.pick(bound.reads))
 
-    def _taken(self, name: str, memory: Bound[Memory]) -> dict[str, Tensor]:
+    def _taken(self, name: str, memory: Wired[Memory]) -> dict[str, Tensor]:
         """What a memory is called with: fields, and random numbers."""
         given = self.table.pick(memory.reads)
         if memory.part.uniforms:
@@ -395,7 +395,7 @@ class Environment:
         return given
 
     def _keep(
-        self, part: Bound[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
+        self, part: Wired[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
     ) -> None:
         """Keep `values`, by the part's own names, in all worlds or where `worlds` (N,) is true."""
         promises.returned(self.num_worlds, part.where, part.part.keeps, values)

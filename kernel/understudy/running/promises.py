@@ -21,7 +21,7 @@ from understudy.task import (
     Shape,
     Simulator,
 )
-from understudy.task.terms import Bound, Term
+from understudy.task.terms import Term, Wired
 
 
 @dataclass
@@ -29,14 +29,14 @@ class Parts:
     """The built parts of a task, each with the fields that it reads."""
 
     simulator: Simulator
-    actuation: Bound[Actuation]
+    actuation: Wired[Actuation]
     initial_states: InitialStates
-    encoders: Mapping[str, Bound[Encoder]]
+    encoders: Mapping[str, Wired[Encoder]]
     rewards: Sequence[Term]
     terminations: Sequence[Term] = ()
     measures: Sequence[Term] = ()
-    fields: Sequence[Bound[Fields]] = ()
-    memories: Mapping[str, Bound[Memory]] = field(default_factory=dict)
+    fields: Sequence[Wired[Fields]] = ()
+    memories: Mapping[str, Wired[Memory]] = field(default_factory=dict)
     curriculum: Curriculum | None = None
     combine: Literal["sum", "product"] = "product"
 

@@ -20,7 +20,7 @@ from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins, installed
 from understudy.setup.registry import Component
 from understudy.task import Simulator
-from understudy.testing.recording import check_recordable
+from understudy.testing.capture import check_capturable
 
 
 def check_component(component: Component) -> None:
@@ -190,6 +190,6 @@ def check_plugin(name: str, plugins: Plugins | None = None, num_worlds: int = 4)
             built = build_environment(experiment)
             try:
                 check_environment(built.environment)
-                check_recordable(built.environment)
+                check_capturable(built.environment)
             finally:
                 built.environment.close()

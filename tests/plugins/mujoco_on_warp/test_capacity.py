@@ -6,7 +6,7 @@ import mujoco
 import pytest
 
 pytest.importorskip(
-    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from understudy_mujoco_warp.simulator import contact_capacity

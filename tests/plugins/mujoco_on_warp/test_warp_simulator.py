@@ -9,7 +9,7 @@ import torch
 from arena import arena, check_derived, check_fields, check_parameters, states
 
 pytest.importorskip(
-    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from repeatable import repeatable  # noqa: F401 - a fixture

@@ -55,7 +55,7 @@ def weights_after(options: dict[str, Any], rollouts: list[Rollout]) -> dict[str,
     ],
 )
 @pytest.mark.parametrize("kind", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
-def test_recorded_steps_are_the_same_steps(
+def test_captured_steps_are_the_same_steps(
     kind: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if kind == "cuda" and not torch.cuda.is_available():

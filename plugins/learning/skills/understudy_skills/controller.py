@@ -14,7 +14,7 @@ from understudy.errors import ConfigError
 from understudy.setup.building import build_policy, build_sections
 from understudy.setup.config import Chosen
 from understudy.task import Actuation, Context, Encoder
-from understudy.task.terms import Bound, renamed
+from understudy.task.terms import Wired, renamed
 from understudy_skills.skill import copy_run, open_skill
 
 
@@ -27,7 +27,7 @@ class Controller(nn.Module):
     """
 
     def __init__(
-        self, encoders: Mapping[str, Bound[Encoder]], actuation: Bound[Actuation], policy: nn.Module
+        self, encoders: Mapping[str, Wired[Encoder]], actuation: Wired[Actuation], policy: nn.Module
     ) -> None:
         super().__init__()
         self.encoders, self.actuation = dict(encoders), actuation
@@ -69,10 +69,10 @@ class Controller(nn.Module):
             context, sections=build_sections(experiment), inputs=experiment.inputs, _shared={}
         )
 
-        def bound(chosen: Chosen) -> Bound[Any]:
+        def bound(chosen: Chosen) -> Wired[Any]:
             part = chosen.build(own)
             where = f"{chosen.where} of {source}"
-            return Bound(where, part, renamed(where, "reads", part.reads, chosen.extras["reads"]))
+            return Wired(where, part, renamed(where, "reads", part.reads, chosen.extras["reads"]))
 
         encoders = {c.name: bound(c) for c in experiment.many("encoder")}
         actuation = bound(experiment.need("actuation"))

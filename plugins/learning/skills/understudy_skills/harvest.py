@@ -14,10 +14,10 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.records import runs
 from understudy.records.runs import Run
+from understudy.running.captured import Captured
 from understudy.running.environment import Environment
 from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
-from understudy.running.recorded import Recorded
 from understudy.running.warm_start import load_part, newest_state
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
@@ -121,7 +121,7 @@ class Harvest(Job):
         self._streams = WorldStreams(
             self._root.seed, "harvest", environment.num_worlds, self.device
         )
-        self._decide = Recorded(self._advance, environment)
+        self._decide = Captured(self._advance, environment)
         self._age = torch.zeros(environment.num_worlds, device=self.device)
         self._begun = torch.zeros_like(self._age, dtype=torch.bool)  # by a decision
         self._kept: dict[str, Tensor] = {}  # of each world's present episode

@@ -1,4 +1,4 @@
-"""Whether a step can be recorded as a CUDA graph, found without a GPU.
+"""Whether a step can be captured as a CUDA graph, found without a GPU.
 
 On the CPU nothing that waits for the device is seen to do so. Here every operation of a step is looked
 at on its way to torch: those that would fetch something to the host, or bring something from it, are
@@ -86,7 +86,7 @@ def _has_list(index: object) -> bool:
 
 
 def _waits(what: str) -> str:
-    return f"{what} in a step waits for the device: it cannot be recorded as a CUDA graph"
+    return f"{what} in a step waits for the device: it cannot be captured as a CUDA graph"
 
 
 @contextmanager
@@ -96,7 +96,7 @@ def nothing_waits() -> Iterator[None]:
         yield
 
 
-def check_recordable(environment: Environment, steps: int = 2) -> None:
+def check_capturable(environment: Environment, steps: int = 2) -> None:
     """The parts of a task compute all of a step on the device: terms, fields, encoders, actuation,
     memories, initial states and curriculum, also where episodes end. The simulator is left out.
     """
