@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers import deepmimic
 from understudy_motion.writers.bvh import BvhWriter
 from understudy_motion.writers.table import CsvWriter, NpzWriter
+from understudy_tensors import rotations
 
 SKELETON = Skeleton(
     joint_names=("hips", "chest", "l_thigh", "l_shin", "r_thigh", "r_shin"),

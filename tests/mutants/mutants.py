@@ -28,7 +28,7 @@ SIGNALS = f"{KERNEL}/signals.py"
 MUJOCO = "plugins/physics/mujoco/understudy_mujoco/simulator.py"
 MJCF = "plugins/physics/mujoco/understudy_mujoco/mjcf.py"
 PPO = "plugins/learning/ppo/understudy_ppo/learner.py"
-OPTIMISERS = "plugins/learning/basics/understudy_basics/optimisers.py"
+OPTIMISERS = "plugins/learning/networks/understudy_networks/optimisers.py"
 CLIP = "plugins/figures/motion/understudy_motion/clip.py"
 NPZ = "plugins/figures/motion/understudy_motion/readers/npz.py"
 F01, F02, F05 = (f"tests/faults/test_0{n}.py" for n in ("1_nonfinite_state", "2_engine_reset", "5_nonfinite_update"))  # fmt: skip
@@ -39,11 +39,11 @@ ANY = "tests/faults/test_13_any_moment.py"
 F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
 F06, F08 = "tests/faults/test_06_replay.py", "tests/faults/test_08_disk_full.py"
 NN, WARP = (
-    "plugins/learning/basics/understudy_basics/nn.py",
+    "plugins/learning/networks/understudy_networks/nn.py",
     "tests/integration/test_mujoco_warp.py",
 )
 F24 = "tests/faults/test_24_mutated_models.py"
-INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluation.py"
+INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluator.py"
 TRIAL, APART, MODELS = (
     "plugins/physics/mujoco/understudy_mujoco/trial.py",
     "plugins/physics/mujoco/understudy_mujoco/apart.py",
@@ -126,7 +126,7 @@ MUTANTS = (
            "if False:", FIELDS),
     Mutant("any moments are loaded", OPTIMISERS,
            "if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():", "if False:",
-           "tests/plugins/basics/test_optimisers.py -k moments"),
+           "tests/plugins/networks/test_optimisers.py -k moments"),
     # Resuming.
     Mutant("streams are not restored", ENVIRONMENT, 'self._streams.load_state_dict(state["streams"])', "pass", F10),
     Mutant("initial states are not restored", ENVIRONMENT,
@@ -272,8 +272,8 @@ MUTANTS = (
            "except ZeroDivisionError as error:  # zipfile raises", "tests/faults/test_24_mutated_clips.py"),
     Mutant("the phase does not wrap", "plugins/figures/characters/understudy_characters/reference.py",
            '(local / self.duration).clamp(0.0, 1.0 - 1e-6)', "local * 2", "tests/faults/test_26_laws.py -k phase"),
-    Mutant("advantages go on over an episode's end", "plugins/learning/basics/understudy_basics/returns.py",
-           "decay = gamma * lam * continues", "decay = gamma * lam + 0 * continues", "tests/plugins/basics/test_returns.py"),
+    Mutant("advantages go on over an episode's end", "plugins/learning/networks/understudy_networks/returns.py",
+           "decay = gamma * lam * continues", "decay = gamma * lam + 0 * continues", "tests/plugins/networks/test_returns.py"),
     Mutant("descriptors leak", RUNS, '            with open(self.metrics_file, "a", encoding="utf-8") as file:\n',
            '            file = open(self.metrics_file, "a", encoding="utf-8", buffering=1)\n            [os.dup(file.fileno()) for _ in range(20)]\n            if True:\n',
            "tests/faults/test_28_soak.py"),

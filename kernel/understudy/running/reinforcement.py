@@ -13,9 +13,11 @@ from understudy import distributed
 from understudy.records.recording import Recording
 from understudy.running.collector import Collector
 from understudy.running.environment import Environment, Fault
-from understudy.running.evaluation import Evaluation, Evaluator, success_of
+from understudy.running.evaluation import Evaluation
+from understudy.running.evaluator import Evaluator
 from understudy.running.jobs import Job
 from understudy.running.statistics import refuse_hopeless
+from understudy.running.success import success_of
 from understudy.running.warm_start import misshapen, take_over
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment

@@ -11,11 +11,12 @@ import torch
 
 from understudy.errors import ConfigError, PluginError
 from understudy.random import private_rng
-from understudy.running.environment import Environment, Parts
+from understudy.running.environment import Environment
+from understudy.running.promises import Parts
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context, Policy, Scene
-from understudy.task.terms import Bound, Term, make_term, renamed
+from understudy.task.terms import Term, Wired, make_term, renamed
 
 
 @dataclass
@@ -83,10 +84,10 @@ def build_environment(
     context.scene = scene or experiment.need("scene").build(context)
     simulator = context.simulator = experiment.need("simulator").build(context)
 
-    def bound(chosen: Chosen) -> Bound[Any]:
+    def bound(chosen: Chosen) -> Wired[Any]:
         part = chosen.build(context)
         given = getattr(part, "keeps" if chosen.component.kind != "fields" else "provides", {})
-        return Bound(
+        return Wired(
             chosen.where,
             part,
             renamed(chosen.where, "reads", part.reads, chosen.extras["reads"]),

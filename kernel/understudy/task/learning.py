@@ -29,6 +29,11 @@ class Rollout:
     values: Tensor | None = None  #: (T, N)
     returns: Tensor | None = None  #: (T, N)
 
+    @property
+    def ended(self) -> Tensor:
+        """(T, N) bool: terminated or truncated."""
+        return self.terminated | self.truncated
+
 
 class Learner(ABC):
     """Improves a policy from rollouts. Built with ``(options, context, policy)``."""

@@ -21,7 +21,7 @@ Reduction = Literal["last", "min", "max", "mean", "sum", "any"]
 
 
 @dataclass(frozen=True)
-class Bound(Generic[T]):
+class Wired(Generic[T]):
     """A part of a task, and which fields it reads and provides under which of its own names."""
 
     where: str  #: its key path in the configuration, for errors

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from worlds import all_plugins
 
 from understudy.errors import ConfigError, FileError
-from understudy_basics import rotations
 from understudy_characters.character import Character, load_character
 from understudy_characters.shapes import shapes
 from understudy_motion.kinematics import forward_kinematics
+from understudy_tensors import rotations
 
 
 def seconds(qpos: torch.Tensor) -> torch.Tensor:

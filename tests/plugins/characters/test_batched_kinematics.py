@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_characters import random_model, random_poses
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.kinematics import Kinematics, Poses
+from understudy_tensors import rotations
 
 
 @settings(max_examples=30, deadline=None)

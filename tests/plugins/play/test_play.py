@@ -18,11 +18,11 @@ from understudy.records import checkpoint
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
-from understudy_basics import skill as skills
-from understudy_basics.skill import open_skill, pack
 from understudy_motion.library import data_folder
 from understudy_play.command import clip_of, record
 from understudy_play.player import Player
+from understudy_skills import skill as skills
+from understudy_skills.skill import open_skill, pack
 
 
 def file_of(name: str) -> Path:

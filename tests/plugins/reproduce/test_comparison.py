@@ -98,7 +98,7 @@ def test_a_card_needs_nothing_that_trains(
 def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> None:
     """Nothing else says so before a GPU is waiting."""
     if "figure" in name:
-        pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     comparison = Comparison(name, load_table(name, installed()), tmp_path, [])
     loops = {}
     for row, column in comparison._cells():
@@ -117,7 +117,7 @@ def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> N
 
 
 def test_the_table_of_deepmimics_settings_composes() -> None:
-    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+    pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     table = load_table("deepmimic/figure_6_7", installed())
     found = {k: load_experiment(v).need("learner").options for k, v in table.variants().items()}
     for skill in ("walk", "run", "cartwheel"):

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context
-from understudy_basics import rotations
 from understudy_spacetime.bounds import (
     BoundSize,
     ComBound,
@@ -19,6 +18,7 @@ from understudy_spacetime.bounds import (
     RootBound,
     Size,
 )
+from understudy_tensors import rotations
 
 CPU = torch.device("cpu")
 PHASE = torch.tensor([0.0, 0.5])

@@ -34,7 +34,7 @@ pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
 from understudy_viewer.page import Page, free_port
 
 HOST = "127.0.0.1"
-PLUGINS = "basics,characters,doctor,humanoid,motion,mujoco,report,viewer"
+PLUGINS = "tensors,characters,doctor,humanoid,motion,mujoco,report,viewer"
 EVIL = "<img src=x onerror=document.title='taken'>"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 SOFTWARE_OPENGL = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader")

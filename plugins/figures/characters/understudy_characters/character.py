@@ -21,9 +21,9 @@ from torch import Tensor
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
 from understudy.task import Context
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton, sample
 from understudy_mujoco.scene import MjcfFile
+from understudy_tensors import rotations
 
 _FREE, _BALL, _HINGE = (
     int(mujoco.mjtJoint.mjJNT_FREE),

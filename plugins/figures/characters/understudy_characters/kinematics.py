@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character, Joint
+from understudy_tensors import rotations
 
 
 @dataclass(frozen=True)

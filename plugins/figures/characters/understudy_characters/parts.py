@@ -164,7 +164,7 @@ class FloorContact:
     @dataclass(frozen=True)
     class Options:
         bodies: tuple[str, ...] = ()  #: empty takes root, trunk and head
-        clearance: float = 0.0
+        clearance: float = 0.0  #: m above the floor that count as touching
 
     def __init__(self, options: Options, context: Context) -> None:
         self._upright = _UprightLinks(options.bodies, context, "characters/floor_contact")

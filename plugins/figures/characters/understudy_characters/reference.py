@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout
 from understudy_characters.servos import lags
 from understudy_characters.state import Poses
 from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
 from understudy_motion.section import Floor
+from understudy_tensors import rotations
 
 #: Table rows per control step. Between rows everything is interpolated linearly.
 OVERSAMPLING = 4

@@ -62,6 +62,7 @@ class CharacterScene(MujocoScene):
         #: ``fast``: implicit integration, few Newton iterations; ``model``: what the model says.
         solver: Literal["fast", "model"] = "fast"
         end_effectors: tuple[str, ...] = ()  #: bodies that are hands and feet; empty finds them
+        #: how servos are made where the model has none
         servos: ServoOptions = field(default_factory=ServoOptions)
 
     def __init__(self, options: Options, context: Context | None = None) -> None:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import FileError
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 UNIT_TOLERANCE = 0.5
 """How far from 1 the norm of a given quaternion may be before it is an error.

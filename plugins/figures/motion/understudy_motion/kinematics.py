@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
+from understudy_tensors import rotations
 
 
 def need_skeleton(clip: Clip) -> Skeleton:

@@ -91,6 +91,7 @@ class AmorphousScene(ParticleScene):
 
     @dataclass(frozen=True)
     class Options:
+        #: what the particles are (sections 4.1 to 4.6)
         material: Literal["granular", "viscoplastic", "viscous", "elastic"] = "viscoplastic"
         blocks: int = 4  #: how many pieces of material there are
         block: tuple[int, int, int] = (5, 5, 2)  #: particles of one along x, y and z
@@ -98,7 +99,7 @@ class AmorphousScene(ParticleScene):
         spacing: float = 0.2  #: m, between particles at rest
         #: Particles along each axis for one of `block`: 2 and 3 are Table 5's medium and high.
         resolution: int = 1
-        tool: Literal["scraper", "pan"] = "scraper"
+        tool: Literal["scraper", "pan"] = "scraper"  #: what moves them
         springs: int = 32  #: the most that one particle of a visco-plastic material can have
 
         def __post_init__(self) -> None:

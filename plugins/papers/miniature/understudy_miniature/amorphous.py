@@ -97,7 +97,7 @@ class Clusters(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        clusters: int = 2
+        clusters: int = 2  #: how many centres at difficulty 1, from 1
         table: float = 0.5  #: m, half of its side; centres are at most so far from its middle
         size: float = 0.2  #: m, of a cluster
         tool: tuple[float, float] = (-1.0, 0.0)  #: m, where the tool is at first
@@ -231,6 +231,12 @@ class ToolTarget(Actuation):
 
 
 @ranges(-math.inf, math.inf)
-def gathered(spread: Tensor, previous_spread: Tensor, *, scale: float = 10.0) -> Tensor:
+def gathered(
+    spread: Tensor,
+    previous_spread: Tensor,
+    *,
+    #: 1/m
+    scale: float = 10.0,
+) -> Tensor:
     """How much nearer the grains came in this decision, times `scale` (1/m); negative if further."""
     return scale * (previous_spread - spread)

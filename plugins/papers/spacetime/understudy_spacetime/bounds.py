@@ -15,8 +15,8 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.task import Context
-from understudy_basics.rotations import angle_between
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import angle_between
 
 Size = float | list[list[float]]
 
@@ -67,7 +67,7 @@ class ComBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.2
+        size: Size = 0.2  #: m, from 0, or [[phase, m], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/com_bound", context.device)
@@ -88,7 +88,7 @@ class RootBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.7
+        size: Size = 0.7  #: rad, from 0, or [[phase, rad], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/root_bound", context.device)
@@ -109,7 +109,7 @@ class JointBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.7
+        size: Size = 0.7  #: rad, from 0, or [[phase, rad], …] (section 3.5.1)
         joints: tuple[str, ...] = ()  #: bounded joints; empty bounds all
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -146,7 +146,7 @@ class EndEffectorBound:
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.5
+        size: Size = 0.5  #: m, from 0, or [[phase, m], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/end_effector_bound", context.device)

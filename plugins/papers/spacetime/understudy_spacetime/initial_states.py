@@ -185,10 +185,10 @@ class Evolution(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        segments: int = 20
+        segments: int = 20  #: of the motion, from 1, each with a buffer
         size: int = 32  #: m, states per buffer
         uniform: float = 0.2  #: share of segments drawn uniformly (eq. 3.9)
-        decay: float = 0.9
+        decay: float = 0.9  #: of the running average of returns, per rollout, in [0, 1]
         by: By = "visits"  #: as of :class:`Importance`
         #: Share of episodes that begin in the reference itself.
         reference_share: float = 0.1

@@ -103,8 +103,9 @@ class MujocoWarpSimulator(Simulator):
 
     @dataclass(frozen=True)
     class Options:
-        #: Contacts and constraint rows to hold per world; null takes the most the scene can make.
+        #: Contacts to hold per world; null takes the most the scene can make.
         contacts: int | None = None
+        #: Constraint rows to hold per world; null takes 4 a contact, and one a limited joint.
         constraints: int | None = None
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.kinematics import Kinematics, Poses
+from understudy_tensors import rotations
 
 CHUNK = 512
 """Frames solved together: few enough for a processor's cache, enough to hide Python's cost."""
