@@ -35,6 +35,8 @@ F01, F02, F05 = (f"tests/faults/test_0{n}.py" for n in ("1_nonfinite_state", "2_
 POISON = "tests/faults/test_01_poisoned_fields.py"
 F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/test_09_damaged_files.py", "tests/faults/test_10_resume.py"  # fmt: skip
 F13 = "tests/faults/test_13_stop_signals.py"
+LINKS, ENDLESS = "tests/faults/test_22_links.py", "tests/faults/test_24_endless_files.py"
+FOLDERS = f"{KERNEL}/records/folders.py"
 ANY = "tests/faults/test_13_any_moment.py"
 F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
 F06, F08 = "tests/faults/test_06_replay.py", "tests/faults/test_08_disk_full.py"
@@ -107,7 +109,7 @@ MUTANTS = (
     Mutant("a file is not flushed", CHECKPOINT, "            file.flush()\n", "", f"{F07} -k order"),
     Mutant("something partial stays", CHECKPOINT, "temporary.unlink(missing_ok=True)", "pass", f"{F07} -k partial"),
     Mutant("tensors have no digest", CHECKPOINT,
-           'if hashlib.sha256(data).hexdigest() != document.get("sha256"):', "if False:", f"{F09} {F20}"),
+           'if digest != document.get("sha256"):', "if False:", f"{F09} {F20}"),
     Mutant("the rest has no digest", CHECKPOINT,
            'if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:', "if False:", F09),
     Mutant("any format is read", CHECKPOINT, "    if version not in (2, FORMAT):", "    if False:",
@@ -118,6 +120,26 @@ MUTANTS = (
            "for p in newest(folder)[1:] if", f"{F09} -k falls_back"),
     Mutant("two processes in a folder", RUNS, "fcntl.LOCK_EX | fcntl.LOCK_NB", "fcntl.LOCK_SH | fcntl.LOCK_NB",
            "tests/faults/test_12_folders.py"),
+    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
+    check_within(path)
+""", """        raise RunError(f"{path} is no run folder: it has no run.json.")
+""", LINKS),
+    Mutant("links lead out of a new run", RUNS, "            check_within(self.path)\n", "", f"{LINKS} -k new_runs"),
+    Mutant("links lead out of a reproduction", "plugins/search/reproduce/understudy_reproduce/command.py",
+           "            check_within(folder)\n", "            pass\n", f"{LINKS} -k new_runs"),
+    Mutant("pipes stand in a run", FOLDERS, "elif not stat.S_ISREG(mode):", "elif False:", f"{LINKS} -k pipes"),
+    Mutant("a lock follows links", FOLDERS, " | os.O_NOFOLLOW", "", f"{LINKS} -k lock"),
+    Mutant("a lock empties", FOLDERS, "os.O_RDWR | os.O_CREAT", "os.O_RDWR | os.O_CREAT | os.O_TRUNC", f"{LINKS} -k lock"),
+    Mutant("a folder that is another by now", RUNS, "held = os.path.samestat(", "held = bool(os.lstat(self.path / '.lock')) or (",
+           "tests/faults/test_12_folders.py -k gone"),
+    Mutant("a checkpoint into another's folder", TRAINING, "        run.check_held()\n", "", "tests/faults/test_12_folders.py -k gone"),
+    Mutant("a pipe is waited for", FOLDERS, "        if not stat.S_ISREG(found.st_mode):", "        if False:", ENDLESS),
+    Mutant("a file of nothing is read", FOLDERS, "if found.st_size > most:", "if False:", ENDLESS),
+    Mutant("a row has no end", RUNS, "file.readline(_ROW)", "file.readline()", f"{ENDLESS} -k row"),
+    Mutant("tensors are read before their digest", CHECKPOINT,
+           'hashlib.file_digest(tensor_bytes, "sha256")', 'hashlib.sha256(tensor_bytes.read())', f"{ENDLESS} -k tensors"),
+    Mutant("an input is read before its digest", INPUTS, 'hashlib.file_digest(file, "sha256")', 'hashlib.sha256(file.read())',
+           f"{ENDLESS} -k inputs"),
     Mutant("rows are doubled", RUNS, '<= iteration]', '<= iteration + 5]',
            "tests/faults/test_14_requeued_jobs.py -k anew"),
     Mutant("state of another kind is loaded", TRAINING, '            for misfit in misshapen(own, {**state, "progress": progress}, ""):\n                raise ValueError(misfit)\n', "",
@@ -189,7 +211,7 @@ MUTANTS = (
            "tests/faults/test_23_broken_plugins.py"),
     # What a run carries, and which runs are read.
     Mutant("a carried file is not compared", INPUTS,
-           "if not inside or hashlib.sha256(path.read_bytes()).hexdigest() != digest:", "if not inside:",
+           "if not inside or _digest(path) != digest:", "if not inside:",
            "tests/kernel/test_inputs.py"),
     Mutant("a carried file may be elsewhere", INPUTS,
            "path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()", "path.is_file()",
@@ -216,7 +238,7 @@ MUTANTS = (
     Mutant("the journal is not synced", JOURNAL, "                sync(file.fileno())\n", "", f"{SWEEPS}/test_journal.py"),
     Mutant("a lost row of the journal is none", JOURNAL, "        self.events.append(event)\n", "",
            f"{SWEEPS}/test_journal.py {SWEEPS}/test_sweep.py"),
-    Mutant("a row cut short stays", JOURNAL, "if not path.exists() or path.read_bytes() != rows:", "if not path.exists():",
+    Mutant("a row cut short stays", JOURNAL, "if not path.exists() or read(path, _MOST) != rows:", "if not path.exists():",
            f"{SWEEPS}/test_journal.py {SWEEPS}/test_sweep.py"),
     Mutant("a trial is asked for twice", JOURNAL, "if any(trial.key == other.key for other in self.asked):", "if False:",
            f"{SWEEPS}/test_journal.py"),

@@ -122,6 +122,7 @@ class Training:
     def save(self) -> Path:
         run = self.run
         assert run is not None
+        run.check_held()
         path = run.checkpoints / f"{self.progress.iteration:08d}"
         meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
         checkpoint.save(path, self.state_dict(), meta)

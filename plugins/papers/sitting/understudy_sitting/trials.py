@@ -24,6 +24,7 @@ from torch import Tensor
 from understudy.command.command import Command
 from understudy.errors import ConfigError, RunError
 from understudy.records import runs
+from understudy.records.folders import read
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.evaluation import wilson_interval
@@ -208,7 +209,7 @@ class TransitionsSection(ReportSection):
         file = run.path / FILE
         if not file.is_file():
             return None
-        found = json.loads(file.read_bytes())
+        found = json.loads(read(file))
         rows = "".join(_zone(f"zone {zone}", row) for zone, row in found["zones"].items())
         head = "<tr><th></th><th>trials</th><th>success</th><th>3 s of contact</th><th>minimum distance, m</th></tr>"
         table = f"<table>{head}{_zone('all', found['all'])}{rows}</table>"

@@ -17,7 +17,10 @@ from urllib.parse import quote
 
 from understudy.errors import ConfigError, RunError
 from understudy.records.checkpoint import sync, write_atomically
+from understudy.records.folders import read
 from understudy.running.trials import Report, Trial
+
+_MOST = 2**30  #: bytes of a journal
 
 
 @dataclass
@@ -32,7 +35,7 @@ class Journal:
         """The journal at `path`; a row cut short by a crash is left out."""
         journal = cls.read(path)
         rows = "".join(_row(event) for event in journal.events).encode()
-        if not path.exists() or path.read_bytes() != rows:
+        if not path.exists() or read(path, _MOST) != rows:
             write_atomically(path, rows)
         return journal
 
@@ -47,7 +50,7 @@ class Journal:
         """
         journal = cls(path)
         try:
-            lines = path.read_bytes().decode(errors="replace").splitlines()
+            lines = read(path, _MOST).decode(errors="replace").splitlines()
         except FileNotFoundError:
             return journal
         except OSError as error:
