@@ -37,6 +37,12 @@ F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/tes
 F13 = "tests/faults/test_13_stop_signals.py"
 LINKS, ENDLESS = "tests/faults/test_22_links.py", "tests/faults/test_24_endless_files.py"
 FOLDERS = f"{KERNEL}/records/folders.py"
+UNSOUND, F23 = "tests/faults/test_01_unsound_episodes.py", "tests/faults/test_23_broken_plugins.py"
+STATISTICS, PLUGINS, REGISTRY = (
+    f"{KERNEL}/running/statistics.py",
+    f"{KERNEL}/setup/plugins.py",
+    f"{KERNEL}/setup/registry.py",
+)
 ANY = "tests/faults/test_13_any_moment.py"
 F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
 F06, F08 = "tests/faults/test_06_replay.py", "tests/faults/test_08_disk_full.py"
@@ -120,6 +126,60 @@ MUTANTS = (
            "for p in newest(folder)[1:] if", f"{F09} -k falls_back"),
     Mutant("two processes in a folder", RUNS, "fcntl.LOCK_EX | fcntl.LOCK_NB", "fcntl.LOCK_SH | fcntl.LOCK_NB",
            "tests/faults/test_12_folders.py"),
+    Mutant("unsound episodes are silent", EVALUATION, 'unsound=float(joined["unsound"].float().mean())', "unsound=0.0",
+           f"{UNSOUND} -k told"),
+    Mutant("a sentence is silent about them", EVALUATION, "        if self.unsound:\n", "        if False:\n", f"{UNSOUND} -k told"),
+    Mutant("rows are silent about them", EVALUATION, 'return found | ({f"{kind}/unsound": self.unsound} if self.unsound else {})',
+           "return found", f"{UNSOUND} -k told"),
+    Mutant("a training of unsound episodes goes on", STATISTICS, "if self._unsound > 0.5 * self._episodes:", "if False:", UNSOUND),
+    Mutant("a training of few unsound episodes stops", STATISTICS, "if self._unsound > 0.5 * self._episodes:",
+           "if self._unsound > 0:", f"{UNSOUND} -k goes_on"),
+    Mutant("few episodes decide", STATISTICS, "if self._episodes >= max(_ENOUGH, self._num_worlds):", "if self._episodes:",
+           "tests/kernel/running/test_environment.py -k hopeless"),
+    Mutant("no term is named", ENVIRONMENT, "return [where for where, value in values.items() if _wrong(value)]", "return []", UNSOUND),
+    Mutant("the page is silent about them", "plugins/showing/report/understudy_report/headline.py",
+           "        meaning += _unsound(evaluation)\n", "", "tests/plugins/report/test_report_page.py -k went_wrong"),
+    Mutant("a sweep is silent about them", "plugins/search/sweeps/understudy_sweeps/tables.py",
+           "figures += [UNSOUND] if UNSOUND in measures_of(results) else []", "pass", f"{SWEEPS}/test_results_page.py -k unsound"),
+    Mutant("an import ends every command", PLUGINS, """        except BaseException as error:  # a stranger's import may raise anything
+            if is_stop(error):
+                raise
+""", """        except Exception as error:
+""", f"{F23} -k whatever"),
+    Mutant("a registration ends every command", PLUGINS, "    except BaseException as error:  # as at import: named, isolated",
+           "    except Exception as error:", f"{F23} -k whatever"),
+    Mutant("a stop signal counts as a plugin's", SIGNALS, "    return isinstance(error, KeyboardInterrupt) and asked", "    return False",
+           f"{F23} -k stop_signal"),
+    Mutant("a plugin's interrupt counts as a stop signal", SIGNALS, "    return isinstance(error, KeyboardInterrupt) and asked",
+           "    return isinstance(error, KeyboardInterrupt)", f"{F23} -k end"),
+    Mutant("an error has to say what it is", f"{KERNEL}/errors.py", """    except BaseException:
+        return f"{kind}, which""", """    except ZeroDivisionError:
+        return f"{kind}, which""", f"{F23} -k whatever"),
+    Mutant("two plugins of a name", PLUGINS, "        if first.value != entry.value:", "        if False:", f"{F23} -k named_like"),
+    Mutant("a command that is another's", REGISTRY, "if not typed or c.name in whole | groups or whole & set(above):", "if not typed:",
+           f"{F23} -k cannot_be"),
+    Mutant("a command that cannot be typed", REGISTRY, "if not typed or c.name in", "if c.name in", f"{F23} -k cannot_be"),
+    Mutant("a part without a name", REGISTRY, "    if not typed or not all(isinstance(text, str) for text in texts):", "    if False:",
+           f"{F23} -k without_a_name"),
+    Mutant("a section that is a key", REGISTRY, "if name in self.registry.slots or name in KERNEL_KEYS:", "if False:",
+           f"{F23} -k without_a_name"),
+    Mutant("a hook that is none", PLUGINS, "if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):", "if False:",
+           f"{F23} -k none"),
+    Mutant("options that cannot be read", PLUGINS, "elif name not in bundled and (why := _unreadable(file)):", "elif (why := ''):",
+           f"{F23} -k cannot_be_read"),
+    Mutant("options of any size", PLUGINS, "if root is not None and count(root) > _VALUES else", "if False else",
+           f"{F23} -k cannot_be_read"),
+    Mutant("a summary is a format", f"{KERNEL}/command/cli.py", 'doubled = text.replace("%", "%%")', "doubled = text", f"{F23} -k per_cent"),
+    Mutant("an observer ends a run", TRAINING, "            except BaseException as error:  # it only watches: the run goes on",
+           "            except ZeroDivisionError as error:", f"{F23} -k observers_that_end"),
+    Mutant("an observer leaves", TRAINING, "            except BaseException as error:  # it only watches: the run goes on",
+           "            except Exception as error:", f"{F23} -k observers_that_end"),
+    Mutant("what is no observer", PLUGINS, "if not all(isinstance(o, RunObserver) for o in own):", "if False:", f"{F23} -k observers_that_are_none"),
+    Mutant("a plugin's observers end a run", PLUGINS, """            except BaseException as error:
+                if is_stop(error):
+                    raise
+                tell(""", """            except Exception as error:
+                tell(""", f"{F23} -k observers_that_are_none"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
     check_within(path)
 """, """        raise RunError(f"{path} is no run folder: it has no run.json.")

@@ -94,7 +94,7 @@ def _together(experiment: Experiment) -> Iterator[None]:
 def _carry_out(training: Training) -> int:
     run = training.run
     if run is not None:  # process 0, which alone writes and reports
-        training.reporter = Reporter(tell, installed().observers())
+        training.reporter = Reporter(tell, installed().observers(tell))
     try:
         reason, progress = training.train(), training.progress
         distributed.stop()

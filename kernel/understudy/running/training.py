@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from understudy import distributed
-from understudy.errors import PreemptedError, RunError
+from understudy.errors import PreemptedError, RunError, said
 from understudy.records import checkpoint
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
@@ -27,7 +27,7 @@ from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.warm_start import misshapen
 from understudy.setup.config import Experiment
-from understudy.signals import StopRequest
+from understudy.signals import StopRequest, is_stop
 from understudy.task import State
 
 
@@ -60,11 +60,11 @@ class Reporter:
         for observer in tuple(self.observers):
             try:
                 getattr(observer, event)(*arguments)
-            except Exception as error:  # it only watches: the run goes on
+            except BaseException as error:  # it only watches: the run goes on
+                if is_stop(error):
+                    raise
                 self.observers = [o for o in self.observers if o is not observer]
-                self.message(
-                    f"The observer {type(observer).__name__} is left out: {type(error).__name__}: {error}"
-                )
+                self.message(f"The observer {type(observer).__name__} is left out: {said(error)}")
 
 
 class Training:

@@ -86,7 +86,7 @@ class Render(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)
-        reporter.observers = installed().observers()
+        reporter.observers = installed().observers(tell)
         changed = _changed(options.overrides, _PICTURE)
         changed += [f"checkpoint={int(chosen)}"] if chosen else []
         name = _name(options.overrides, chosen)
