@@ -37,6 +37,7 @@ F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/tes
 F13 = "tests/faults/test_13_stop_signals.py"
 LINKS, ENDLESS = "tests/faults/test_22_links.py", "tests/faults/test_24_endless_files.py"
 FOLDERS = f"{KERNEL}/records/folders.py"
+SIZES = "tests/faults/test_27_sizes.py"
 UNSOUND, F23 = "tests/faults/test_01_unsound_episodes.py", "tests/faults/test_23_broken_plugins.py"
 STATISTICS, PLUGINS, REGISTRY = (
     f"{KERNEL}/running/statistics.py",
@@ -180,6 +181,15 @@ MUTANTS = (
                     raise
                 tell(""", """            except Exception as error:
                 tell(""", f"{F23} -k observers_that_are_none"),
+    Mutant("a count has no end", f"{KERNEL}/options.py", "end = MANY if most is None and", "end = MANY if False and", SIZES),
+    Mutant("tuples have no range", f"{KERNEL}/options.py", "given if isinstance(given, tuple) else (given,)", "(given,) if type(given) is not tuple else ()", SIZES),
+    Mutant("a decision has no end", f"{KERNEL}/setup/config.py", "if self.substeps * self.decision > _STEPS:", "if False:", f"{SIZES} -k asks"),
+    Mutant("an evaluation has no end", f"{KERNEL}/setup/config.py", "if decisions > _DECISIONS:", "if False:", f"{SIZES} -k asks"),
+    Mutant("a network of any size", NN, "if sum(a * b for a, b in (*hidden, last)) > LARGEST:", "if False:", f"{SIZES} -k asks"),
+    Mutant("layers of any number", "plugins/learning/basics/understudy_basics/policies.py", " or len(units) > 100:", ":", f"{SIZES} -k asks"),
+    Mutant("memory that there is not is a defect", f"{KERNEL}/setup/building.py", 'and "memory" not in str(error):', "and True:", f"{SIZES} -k memory"),
+    Mutant("particles of any number", "plugins/papers/amorphous/understudy_amorphous/scene.py",
+           "if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:", "if False:", f"{SIZES} -k scene"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
     check_within(path)
 """, """        raise RunError(f"{path} is no run folder: it has no run.json.")
