@@ -190,6 +190,9 @@ MUTANTS = (
     Mutant("memory that there is not is a defect", f"{KERNEL}/setup/building.py", 'and "memory" not in str(error):', "and True:", f"{SIZES} -k memory"),
     Mutant("particles of any number", "plugins/papers/amorphous/understudy_amorphous/scene.py",
            "if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:", "if False:", f"{SIZES} -k scene"),
+    Mutant("another number of threads is silent", TRAINING, 'if meta.get("threads", threads()) != threads() and', "if False and",
+           f"{F11} -k threads"),
+    Mutant("a checkpoint does not know its threads", TRAINING, '        meta["threads"] = threads()\n', "", f"{F11} -k threads"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
     check_within(path)
 """, """        raise RunError(f"{path} is no run folder: it has no run.json.")

@@ -29,6 +29,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from understudy.errors import RunError
 from understudy.inputs import Inputs
 from understudy.records import checkpoint
@@ -47,6 +49,11 @@ VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-war
 def cores() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def threads() -> int:
+    """Threads of torch, on whose number the last bits of large products on a CPU depend."""
+    return torch.get_num_threads()
 
 
 def versions() -> dict[str, str]:
@@ -228,7 +235,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "overrides": list(overrides),
         "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": versions(),
-        "machine": {"system": platform.platform(), "cores": cores()},
+        "machine": {"system": platform.platform(), "cores": cores(), "threads": threads()},
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "components": [{f: getattr(c, f) for f in facts} for _, c in sorted(used.items())],
         "sources": dict(sources),
