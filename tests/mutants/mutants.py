@@ -36,7 +36,11 @@ POISON = "tests/faults/test_01_poisoned_fields.py"
 F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/test_09_damaged_files.py", "tests/faults/test_10_resume.py"  # fmt: skip
 F13 = "tests/faults/test_13_stop_signals.py"
 LINKS, ENDLESS = "tests/faults/test_22_links.py", "tests/faults/test_24_endless_files.py"
-FOLDERS = f"{KERNEL}/records/folders.py"
+FOLDERS, COMPOSITION = f"{KERNEL}/records/folders.py", f"{KERNEL}/setup/composition.py"
+GUARD, GUARDED = (
+    "plugins/studio/viewer/understudy_viewer/guard.py",
+    "tests/plugins/viewer/test_guard.py",
+)
 SIZES = "tests/faults/test_27_sizes.py"
 UNSOUND, F23 = "tests/faults/test_01_unsound_episodes.py", "tests/faults/test_23_broken_plugins.py"
 STATISTICS, PLUGINS, REGISTRY = (
@@ -193,6 +197,23 @@ MUTANTS = (
     Mutant("another number of threads is silent", TRAINING, 'if meta.get("threads", threads()) != threads() and', "if False and",
            f"{F11} -k threads"),
     Mutant("a checkpoint does not know its threads", TRAINING, '        meta["threads"] = threads()\n', "", f"{F11} -k threads"),
+    Mutant("a page answers any name", GUARD, "return bool(ipaddress.ip_address(name))", "return True", GUARDED),
+    Mutant("any name is an address", GUARD, "    return False\n\n\n@contextlib", "    return True\n\n\n@contextlib", GUARDED),
+    Mutant("a page answers other pages", GUARD, "or origin.netloc != named[0]", "", GUARDED),
+    Mutant("a page answers files", GUARD, 'origin.scheme not in ("http", "https") or', "", GUARDED),
+    Mutant("two names of a host", GUARD, "if len(named) != 1 or len(origins) > 1:", "if not named:", GUARDED),
+    Mutant("the motion page is open to all", "plugins/studio/viewer/understudy_viewer/page.py", "with guarded(host), contextlib", "with contextlib",
+           "tests/plugins/viewer/test_page.py -k own_address"),
+    Mutant("the page of a skill is open to all", "plugins/studio/play/understudy_play/page.py", "with guarded(host), contextlib", "with contextlib",
+           "tests/plugins/play/test_play.py -k chair"),
+    Mutant("options may be anywhere", COMPOSITION, "        if any(map(_leads_out, (group, *names))):", "        if False:", f"{F21} -k elsewhere"),
+    Mutant("options may stand at a path", COMPOSITION, 'Path(text).is_absolute() or ".." in Path(text).parts or', "", f"{F21} -k elsewhere"),
+    Mutant("options may be resolved", COMPOSITION, ' or "${" in text', "", f"{F21} -k elsewhere"),
+    Mutant("a stranger's overrides are resolved", RUNS, '        refuse_resolvers(words[: len(words) - len(more)], f"{self.path}")\n', "", f"{F21} -k resolvers_of"),
+    Mutant("resolvers within others", COMPOSITION, "[^}]*(:|\\$\\{)", "[^}]*(:)", f"{F21} -k resolvers_of"),
+    Mutant("a journal's overrides are resolved", JOURNAL, """        refuse_resolvers(trial.overrides, f"Trial '{trial.key}'")
+    except""", """        pass
+    except""", f"{F21} -k journal"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
     check_within(path)
 """, """        raise RunError(f"{path} is no run folder: it has no run.json.")

@@ -147,6 +147,18 @@ class Run:
         self.check_held()
         write_atomically(self.path / name, (json.dumps(value, indent=1) + "\n").encode())
 
+    def words(self, more: Sequence[str]) -> list[str]:
+        """The overrides that made it, then `more`, to be composed.
+
+        Raises:
+            ConfigError: if one of its own would be filled in from this machine.
+        """
+        from understudy.setup.composition import refuse_resolvers, replaced  # Hydra takes its time
+
+        words = replaced(self.info["overrides"], more)
+        refuse_resolvers(words[: len(words) - len(more)], f"{self.path}")
+        return words
+
     def judged(self) -> int | None:
         """After how many samples it was judged and its pictures were made; None before that."""
         return self.info.get("judged")

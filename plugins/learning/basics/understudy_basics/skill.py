@@ -19,7 +19,7 @@ from understudy.records import checkpoint, runs
 from understudy.records.folders import read
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment, build_policy
-from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.composition import compose_raw
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
@@ -112,7 +112,7 @@ def _of_run(
     run = runs.open_run(path)
     config, words = run.config, list(run.info["overrides"])
     if overrides:
-        words = replaced(words, overrides)
+        words = run.words(overrides)
         config = compose_raw(words)
     state, meta = run.newest()
     policy = state.get("policy")

@@ -30,7 +30,7 @@ from understudy.running.environment import Environment
 from understudy.running.evaluation import wilson_interval
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import build_environment, build_policy
-from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.composition import compose_raw
 from understudy.setup.config import Experiment
 from understudy.task import Context, Policy
 from understudy_report.section import ReportSection
@@ -62,7 +62,7 @@ class Trials(Command):
         run = runs.open_run(options.run)
         config: Mapping[str, Any] = run.config
         if options.overrides:
-            config = compose_raw(replaced(run.info["overrides"], options.overrides))
+            config = compose_raw(run.words(options.overrides))
         experiment = run.experiment(config=config)
         found, samples = judge(experiment, run, options.trials)
         judged = {

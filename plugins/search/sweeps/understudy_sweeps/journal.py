@@ -19,6 +19,7 @@ from understudy.errors import ConfigError, RunError
 from understudy.records.checkpoint import sync, write_atomically
 from understudy.records.folders import read
 from understudy.running.trials import Report, Trial
+from understudy.setup.composition import refuse_resolvers
 
 _MOST = 2**30  #: bytes of a journal
 
@@ -76,6 +77,7 @@ class Journal:
     def ask(self, trial: Trial) -> None:
         if any(trial.key == other.key for other in self.asked):
             raise ConfigError(f"The outer loop asks for trial '{trial.key}' twice.")
+        refuse_resolvers(trial.overrides, f"Trial '{trial.key}'")  # no journal has such
         self._write(trial)
 
     def tell(self, report: Report) -> None:
@@ -115,6 +117,10 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
     trial = Trial(**{**row, "overrides": tuple(row["overrides"])})
     _check_name(trial.key)
     _check(str, trial.variant, *trial.overrides)
+    try:
+        refuse_resolvers(trial.overrides, f"Trial '{trial.key}'")
+    except ConfigError as error:
+        raise ValueError(str(error)) from error
     _check(str | None, trial.initial_states)
     _check(Mapping | None, trial.start)
     _check(int | None, trial.seed)

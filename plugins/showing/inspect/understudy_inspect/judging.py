@@ -185,7 +185,7 @@ def load(
     overrides = [word for word in words if word.partition("=")[0] not in own]
     config = copy.deepcopy(run.config)
     if overrides:
-        config = compose_raw(replaced(run.info["overrides"], overrides))
+        config = compose_raw(run.words(overrides))
     chosen = own.pop("checkpoint", "")
     for key, value in own.items():
         _set(config, short[key], _value(key, value))
