@@ -211,9 +211,7 @@ MUTANTS = (
     Mutant("options may be resolved", COMPOSITION, ' or "${" in text', "", f"{F21} -k elsewhere"),
     Mutant("a stranger's overrides are resolved", RUNS, '        refuse_resolvers(words[: len(words) - len(more)], f"{self.path}")\n', "", f"{F21} -k resolvers_of"),
     Mutant("resolvers within others", COMPOSITION, "[^}]*(:|\\$\\{)", "[^}]*(:)", f"{F21} -k resolvers_of"),
-    Mutant("a journal's overrides are resolved", JOURNAL, """        refuse_resolvers(trial.overrides, f"Trial '{trial.key}'")
-    except""", """        pass
-    except""", f"{F21} -k journal"),
+    Mutant("a journal's overrides are resolved", JOURNAL, '                    refuse_resolvers(event.overrides, "A journal")', "                    pass", f"{F21} -k journal"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
     check_within(path)
 """, """        raise RunError(f"{path} is no run folder: it has no run.json.")

@@ -58,11 +58,15 @@ class Journal:
             raise RunError(f"{path} cannot be read: {error.strerror}.") from error
         for line in lines:
             with contextlib.suppress(
-                ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError
-            ):
+                ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError,
+                ConfigError,
+            ):  # fmt: skip
                 row = json.loads(line)
                 asked = row["event"] == "asked"
-                journal.events.append(trial_of(row["trial"]) if asked else _report(row["report"]))
+                event = trial_of(row["trial"]) if asked else _report(row["report"])
+                if isinstance(event, Trial):
+                    refuse_resolvers(event.overrides, "A journal")
+                journal.events.append(event)
         return journal
 
     @property
@@ -117,10 +121,6 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
     trial = Trial(**{**row, "overrides": tuple(row["overrides"])})
     _check_name(trial.key)
     _check(str, trial.variant, *trial.overrides)
-    try:
-        refuse_resolvers(trial.overrides, f"Trial '{trial.key}'")
-    except ConfigError as error:
-        raise ValueError(str(error)) from error
     _check(str | None, trial.initial_states)
     _check(Mapping | None, trial.start)
     _check(int | None, trial.seed)
