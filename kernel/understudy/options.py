@@ -188,18 +188,28 @@ def check_range(
     most: float | None = None,
 ) -> None:
     """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
-    above `above`, at `least` or more, and at `most` or less; a ValueError names the one that does not."""
+    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers that have
+    a least are sizes or counts, of which :data:`MANY` are the most unless `most` says otherwise. A
+    ValueError names the one that does not."""
     for name in names:
-        value = getattr(options, name)
-        if value is None:
-            continue
-        for bound, holds, how in (
-            (above, above is None or value > above, "greater than"),
-            (least, least is None or value >= least, "at least"),
-            (most, most is None or value <= most, "at most"),
-        ):
-            if not holds:
-                raise ValueError(f"{name}={value!r} is not possible: it must be {how} {bound:g}.")
+        given = getattr(options, name)
+        for value in given if isinstance(given, tuple) else (given,):
+            if value is None:
+                continue
+            end = MANY if most is None and least is not None and type(value) is int else most
+            for bound, holds, how in (
+                (above, above is None or value > above, "greater than"),
+                (least, least is None or value >= least, "at least"),
+                (end, end is None or value <= end, "at most"),
+            ):
+                if not holds:
+                    raise ValueError(
+                        f"{name}={given!r} is not possible: it must be {how} {bound:g}."
+                    )
+
+
+#: The most that an option which is a size or a count can be, where nothing else is said.
+MANY = 10**6
 
 
 def _below(where: str) -> str:

@@ -12,7 +12,7 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import device_of
-from understudy.setup.composition import compose_raw, load_experiment, replaced
+from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.config import Experiment, at, validate
 from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
@@ -42,7 +42,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     """Continue the run at `path` to its criterion or budget."""
     run = runs.open_run(path)
     if overrides:
-        run.info["overrides"] = replaced(run.info["overrides"], overrides)
+        run.info["overrides"] = run.words(overrides)
         experiment = validate(compose_raw(run.info["overrides"]), installed().registry)
         config = experiment.effective()
         config["run"] |= {"dir": at(run.config, "run.dir")}
@@ -94,7 +94,7 @@ def _together(experiment: Experiment) -> Iterator[None]:
 def _carry_out(training: Training) -> int:
     run = training.run
     if run is not None:  # process 0, which alone writes and reports
-        training.reporter = Reporter(tell, installed().observers())
+        training.reporter = Reporter(tell, installed().observers(tell))
     try:
         reason, progress = training.train(), training.progress
         distributed.stop()

@@ -434,6 +434,18 @@ class Environment:
             return functools.reduce(operator.add, [v * weight for v, weight in values])
         return functools.reduce(operator.mul, [v if w == 1.0 else v**w for v, w in values])
 
+    def unsound_parts(self) -> list[str]:
+        """Whose numbers went wrong in the states reached by :meth:`advance`, before :meth:`begin`."""
+        if bool(self._unsound.any()):
+            return ["the actuation or the simulator"]
+        powers = self.parts.combine == "product"
+        values = {
+            t.where: self._evaluate(t) ** (t.weight if powers else 1) for t in self.parts.rewards
+        }
+        values |= {self.parts.encoders[n].where: value for n, value in self._encode().items()}
+        values = values if any(map(_wrong, values.values())) else {"reward": self._reward()}
+        return [where for where, value in values.items() if _wrong(value)]
+
     def refuse_negative(self) -> None:
         """Raise :class:`TrainingError` if a reward that has an exponent has been negative."""
         for where, least in self._least.items():
@@ -581,6 +593,10 @@ def sound(value: Tensor) -> Tensor:
     """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
     size = value.abs()[:, None].flatten(1)  # amax is NaN where a number is; it takes no empty rows
     return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
+
+
+def _wrong(value: Tensor) -> bool:
+    return not bool(sound(value).all())
 
 
 def without_unsound(value: Tensor) -> Tensor:

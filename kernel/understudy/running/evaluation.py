@@ -56,6 +56,7 @@ class Evaluation:
     seconds: float | None = None  #: the episodes' length
     #: False if it was stopped once success was out of reach; then the rate is the most it could be.
     complete: bool = True
+    unsound: float = 0.0  #: share whose numbers went wrong; they are no success
 
     @property
     def objective_value(self) -> float | None:
@@ -70,7 +71,7 @@ class Evaluation:
         if self.success_rate is not None:
             name = "success_rate" if self.complete else "success_rate_at_most"
             found[f"{kind}/{name}"] = self.success_rate
-        return found
+        return found | ({f"{kind}/unsound": self.unsound} if self.unsound else {})
 
     def as_json(self, samples: int, changed: Sequence[str] = ()) -> dict[str, Any]:
         """After so many `samples`; `changed` are overrides with which the run was not trained."""
@@ -83,6 +84,7 @@ class Evaluation:
             "mean_episode_seconds": self.mean_episode_seconds,
             "violated": dict(self.violated),
             "cut": dict(self.cut),
+            "unsound": self.unsound,
             "measures": {name: m.as_json() for name, m in self.measures.items()},
             "objective": {"name": self.objective, "value": self.objective_value},
         }
@@ -101,13 +103,21 @@ class Evaluation:
         figures = [
             f"{n} {mean:.3g}" for n, mean in known.items() if n != "return" and self.complete
         ]
+        if self.unsound:
+            figures.append(f"numbers went wrong in {shown_share(self.unsound)} of the episodes")
         if self.success_rate is None:
-            return "; ".join(figures) + "."
+            return "; ".join(figures or ["nothing was measured"]) + "."
         bound, early = ("", "") if self.complete else ("at most ", ", stopped early")
         text = f"{bound}{self.success_rate:.0%} of {self.episodes} episodes succeeded{early} ({self.success})"
         if cut := [f"{name} cut {share:.0%} short" for name, share in self.cut.items() if share]:
             cut.append(f"on average they lasted {self.mean_episode_seconds:.3g} s")
         return "; ".join([text, *cut, *figures]) + "."
+
+
+def shown_share(share: float) -> str:
+    """In per cent; never none of it where there is some, nor all of it where some is left."""
+    text = f"{share:.0%}"
+    return {"0%": "under 1%", "100%": "over 99%"}.get(text, text) if 0 < share < 1 else text
 
 
 def wilson_interval(rate: float, n: int, z: float = 1.96) -> tuple[float, float]:

@@ -171,6 +171,7 @@ class Evaluator:
             objective=self.options.objective,
             seconds=self.options.seconds,
             complete=complete,
+            unsound=float(joined["unsound"].float().mean()),
         )
 
     def _batch(
@@ -208,6 +209,7 @@ class Evaluator:
         found = {
             "success": self._won() if complete else self._won() | self._running,
             "seconds": self._seconds,
+            "unsound": self._unsound,
             **{f"measure/{name}": r.result() for name, r in self._reducers.items()},
             **{f"fired/{name}": fired for name, fired in self._fired.items()},
         }

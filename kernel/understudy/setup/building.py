@@ -51,6 +51,19 @@ def build_sections(experiment: Experiment) -> dict[str, Any]:
     }
 
 
+@contextlib.contextmanager
+def enough_memory(what: str) -> Iterator[None]:
+    """Inside, what asks for more memory than there is becomes a :class:`ConfigError`."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and "memory" not in str(error):
+            raise
+        raise ConfigError(
+            f"The {what} asks for more memory than there is. Ask for less: fewer worlds, smaller sizes."
+        ) from error
+
+
 def build_environment(
     experiment: Experiment,
     *,
@@ -165,5 +178,5 @@ def providers_of(field: str, registry: Registry) -> Iterator[str]:
 
 def build_policy(experiment: Experiment, context: Context) -> Policy:
     """The policy, its weights drawn from the seed alone."""
-    with private_rng(context.seed, "policy"):
+    with private_rng(context.seed, "policy"), enough_memory("policy"):
         return experiment.need("policy").build(context).to(context.device)

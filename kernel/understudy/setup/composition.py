@@ -90,12 +90,41 @@ def _check(override: str, plugins: Plugins) -> None:
         form = f"experiment={key}" if key in known else "KEY=VALUE, without spaces"
         raise ConfigError(f"'{override}' sets nothing. Write {form}.")
     try:
-        several = OverridesParser.create().parse_override(override).is_sweep_override()
+        parsed = OverridesParser.create().parse_override(override)
+        several = parsed.is_sweep_override()
+        chosen = parsed.value() if equals and not several and not parsed.is_delete() else None
     except HydraException as error:
         raise ConfigError(f"{override} cannot be read. Check brackets and quotes.") from error
+    group = parsed.key_or_group
+    if group not in _VALUES and ("/" in group or "." not in group):  # its value names a file
+        names = chosen if isinstance(chosen, list) else [chosen]
+        if any(map(_leads_out, (group, *names))):
+            raise ConfigError(
+                f"{override} names no option: those are files in the folders of options."
+            )
     if several:
         form = f" A list is written [{value}]; runs and seeds are compared by `understudy sweep`."
         raise ConfigError(f"{override} has several values and a run takes one.{form}")
+
+
+def _leads_out(name: Any) -> bool:
+    """Whether a group or an option is named by a path out of the folders of options, or by what is
+    still to be resolved."""
+    text = str(name) if isinstance(name, (str, QuotedString)) else ""
+    return Path(text).is_absolute() or ".." in Path(text).parts or "${" in text
+
+
+_RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
+
+
+def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
+    """Raise :class:`ConfigError` for overrides of a stranger's, of what is named `of`, that would be
+    filled in from this machine (``${oc.env:NAME}``)."""
+    for override in overrides:
+        if _RESOLVER.search(override):
+            raise ConfigError(
+                f"{of} sets {override}, which would be read from this machine. Give it a value anew."
+            )
 
 
 def _plain(error: Exception, plugins: Plugins) -> str:

@@ -19,6 +19,9 @@ from understudy.options import Option, check_range, checked_options, make_option
 from understudy.setup.registry import Component, Registry, Slot
 from understudy.task.terms import Outcome, Reduction
 
+#: The most steps of physics in a decision, and decisions in an episode of an evaluation.
+_STEPS, _DECISIONS = 100_000, 1_000_000
+
 
 @dataclass(frozen=True)
 class ControlOptions:
@@ -30,8 +33,13 @@ class ControlOptions:
 
     def __post_init__(self) -> None:
         check_range(self, "frequency", above=0, most=1e5)
-        check_range(self, "substeps", least=1, most=100_000)
+        check_range(self, "substeps", least=1, most=10_000)
         check_range(self, "decision", least=1, most=10_000)
+        if self.substeps * self.decision > _STEPS:
+            raise ValueError(
+                f"decision={self.decision} is not possible: with substeps={self.substeps} a decision would be "
+                f"more than {_STEPS} steps of physics."
+            )
 
 
 @dataclass(frozen=True)
@@ -112,11 +120,11 @@ class EvaluationOptions:
     every_samples: int | None = None
 
     def __post_init__(self) -> None:
-        check_range(self, "episodes", "final_episodes", least=1, most=10**7)
+        check_range(self, "episodes", "final_episodes", least=1)
         check_range(self, "seconds", above=0, most=1e7)
         check_range(self, "criterion", above=0, most=1)
         check_range(self, "gate", least=0, most=1)
-        check_range(self, "every_samples", least=0)
+        check_range(self, "every_samples", least=0, most=2**63 - 1)
 
 
 @dataclass(frozen=True)
@@ -137,7 +145,8 @@ class RunOptions:
     video_camera: float | None = None  #: degrees about the vertical; 0 is from behind, 90 the right
 
     def __post_init__(self) -> None:
-        check_range(self, "video_seconds", least=0)
+        check_range(self, "video_seconds", least=0, most=3600)
+        check_range(self, "video_size", least=1, most=8192)
 
 
 #: What a run can take over from another one.
@@ -194,9 +203,15 @@ class Root:
     )  #: what ends an episode
 
     def __post_init__(self) -> None:
-        check_range(self, "num_worlds", least=1, most=10**7)
+        check_range(self, "num_worlds", least=1)
         check_range(self, "seed", least=0, most=2**63 - 1)
         check_range(self, "difficulty", least=0, most=1)
+        decisions = self.evaluation.seconds * self.control.frequency / self.control.decision
+        if decisions > _DECISIONS:
+            raise ValueError(
+                f"evaluation.seconds={self.evaluation.seconds:g} is not possible: an episode would be more than "
+                f"{_DECISIONS} decisions."
+            )
         coarse, own = self.resolution.substeps, self.control.substeps
         if coarse is not None and coarse > own:
             raise ValueError(

@@ -13,7 +13,7 @@ from worlds import PADDLE_TASK, assert_same_state
 
 from understudy.errors import ConfigError, TrainingError
 from understudy.running.environment import Environment, Step
-from understudy.running.statistics import refuse_hopeless
+from understudy.running.statistics import Hopeless
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -204,9 +204,20 @@ def test_wrong_shapes(plugins: Plugins, kind: str, result: torch.Tensor, message
 
 
 def test_refuse_hopeless() -> None:
-    refuse_hopeless(25, 10, 10)
-    with pytest.raises(TrainingError, match=r"^26% of all steps"):
-        refuse_hopeless(26, 10, 10)
+    def after(*iterations: tuple[float, float], worlds: int = 10) -> None:
+        hopeless = Hopeless(worlds)
+        for unsound, episodes in iterations:
+            hopeless.refuse({"unsound": unsound, "episodes": episodes}, 10, lambda: "x")
+
+    after((25, 100))
+    with pytest.raises(TrainingError, match=r"^26% of all steps .* by the numbers of x\."):
+        after((26, 100))
+    after((16, 32), (5, 5), (5, 5), (5, 5), (5, 5), (5, 5), (5, 5))  # of 30, which are few
+    with pytest.raises(TrainingError, match=r"^53% of all episodes"):
+        after((17, 32))
+    with pytest.raises(TrainingError, match=r"^100% of all episodes"):
+        after(*[(8, 8)] * 4)
+    after(*[(8, 8)] * 4, worlds=50)
 
 
 def test_physics_is_computed_in_full_precision(

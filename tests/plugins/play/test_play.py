@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from page_requests import check_page
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
@@ -149,6 +150,7 @@ def test_the_page_shows_the_chair_where_the_episode_has_it() -> None:
         page._again = True
         page.advance()
         assert np.allclose(page._things[0].position, page._player.shown()["chair_position"])
+        check_page(page.url)  # which answers its own address alone
     finally:
         page.close()
 

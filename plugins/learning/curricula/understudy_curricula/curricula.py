@@ -85,7 +85,7 @@ class Linear(Curriculum):
         knots: Knots = Knots()  #: what changes with the difficulty
 
         def __post_init__(self) -> None:
-            check_range(self, "samples", least=1)
+            check_range(self, "samples", least=1, most=2**53)
             check_range(self, "start", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:

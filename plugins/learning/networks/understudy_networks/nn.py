@@ -26,6 +26,8 @@ Precision = Literal["float32", "tf32", "bfloat16"]
 """Number format of matrix products; tf32 is NVIDIA's, and float32 on CPUs."""
 
 
+#: The most weights of a network.
+LARGEST = 2**27
 #: Numbers of a layer's weight from which oneDNN's way of keeping tensors is worth the change.
 _WIDE = 2**18
 
@@ -124,6 +126,10 @@ def mlp(
 ) -> Network:
     """Linear layers of `sizes` with `activation` between them; the last one's weights are scaled."""
     *hidden, last = itertools.pairwise(sizes)
+    if sum(a * b for a, b in (*hidden, last)) > LARGEST:  # before there is memory for it
+        raise ConfigError(
+            f"A network of layers of {list(sizes)} is too large: it would have more than {LARGEST} weights."
+        )
     layers = [part for pair in hidden for part in (scaled(nn.Linear(*pair)), activation())]
     return Network(*layers, scaled(nn.Linear(*last), final_scale))
 
@@ -315,7 +321,7 @@ class Schedule:
     samples: int = 1_000_000  #: training samples until ``end``, from 1
 
     def __post_init__(self) -> None:
-        check_range(self, "samples", least=1)
+        check_range(self, "samples", least=1, most=2**53)
 
     def at(self, samples: int) -> float:
         share = min(1.0, samples / self.samples)

@@ -19,6 +19,7 @@ from understudy.options import check_range
 from understudy.task import ActionSpace, Context, Distribution, Policy
 from understudy_networks.convolution import Convolution, convolutions
 from understudy_networks.nn import (
+    LARGEST,
     Network,
     RunningNormaliser,
     Schedule,
@@ -123,7 +124,8 @@ class CNNPolicy(Policy):
                 raise ValueError(f"kernels={self.kernels} is not possible: they must be odd.")
             check_units("filters", self.filters)
             check_units("hidden", self.hidden)
-            check_range(self, "pool", "features", least=1)
+            check_range(self, "pool", "features", least=1, most=10_000)
+            check_range(self, "kernels", least=1, most=99)
             check_noise(self.noise)
             check_range(self, "final_scale", least=0)
 
@@ -239,6 +241,9 @@ def log_deviation(space: ActionSpace, noise: Schedule, learned: bool) -> nn.Para
 def check_units(name: str, units: tuple[int, ...]) -> None:
     if any(count < 1 for count in units):
         raise ValueError(f"{name}={units} is not possible: every layer needs a unit.")
+    sizes = [1, *units, 1]
+    if sum(a * b for a, b in itertools.pairwise(sizes)) > LARGEST or len(units) > 100:
+        raise ValueError(f"{name}={units} is not possible: the network would be too large.")
 
 
 def check_noise(noise: Schedule) -> None:

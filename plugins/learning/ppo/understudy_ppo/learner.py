@@ -90,7 +90,8 @@ class PPO(Learner):
         patience: int = 20
 
         def __post_init__(self) -> None:
-            check_range(self, "rollout_steps", "epochs", "minibatches", "patience", least=1)
+            check_range(self, "epochs", "minibatches", "patience", least=1)
+            check_range(self, "rollout_steps", least=1, most=100_000)
             check_range(self, "batch_size", least=2)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)

@@ -30,7 +30,7 @@ class Controllers(Actuation):
         scale: float = 1.0  #: of the goal: its unit for one of the action's
 
         def __post_init__(self) -> None:
-            check_range(self, "goal", least=1)
+            check_range(self, "goal", least=1, most=10_000)
             check_range(self, "scale", above=0)
             if not self.runs:
                 raise ValueError("runs=() is not possible: name the folder of a run.")

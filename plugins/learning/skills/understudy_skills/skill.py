@@ -16,9 +16,10 @@ from torch import Tensor
 from understudy.errors import ConfigError, RunError, suggestion
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
+from understudy.records.folders import read
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment, build_policy
-from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.composition import compose_raw
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
@@ -111,7 +112,7 @@ def _of_run(
     run = runs.open_run(path)
     config, words = run.config, list(run.info["overrides"])
     if overrides:
-        words = replaced(words, overrides)
+        words = run.words(overrides)
         config = compose_raw(words)
     state, meta = run.newest()
     policy = state.get("policy")
@@ -133,7 +134,7 @@ def _of_run(
 def _evaluation(path: Path) -> Any:
     """What the run was judged by as it was trained; none where the last was of something else."""
     try:
-        found = json.loads((path / "evaluation.json").read_bytes())
+        found = json.loads(read(path / "evaluation.json"))
     except (OSError, ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) and found and not found.get("changed") else None

@@ -5,8 +5,10 @@ Several of a kind in one task need other names: ``provides: {timer: seconds_on_s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,6 +16,12 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.running.environment import rows
 from understudy.task import Context, Memory, Shape
+
+
+def _check_shape(options: Any) -> None:
+    check_range(options, "shape", least=1)
+    if math.prod(options.shape) > 10_000:
+        raise ValueError(f"shape={options.shape} is not possible: give at most 10000 values.")
 
 
 class Timer(Memory):
@@ -47,6 +55,9 @@ class Latch(Memory):
     class Options:
         shape: tuple[int, ...] = ()  #: of the value, without N
 
+        def __post_init__(self) -> None:
+            _check_shape(self)
+
     def __init__(self, options: Options, context: Context) -> None:
         self.keeps: Mapping[str, Shape] = {"latched": options.shape, "held": ()}
 
@@ -72,6 +83,9 @@ class RunningMean(Memory):
     @dataclass(frozen=True)
     class Options:
         shape: tuple[int, ...] = ()  #: of the value, without N
+
+        def __post_init__(self) -> None:
+            _check_shape(self)
 
     def __init__(self, options: Options, context: Context) -> None:
         self.keeps: Mapping[str, Shape] = {"mean": options.shape}
@@ -163,7 +177,8 @@ class History(Memory):
         shape: tuple[int, ...] = ()  #: of the value, without N
 
         def __post_init__(self) -> None:
-            check_range(self, "length", least=1)
+            check_range(self, "length", least=1, most=10_000)
+            _check_shape(self)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._length = options.length

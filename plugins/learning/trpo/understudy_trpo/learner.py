@@ -52,7 +52,8 @@ class TRPO(Learner):
         patience: int = 3
 
         def __post_init__(self) -> None:
-            check_range(self, "rollout_steps", "conjugate_gradient_steps", least=1)
+            check_range(self, "rollout_steps", least=1, most=100_000)
+            check_range(self, "conjugate_gradient_steps", least=1)
             check_range(self, "line_search_steps", "value_epochs", "value_batch_size", least=1)
             check_range(self, "patience", least=1)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)

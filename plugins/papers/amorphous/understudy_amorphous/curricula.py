@@ -87,7 +87,7 @@ class Clusters(Curriculum):
         episodes: int = 256  #: how many ended episodes are judged together at least
 
         def __post_init__(self) -> None:
-            check_range(self, "start", "episodes", least=1)
+            check_range(self, "start", "most", "episodes", least=1)
             check_range(self, "within", above=0)
             if self.most < self.start:
                 raise ValueError(f"most={self.most} is not possible: start is {self.start}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -82,6 +83,9 @@ TOOLS: dict[str, Callable[[], Tool]] = {
 }
 
 
+_PARTICLES = 100_000  #: the most that a scene has
+
+
 class AmorphousScene(ParticleScene):
     """Blocks of particles on a table, and a tool.
 
@@ -103,7 +107,13 @@ class AmorphousScene(ParticleScene):
         springs: int = 32  #: the most that one particle of a visco-plastic material can have
 
         def __post_init__(self) -> None:
-            check_range(self, "blocks", "resolution", "springs", least=1)
+            check_range(self, "blocks", "resolution", "springs", least=1, most=1000)
+            check_range(self, "block", most=1000)
+            if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:
+                raise ValueError(
+                    f"blocks={self.blocks} is not possible: of such blocks and resolution there would be more "
+                    f"than {_PARTICLES} particles."
+                )
             check_range(self, "spacing", above=0)
             if min(self.block) < 1:
                 raise ValueError(f"block={list(self.block)} is not possible: give at least 1 each.")

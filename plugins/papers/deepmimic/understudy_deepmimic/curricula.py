@@ -217,7 +217,8 @@ class Annealed(Curriculum):
 
         def __post_init__(self) -> None:
             check_range(self, "start", "power", above=0)
-            check_range(self, "samples", "patience", least=1)
+            check_range(self, "samples", least=1, most=2**53)
+            check_range(self, "patience", least=1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options

@@ -38,7 +38,7 @@ class Accumulated(Curriculum):
             check_range(self, "threshold", above=0)
             check_range(self, "step", above=0, most=1)
             check_range(self, "start", least=0, most=1)
-            check_range(self, "batch", "groups", least=1)
+            check_range(self, "batch", "groups", least=1, most=100_000)
             difficulties = [at for at, _ in self.decision]
             if difficulties != sorted(difficulties) or any(n < 1 for _, n in self.decision):
                 raise ValueError(

@@ -35,7 +35,7 @@ class GrainsScene(Scene):
         tool: float = 0.25  #: m, the tool's radius
 
         def __post_init__(self) -> None:
-            check_range(self, "grains", least=1)
+            check_range(self, "grains", least=1, most=1000)
             check_range(self, "tool", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -103,7 +103,7 @@ class Clusters(InitialStates):
         tool: tuple[float, float] = (-1.0, 0.0)  #: m, where the tool is at first
 
         def __post_init__(self) -> None:
-            check_range(self, "clusters", least=1)
+            check_range(self, "clusters", least=1, most=1000)
             check_range(self, "table", "size", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -161,7 +161,7 @@ class DensityMap(Encoder):
         width: float = 3.0  #: m, of the image
 
         def __post_init__(self) -> None:
-            check_range(self, "pixels", least=2)
+            check_range(self, "pixels", least=2, most=1000)
             check_range(self, "width", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

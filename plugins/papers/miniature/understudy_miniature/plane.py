@@ -45,7 +45,7 @@ class PlaneScene(Scene):
         stiffness: float = 40.0  #: N/m
 
         def __post_init__(self) -> None:
-            check_range(self, "bodies", "pushed", least=1)
+            check_range(self, "bodies", "pushed", least=1, most=1000)
             check_range(self, "pushed", most=self.bodies)
             check_range(self, "drag", "gravity", "stiffness", least=0)
             if any(not 0 <= end < self.bodies for spring in self.springs for end in spring):

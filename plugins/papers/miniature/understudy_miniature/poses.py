@@ -46,7 +46,7 @@ class Arcs(Poses):
         wave: float = 0.5  #: rad, of a joint, to either side
 
         def __post_init__(self) -> None:
-            check_range(self, "joints", least=1)
+            check_range(self, "joints", least=1, most=1000)
             check_range(self, "bend", "wave", least=0)
 
     def __init__(self, options: Options) -> None:
@@ -86,7 +86,7 @@ class LearnPoses(NetworkJob[AutoEncoder]):
         learning_rate: float = 3e-3  #: of gradient descent, above 0
 
         def __post_init__(self) -> None:
-            check_range(self, "code", "batch", least=1)
+            check_range(self, "code", "batch", "hidden", least=1, most=10_000)
             check_range(self, "learning_rate", above=0)
 
     def __init__(self, options: Options, experiment: Experiment) -> None:

@@ -38,7 +38,7 @@ class ArmScene(Scene):
         lag: float = 0.1  #: s, time constant with which a joint follows its target
 
         def __post_init__(self) -> None:
-            check_range(self, "joints", least=1)
+            check_range(self, "joints", least=1, most=1000)
             check_range(self, "length", "lag", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -43,7 +43,7 @@ class Guidance(Fields):
         def __post_init__(self) -> None:
             check_range(self, "stiffness", least=0)
             check_range(self, "ratio", above=0, most=1)
-            check_range(self, "lessons", least=1)
+            check_range(self, "lessons", least=1, most=1000)
             check_range(self, "lesson_seconds", "ramp", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -102,7 +102,7 @@ class LearnPoses(NetworkJob[PoseVAE]):
         rate: float | None = None  #: frames per second, where a clip file does not say
 
         def __post_init__(self) -> None:
-            check_range(self, "latent", "batch", least=1)
+            check_range(self, "latent", "batch", "hidden", least=1, most=10_000)
             check_range(self, "beta", least=0)
             check_range(self, "learning_rate", "rate", above=0)
             check_range(self, "held_out", "coverage", above=0, most=0.99)

@@ -35,7 +35,7 @@ class AdaptiveBounds(Curriculum):
 
         def __post_init__(self) -> None:
             check_range(self, "widest", least=1)
-            check_range(self, "segments", least=1)
+            check_range(self, "segments", least=1, most=10_000)
             check_range(self, "fail_rate", above=0, most=1)
             check_range(self, "rate", above=0, most=0.5)
 

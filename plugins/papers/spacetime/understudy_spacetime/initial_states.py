@@ -113,7 +113,7 @@ class Importance(InitialStates):
         )
 
         def __post_init__(self) -> None:
-            check_range(self, "segments", least=1)
+            check_range(self, "segments", least=1, most=10_000)
             check_range(self, "uniform", "decay", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -198,7 +198,7 @@ class Evolution(InitialStates):
         def __post_init__(self) -> None:
             if self.prefer not in ("low", "high"):
                 raise ValueError(f"prefer={self.prefer} is not possible: low or high.")
-            check_range(self, "segments", "size", least=1)
+            check_range(self, "segments", "size", least=1, most=10_000)
             check_range(self, "uniform", "decay", "reference_share", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -76,8 +76,8 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
         noise: float = 0.1  #: standard deviations of the input
 
         def __post_init__(self) -> None:
-            check_range(self, "window", least=2)
-            check_range(self, "channels", "width", "batch", least=1)
+            check_range(self, "window", least=2, most=10_000)
+            check_range(self, "channels", "width", "batch", least=1, most=10_000)
             check_range(self, "learning_rate", above=0)
             check_range(self, "noise", least=0)
             if not self.clips:

@@ -38,7 +38,7 @@ class GramDistance(Fields):
         frames: int = 24  #: K, of the clips' windows; as many as the history has
 
         def __post_init__(self) -> None:
-            check_range(self, "frames", least=2)
+            check_range(self, "frames", least=2, most=10_000)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "fields 'styles/gram'"

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
+from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import Stage, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
@@ -107,6 +108,9 @@ class MujocoWarpSimulator(Simulator):
         contacts: int | None = None
         #: Constraint rows to hold per world; null takes 4 a contact, and one a limited joint.
         constraints: int | None = None
+
+        def __post_init__(self) -> None:
+            check_range(self, "contacts", "constraints", least=1, most=100_000)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")

@@ -63,12 +63,11 @@ class ParticleSimulator(Simulator):
         threads: int = 256  #: of a block, at most
 
         def __post_init__(self) -> None:
-            check_range(self, "iterations", "threads", least=1)
-            check_range(self, "threads", most=1024)
+            check_range(self, "iterations", "threads", least=1, most=1024)
             check_range(self, "relaxation", above=0, most=1.99)
             check_range(self, "sleep", least=0, most=0.9)
             if self.neighbours is not None:
-                check_range(self, "neighbours", least=1)
+                check_range(self, "neighbours", least=1, most=10_000)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(ParticleScene, "simulator 'pbd'")

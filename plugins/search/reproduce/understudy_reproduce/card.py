@@ -14,6 +14,7 @@ from typing import Any
 
 from understudy import __version__
 from understudy.records.checkpoint import write_atomically
+from understudy.records.folders import read
 from understudy_report import words
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page
@@ -207,7 +208,7 @@ def _printed(number: Any) -> str:
 def _device(result: Result) -> str:
     """What the trial ran on."""
     try:
-        info = json.loads((result.path / "run.json").read_bytes())
+        info = json.loads(read(result.path / "run.json"))
     except (OSError, ValueError, RecursionError):
         info = {}
     return str(mapping(mapping(info).get("config")).get("device") or "an unknown device")

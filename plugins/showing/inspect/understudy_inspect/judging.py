@@ -110,7 +110,7 @@ class Render(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)
-        reporter.observers = installed().observers()
+        reporter.observers = installed().observers(tell)
         changed = _changed(options.overrides, _PICTURE)
         changed += [f"checkpoint={int(chosen)}"] if chosen else []
         name = _name(options.overrides, chosen)
@@ -185,7 +185,7 @@ def load(
     overrides = [word for word in words if word.partition("=")[0] not in own]
     config = copy.deepcopy(run.config)
     if overrides:
-        config = compose_raw(replaced(run.info["overrides"], overrides))
+        config = compose_raw(run.words(overrides))
     chosen = own.pop("checkpoint", "")
     for key, value in own.items():
         _set(config, short[key], _value(key, value))
