@@ -16,14 +16,24 @@ _APART = 1.6
 
 
 @dataclass(frozen=True)
-class Constraints:
-    """C distances |x_i − x_j| = rest, sorted by colour; no two of a colour share a vertex."""
+class Distances:
+    """C edges, |x_i − x_j| = rest, sorted by colour; no two of a colour share a vertex."""
 
     pairs: np.ndarray  #: (C, 2)
     rest: np.ndarray  #: (C,) m
-    unit: np.ndarray  #: (C,) m/N of a fabric with 1 N/m
-    first: np.ndarray  #: (K + 1,): colour k has the constraints from first[k] to first[k + 1]
-    kind: np.ndarray  #: (K,): STRETCH, SHEAR or BENDING, of all of a colour
+    unit: np.ndarray  #: (C,) compliance, m/N, of a fabric with 1 N/m
+    first: np.ndarray  #: (K + 1,): colour k has the edges from first[k] to first[k + 1]
+    kind: np.ndarray  #: (K,): STRETCH or SHEAR, of all of a colour
+
+
+@dataclass(frozen=True)
+class Hinges:
+    """H pairs of triangles with a common edge, Σ weight_i x_i = 0 when flat, sorted by colour."""
+
+    quads: np.ndarray  #: (H, 4): the edge's ends, then the two tips
+    weights: np.ndarray  #: (H, 4)
+    unit: np.ndarray  #: (H,) compliance, m/N, of a fabric with 1 N m
+    first: np.ndarray  #: (K + 1,)
 
 
 def face_areas(corners: np.ndarray) -> np.ndarray:
@@ -40,88 +50,92 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return edges, index.reshape(-1, 3)
 
 
-def constraints_of(faces: np.ndarray, corners: np.ndarray) -> Constraints:
-    """The constraints of triangles `faces` (F, 3) whose rest shape has the `corners` (F, 3, 2 or 3).
+def distances_of(faces: np.ndarray, corners: np.ndarray) -> Distances:
+    """The edges of triangles `faces` (F, 3) whose rest shape has the `corners` (F, 3, 2 or 3).
 
-    Edges keep their length; stiffness k = E Σ area / length² over an edge's triangles (Van Gelder 1998,
-    Approximate simulation of elastic membranes by triangulated spring meshes, equation 1). Over an edge
-    with two triangles, the corners opposite to it keep the distance that they have when both are flat.
+    Stiffness is k = E Σ area / length² over an edge's triangles (Van Gelder 1998, Approximate simulation of
+    elastic membranes by triangulated spring meshes, equation 1).
     """
     edges, index = edges_of(faces)
     count = len(edges)
-    area = face_areas(corners)
     sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     uses = np.bincount(index.ravel(), minlength=count)
     length = np.bincount(index.ravel(), sides.ravel(), count) / uses
-    width = np.bincount(index.ravel(), np.repeat(area, 3), count)
+    area = np.bincount(index.ravel(), np.repeat(face_areas(corners), 3), count)
     others = np.maximum(np.roll(sides, 1, axis=1), np.roll(sides, -1, axis=1))
-    shorter = np.ones(count, bool)
-    np.logical_and.at(shorter, index.ravel(), (sides > _DIAGONAL * others).ravel())
-    kind = np.where(shorter & (uses == 2), SHEAR, STRETCH)
+    longest = np.ones(count, bool)
+    np.logical_and.at(longest, index.ravel(), (sides > _DIAGONAL * others).ravel())
+    shears = longest & (uses == 2)
+    unit = length**2 / np.maximum(area, 1e-12)
+    colour = np.empty(count, int)
+    kinds: list[int] = []
+    for kind, these in ((STRETCH, np.flatnonzero(~shears)), (SHEAR, np.flatnonzero(shears))):
+        if len(these):
+            colour[these] = len(kinds) + colours_of(edges[these])
+            kinds += [kind] * (int(colour[these].max()) + 1 - len(kinds))
+    order = np.lexsort((edges[:, 1], edges[:, 0], colour))
+    first = np.concatenate([[0], np.cumsum(np.bincount(colour, minlength=len(kinds)))])
+    return Distances(edges[order], length[order], unit[order], first, np.array(kinds))
 
+
+def hinges_of(faces: np.ndarray, corners: np.ndarray) -> Hinges:
+    """The edges with two triangles, and how each resists bending: E = ½ B / (A_1 + A_2) |Σ weight_i x_i|²,
+    quadratic, for cloth that is flat at rest and hardly stretches (Bergou et al. 2006, A quadratic bending
+    model for inextensible surfaces, section 3). They have 3 B: with B a cylinder has the energy
+    ½ B κ² an area on meshes of equal triangles, whatever its axis, and on grids along their axes."""
+    _, index = edges_of(faces)
     order = np.argsort(index.ravel(), kind="stable")
     shared = np.flatnonzero(np.diff(index.ravel()[order]) == 0)
     one, other = order[shared], order[shared + 1]
-    tips = np.stack([faces.ravel()[_opposite(one)], faces.ravel()[_opposite(other)]], axis=1)
-    # heights over the common edge, and how far their feet are from each other along it, as if unfolded
-    flat = _unfolded(corners, faces, one, other)
-    bends = tips[:, 0] != tips[:, 1]
-    tips, flat = tips[bends], flat[bends]
+    vertex, place = faces.ravel(), corners.reshape(-1, corners.shape[2])
+    quads = np.stack(
+        [vertex[one], vertex[_next(one)], vertex[_tip(one)], vertex[_tip(other)]], axis=1
+    )
+    at_first, at_second, areas = np.zeros(len(one)), np.zeros(len(one)), np.zeros(len(one))
+    tips = []
+    for side in (one, other):
+        begins = vertex[side] == quads[:, 0]  # else the triangle goes along the edge the other way
+        a = place[np.where(begins, side, _next(side))]
+        b = place[np.where(begins, _next(side), side)]
+        tip = place[_tip(side)]
+        double = 2 * face_areas(np.stack([a, b, tip], axis=1))
+        cot_a = ((b - a) * (tip - a)).sum(1) / double
+        cot_b = ((a - b) * (tip - b)).sum(1) / double
+        at_first += cot_b
+        at_second += cot_a
+        tips.append(-cot_a - cot_b)
+        areas += 0.5 * double
+    weights = np.stack([at_first, at_second, *tips], axis=1)
+    if not len(quads):
+        return Hinges(quads, weights, areas, np.zeros(1, int))
+    colour = colours_of(quads)
+    order = np.lexsort((quads[:, 0], colour))
+    first = np.concatenate([[0], np.cumsum(np.bincount(colour))])
+    return Hinges(quads[order], weights[order], areas[order], first)
 
-    pairs = np.concatenate([edges, np.sort(tips, axis=1)])
-    rest = np.concatenate([length, flat])
-    unit = np.concatenate([length**2 / np.maximum(width, 1e-12), np.ones(len(tips))])
-    kind = np.concatenate([kind, np.full(len(tips), BENDING)])
-    colour = np.empty(len(pairs), int)
-    colours = 0
-    kinds: list[int] = []
-    for k in (STRETCH, SHEAR, BENDING):
-        these = np.flatnonzero(kind == k)
-        if len(these):
-            colour[these] = colours + colours_of(pairs[these])
-            kinds += [k] * (int(colour[these].max()) + 1 - colours)
-            colours = len(kinds)
-    order = np.lexsort((pairs[:, 1], pairs[:, 0], colour))
-    first = np.concatenate([[0], np.cumsum(np.bincount(colour, minlength=colours))])
-    return Constraints(pairs[order], rest[order], unit[order], first, np.array(kinds))
+
+def _next(side: np.ndarray) -> np.ndarray:
+    """The flat index of the corner where a side ends, both counted through all triangles."""
+    return side - side % 3 + (side % 3 + 1) % 3
 
 
-def _opposite(side: np.ndarray) -> np.ndarray:
-    """The flat index of the corner opposite to a side, both counted through all triangles."""
+def _tip(side: np.ndarray) -> np.ndarray:
+    """Of the corner opposite to a side."""
     return side - side % 3 + (side % 3 + 2) % 3
 
 
-def _unfolded(
-    corners: np.ndarray, faces: np.ndarray, one: np.ndarray, other: np.ndarray
-) -> np.ndarray:
-    """Distances of the tips of two triangles that share a side, unfolded into one plane."""
-    flat = corners.reshape(-1, corners.shape[2])
-
-    def place(side: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        a, b, tip = flat[side], flat[side - side % 3 + (side % 3 + 1) % 3], flat[_opposite(side)]
-        along = b - a
-        length = np.maximum(np.linalg.norm(along, axis=1), 1e-12)
-        x = ((tip - a) * along).sum(1) / length
-        y = np.sqrt(np.maximum(((tip - a) ** 2).sum(1) - x**2, 0.0))
-        return x, y, length
-
-    x1, y1, length1 = place(one)
-    x2, y2, length2 = place(other)
-    same_way = faces.ravel()[one] == faces.ravel()[other]
-    x2 = np.where(same_way, x2, length2 - x2)
-    return np.hypot(x1 * (length1 + length2) / (2 * length1) - x2, y1 + y2)
-
-
-def colours_of(pairs: np.ndarray) -> np.ndarray:
-    """(C,) greedily: the lowest that neither vertex of a pair has yet."""
-    used = [0] * (int(pairs.max()) + 1)
-    colours = np.empty(len(pairs), int)
-    for n, (i, j) in enumerate(pairs.tolist()):
-        taken = used[i] | used[j]
+def colours_of(groups: np.ndarray) -> np.ndarray:
+    """(C,) greedily: the lowest that no vertex of a group (C, n) has yet."""
+    used = [0] * (int(groups.max()) + 1)
+    colours = np.empty(len(groups), int)
+    for number, group in enumerate(groups.tolist()):
+        taken = 0
+        for vertex in group:
+            taken |= used[vertex]
         free = ~taken & (taken + 1)
-        colours[n] = free.bit_length() - 1
-        used[i] |= free
-        used[j] |= free
+        colours[number] = free.bit_length() - 1
+        for vertex in group:
+            used[vertex] |= free
     return colours
 
 

@@ -17,9 +17,10 @@ from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_cloth.checking import check_mesh
 from understudy_cloth.mesh import (
-    constraints_of,
+    distances_of,
     edges_of,
     faces_of_vertices,
+    hinges_of,
     neighbours_along,
     vertex_areas,
 )
@@ -56,8 +57,8 @@ class ClothSimulator(Simulator):
     ``tool_velocity``, ``tool_angular_velocity``  (3,) m/s, rad/s, in the last sub-step
     ===========================================  =========================================
 
-    Worlds may differ in ``gravity`` (3,), ``friction`` (), ``density`` () kg/m², ``stretch``, ``shear`` and
-    ``bending`` () N/m.
+    Worlds may differ in ``gravity`` (3,), ``friction`` (), ``density`` () kg/m², ``stretch`` and ``shear`` ()
+    N/m, ``bending`` () N m, unless the fabric has none: then it costs nothing.
     """
 
     @dataclass(frozen=True)
@@ -127,11 +128,10 @@ class ClothSimulator(Simulator):
             "density": wp.to_torch(c.density),
             "stretch": stiffness[:, 0],
             "shear": stiffness[:, 1],
-            "bending": stiffness[:, 2],
+            **({"bending": stiffness[:, 2]} if model.fabric.bending else {}),
         }
         self.parameters: Mapping[str, Shape] = {
-            "gravity": (3,),
-            **dict.fromkeys(("friction", "density", "stretch", "shear", "bending"), ()),
+            name: tuple(view.shape[1:]) for name, view in self._known.items()
         }
         self._varied: tuple[str, ...] = ()
         # torch makes no view of an array without elements on a GPU
@@ -145,7 +145,7 @@ class ClothSimulator(Simulator):
         self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
         self._asked = False  #: whether anybody was told of those
 
-    def _build(self, model: ClothModel) -> tuple[Any, Features, np.ndarray]:
+    def _build(self, model: ClothModel) -> tuple[Any, Features, tuple[np.ndarray, np.ndarray]]:
         """The cloth on Warp's present device, what its kernels have to know, and where colours begin."""
         n, fabric = self._n, model.fabric
         positions, faces = np.asarray(model.positions, float), np.asarray(model.faces)
@@ -164,7 +164,10 @@ class ClothSimulator(Simulator):
         pinned = _indices(model.pinned, v, "pinned")
         members = [_indices(grip.vertices, v, f"of grip {k}") for k, grip in enumerate(model.grips)]
         self._check(model, pinned, members)
-        found = constraints_of(faces, corners)
+        found = distances_of(faces, corners)
+        hinges = hinges_of(
+            faces[: f if fabric.bending else 0], corners[: f if fabric.bending else 0]
+        )
         edges, index = edges_of(faces)
         sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
         length = np.zeros(len(edges))
@@ -175,7 +178,7 @@ class ClothSimulator(Simulator):
         options, c = self._options, Cloth()
 
         def one_each(value: Any, dtype: Any = float) -> Any:
-            kind = np.float32 if dtype in (float, wp.vec3) else np.int32
+            kind = np.float32 if dtype in (float, wp.vec3, wp.vec4) else np.int32
             return wp.array(np.ascontiguousarray(value, kind), dtype=dtype)
 
         def each_world(value: Any, dtype: Any = float) -> Any:
@@ -200,6 +203,9 @@ class ClothSimulator(Simulator):
             len(found.kind),
         )
         c.inverse_area, c.face = one_each(inverse), one_each(faces, wp.vec3i)
+        c.quad, c.quad_weight = one_each(hinges.quads, wp.vec4i), one_each(hinges.weights, wp.vec4)
+        c.quad_unit, c.quad_first = one_each(hinges.unit), one_each(hinges.first, int)
+        c.quad_colours = len(hinges.first) - 1
         start, corner = faces_of_vertices(faces, v)
         c.corner_start, c.corner = one_each(start, int), one_each(corner, int)
 
@@ -255,7 +261,7 @@ class ClothSimulator(Simulator):
             else 0,
             threads=threads if on_gpu else 1,
         )
-        return c, features, found.first
+        return c, features, (found.first, hinges.first)
 
     @staticmethod
     def _check(model: ClothModel, pinned: np.ndarray, members: Sequence[np.ndarray]) -> None:
@@ -291,9 +297,10 @@ class ClothSimulator(Simulator):
             if c.grips:
                 wp.launch(kernels.grip, dim=(n, c.grip_vertices), inputs=[c])
             wp.launch(kernels.predict, dim=vertices, inputs=[c])
-            for colour in range(c.colours):
-                first, last = int(self._first[colour]), int(self._first[colour + 1])
-                wp.launch(kernels.colour, dim=(n, last - first), inputs=[c, colour, first])
+            for kernel, begins in zip((kernels.edges, kernels.hinges), self._first, strict=True):
+                for colour in range(len(begins) - 1):
+                    first, last = int(begins[colour]), int(begins[colour + 1])
+                    wp.launch(kernel, dim=(n, last - first), inputs=[c, colour, first])
             if features.self_contact:
                 wp.launch(kernels.find_layers, dim=vertices, inputs=[c])
                 wp.launch(kernels.part_layers, dim=vertices, inputs=[c])

@@ -25,6 +25,7 @@ from typing import Any
 
 import warp as wp
 
+from understudy_cloth import mesh
 from understudy_warp_torch.blocks import global_memory as global_address
 from understudy_warp_torch.blocks import shared_memory, wait_for_block
 from understudy_warp_torch.shapes import (
@@ -39,6 +40,8 @@ from understudy_warp_torch.shapes import (
     xyz,
 )
 
+#: Column of the fabric's stiffness.
+BENDING = wp.constant(mesh.BENDING)
 #: Vertices whose positions fit into the shared memory of a block: 46 of 48 KiB, of which Warp takes one.
 SHARED_VERTICES = 3920
 #: Shapes that a scene may have: bits of a number.
@@ -62,8 +65,8 @@ _FAST = {"fast_math": True}
 
 @wp.struct
 class Cloth:
-    """What kernels are handed. N worlds, V vertices, F triangles, K colours, M candidates, U vertices of
-    grips. Arrays of vertices are (N · V,)."""
+    """What kernels are handed. N worlds, V vertices, F triangles, K colours of edges and L of hinges, M
+    candidates, U vertices of grips. Arrays of vertices are (N · V,)."""
 
     # the state
     position: wp.array(dtype=wp.vec3)
@@ -86,7 +89,12 @@ class Cloth:
     unit: wp.array(dtype=float)
     first: wp.array(dtype=int)  # (K + 1,)
     kind: wp.array(dtype=int)  # (K,)
-    colours: int
+    colours: int  # K
+    quad: wp.array(dtype=wp.vec4i)
+    quad_weight: wp.array(dtype=wp.vec4)
+    quad_unit: wp.array(dtype=float)
+    quad_first: wp.array(dtype=int)  # (L + 1,)
+    quad_colours: int  # L
     inverse_area: wp.array(dtype=float)  # 1/m², 0: pinned
     face: wp.array(dtype=wp.vec3i)
     corner_start: wp.array(dtype=int)  # (V + 1,)
@@ -155,7 +163,8 @@ class Kernels:
     tools: Any  #: (cloth,), N
     grip: Any  #: (cloth,), (N, U)
     predict: Any  #: (cloth,), (N, V)
-    colour: Any  #: (cloth, colour, its first constraint), (N, constraints)
+    edges: Any  #: (cloth, colour, its first edge), (N, edges)
+    hinges: Any  #: (cloth, colour, its first hinge), (N, hinges)
     find_layers: Any  #: (cloth,), (N, V)
     part_layers: Any  #: (cloth,), (N, V)
     touch: Any  #: (cloth,), (N, F)
@@ -467,9 +476,9 @@ def build_kernels(features: Features) -> Kernels:
             c.velocity[o] = wp.vec3(0.0)
 
     @wp.func
-    def softness(c: Cloth, world: int, colour: int) -> float:
+    def softness(c: Cloth, world: int, kind: int) -> float:
         """Of a constraint with 1 m/N, over that of a vertex with 1 m²: ρ / (k Δt²)."""
-        k = wp.max(c.stiffness[world, c.kind[colour]], 1e-9)
+        k = wp.max(c.stiffness[world, kind], 1e-12)
         return c.density[world] / (k * c.dt * c.dt)
 
     @wp.func
@@ -486,6 +495,27 @@ def build_kernels(features: Features) -> Kernels:
             share = (c.rest[k] - length) / (length * (wi + wj + soft * c.unit[k]))
             store(m, c, ends[0], xi + (share * wi) * apart)
             store(m, c, ends[1], xj - (share * wj) * apart)
+
+    @wp.func
+    def keep_flat(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
+        """The same for the vector Σ weight_i x_i = 0, whose three components are apart."""
+        ends = c.quad[k]
+        a = c.quad_weight[k]
+        o = world * c.vertices
+        w0 = c.weight[o + ends[0]] * a[0]
+        w1 = c.weight[o + ends[1]] * a[1]
+        w2 = c.weight[o + ends[2]] * a[2]
+        w3 = c.weight[o + ends[3]] * a[3]
+        x0 = load(m, c, ends[0])
+        x1 = load(m, c, ends[1])
+        x2 = load(m, c, ends[2])
+        x3 = load(m, c, ends[3])
+        total = w0 * a[0] + w1 * a[1] + w2 * a[2] + w3 * a[3] + soft * c.quad_unit[k]
+        change = (a[0] * x0 + a[1] * x1 + a[2] * x2 + a[3] * x3) / (-total)
+        store(m, c, ends[0], x0 + w0 * change)
+        store(m, c, ends[1], x1 + w1 * change)
+        store(m, c, ends[2], x2 + w2 * change)
+        store(m, c, ends[3], x3 + w3 * change)
 
     @wp.func
     def find_layers(c: Cloth, m: wp.uint64, world: int, i: int):
@@ -741,9 +771,14 @@ def build_kernels(features: Features) -> Kernels:
                 predict(c, m, world, i)
             wait_for_block()
             for colour in range(c.colours):
-                soft = softness(c, world, colour)
+                soft = softness(c, world, c.kind[colour])
                 for k in range(c.first[colour] + lane, c.first[colour + 1], lanes):
                     keep_distance(c, m, world, k, soft)
+                wait_for_block()
+            soft = softness(c, world, BENDING)
+            for colour in range(c.quad_colours):
+                for k in range(c.quad_first[colour] + lane, c.quad_first[colour + 1], lanes):
+                    keep_flat(c, m, world, k, soft)
                 wait_for_block()
             if wp.static(LAYERS):
                 for i in range(lane, n, lanes):
@@ -806,10 +841,16 @@ def build_kernels(features: Features) -> Kernels:
         predict(c, packed_address(c.position, world * c.vertices), world, i)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def colour_kernel(c: Cloth, colour: int, first: int):
+    def edges_kernel(c: Cloth, colour: int, first: int):
         world, k = wp.tid()
         m = packed_address(c.position, world * c.vertices)
-        keep_distance(c, m, world, first + k, softness(c, world, colour))
+        keep_distance(c, m, world, first + k, softness(c, world, c.kind[colour]))
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def hinges_kernel(c: Cloth, colour: int, first: int):
+        world, k = wp.tid()
+        m = packed_address(c.position, world * c.vertices)
+        keep_flat(c, m, world, first + k, softness(c, world, BENDING))
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def find_layers_kernel(c: Cloth):
@@ -848,7 +889,8 @@ def build_kernels(features: Features) -> Kernels:
         tools=tools_kernel,
         grip=grip_kernel,
         predict=predict_kernel,
-        colour=colour_kernel,
+        edges=edges_kernel,
+        hinges=hinges_kernel,
         find_layers=find_layers_kernel,
         part_layers=part_layers_kernel,
         touch=touch_kernel,
