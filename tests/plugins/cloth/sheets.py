@@ -48,7 +48,7 @@ def tube(
         for k in range(around):
             p, q = r * around + k, r * around + (k + 1) % around
             s, t = p + around, q + around
-            faces += [(p, t, q), (p, s, t)] if (r + k) % 2 == 0 else [(p, s, q), (q, s, t)]
+            faces += [(p, q, t), (p, t, s)] if (r + k) % 2 == 0 else [(p, q, s), (q, t, s)]
     return x, np.array(faces)
 
 

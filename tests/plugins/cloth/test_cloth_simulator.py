@@ -16,9 +16,10 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.testing import check_simulator
+from understudy_cloth.mesh import SHARED_VERTICES
 from understudy_cloth.scene import Capsule, ClothModel, Grip, Tool
 from understudy_cloth.simulator import ClothSimulator
-from understudy_cloth.solver import SHARED_VERTICES, Features, build_kernels
+from understudy_cloth.solver import Features, build_kernels
 
 VARY = ["gravity", "friction", "density", "stretch", "shear", "bending"]
 #: Into the floor and through the sheet, both grips closed for two tools.

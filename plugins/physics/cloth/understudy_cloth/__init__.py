@@ -17,6 +17,12 @@ def understudy_register(register: Registrar) -> None:
         "understudy_cloth.simulator:ClothSimulator",
         "a garment, bodies that it touches and grips, by XPBD in small steps",
     )
+    register.component(
+        "command",
+        "garment check",
+        "understudy_cloth.garment_command:Check",
+        "whether a garment's files can be used, and what they hold",
+    )
     register.citation(
         "cloth",
         "Macklin, Storey, Lu, Terdiman, Chentanez, Jeschke, Müller 2019. Small steps in physics simulation. "

@@ -17,6 +17,7 @@ from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_cloth.checking import check_mesh
 from understudy_cloth.mesh import (
+    SHARED_VERTICES,
     distances_of,
     edges_of,
     faces_of_vertices,
@@ -25,7 +26,7 @@ from understudy_cloth.mesh import (
     vertex_areas,
 )
 from understudy_cloth.scene import ClothModel, ClothScene
-from understudy_cloth.solver import MOST_SHAPES, SHARED_VERTICES, Cloth, Features, build_kernels
+from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
 from understudy_warp_torch.kernels import Kernels, put_rows
 from understudy_warp_torch.shapes import build_tools
 

@@ -42,8 +42,6 @@ from understudy_warp_torch.shapes import (
 
 #: Column of the fabric's stiffness.
 BENDING = wp.constant(mesh.BENDING)
-#: Vertices whose positions fit into the shared memory of a block: 46 of 48 KiB, of which Warp takes one.
-SHARED_VERTICES = 3920
 #: Shapes that a scene may have: bits of a number.
 MOST_SHAPES = 31
 #: Nearer than this points have no direction from each other, m.
