@@ -29,6 +29,7 @@ from understudy_cloth import mesh
 from understudy_warp_torch.blocks import global_memory as global_address
 from understudy_warp_torch.blocks import shared_memory, wait_for_block
 from understudy_warp_torch.shapes import (
+    GRID,
     Tools,
     friction,
     from_rotation_vector,
@@ -51,7 +52,7 @@ _SEARCHES = wp.constant(3)
 #: How often a vertex is pushed out of bodies that push it into each other.
 _WEDGED = wp.constant(4)
 #: m/s: vertices may become so much faster between two searches for what is near.
-_FASTER = wp.constant(2.0)
+_FASTER = wp.constant(1.0)
 #: Two layers count as touching, when corrections are averaged, at this part of their thickness.
 _CROWDED = wp.constant(1.25)
 #: Layers that are nearer than this part of their thickness are seen when what may touch is searched.
@@ -124,7 +125,7 @@ class Cloth:
     # working memory
     weight: wp.array(dtype=float)  # 1 / area, 0: held or pinned
     start: wp.array(dtype=wp.vec3)
-    way: wp.array2d(dtype=float)  # how far a shape may go until the period ends, (N, S)
+    way: wp.array2d(dtype=float)  # how far a shape may go until the next search, (N, S)
     face_near: wp.array2d(dtype=int)
     beside: wp.array(dtype=int)  # bits of shapes near a triangle of the vertex
     corner_push: wp.array(dtype=wp.vec4)  # and its weight, (N · 3 F,)
@@ -272,7 +273,7 @@ def carried(tools: Tools, world: int, shape: int, x: wp.vec3) -> wp.vec3:
 
 @wp.func
 def shape_way(c: Cloth, world: int, shape: int):
-    """How far any of its points may go until the control period ends."""
+    """How far any of its points may go until the next search."""
     t = c.tools.tool[shape]
     o = 6 * t
     target = wp.vec3(c.control[world, o], c.control[world, o + 1], c.control[world, o + 2])
@@ -280,7 +281,9 @@ def shape_way(c: Cloth, world: int, shape: int):
     q = rotation(c.tools.orientation[world, t])
     angle = wp.length(to_rotation_vector(from_rotation_vector(turn) * wp.quat_inverse(q)))
     arm = wp.length(c.tools.offset[shape]) + wp.length(c.tools.centre[shape]) + c.tools.bound[shape]
-    c.way[world, shape] = wp.length(target - c.tools.position[world, t]) + angle * arm
+    share = wp.min(float(c.every) / float(c.substeps - c.substep[world]), 1.0)
+    way = wp.length(target - c.tools.position[world, t]) + angle * arm
+    c.way[world, shape] = share * way
     # where it is now, for who looks for what is near before it moves
     c.tools.shape_position[world, shape] = c.tools.position[world, t] + wp.quat_rotate(
         q, c.tools.offset[shape]
@@ -591,12 +594,18 @@ def build_kernels(features: Features) -> Kernels:
             for shape in range(c.tools.shapes):
                 if ((bits >> shape) & 1) == 1:
                     at = (x0 + x1 + x2) / 3.0
-                    size = wp.max(
-                        wp.length(x0 - at), wp.max(wp.length(x1 - at), wp.length(x2 - at))
-                    )
                     share = wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
                     found = shape_distance(c.tools, world, shape, at)
-                    if found[3] < c.gap + size:
+                    n = xyz(found)
+                    # a convex shape's distance is convex: nowhere is it less than along its slope here
+                    reach = wp.max(
+                        wp.dot(at - x0, n), wp.max(wp.dot(at - x1, n), wp.dot(at - x2, n))
+                    )
+                    if c.tools.kind[shape] == GRID:
+                        reach = wp.max(
+                            wp.length(x0 - at), wp.max(wp.length(x1 - at), wp.length(x2 - at))
+                        )
+                    if found[3] < c.gap + reach:
                         for _search in range(_SEARCHES):
                             # towards the middle of the shape: from there, what is nearest is deepest
                             inner = at - (found[3] + c.tools.core[shape]) * xyz(found)
