@@ -73,6 +73,9 @@ def test_restored_in_the_middle_of_anything_it_continues_bit_for_bit() -> None:
         one.step(target)
     one.step(target, 7)
     kept = one.snapshot()
+    away = {name: other.read(name).clone() for name in other.state_fields}
+    away["cloth_position"] += 5.0  # nothing is near it there
+    other.set_state(torch.ones(3, dtype=torch.bool), away)
     other.step(control(other) + 0.05)
     other.restore(kept)
     for found in (one, other):
