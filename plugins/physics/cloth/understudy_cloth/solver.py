@@ -618,6 +618,10 @@ def build_kernels(features: Features) -> Kernels:
                             + share[1] * share[1] * w1
                             + share[2] * share[2] * w2
                         )
+                        # beside a corner that is held the others cannot do it alone: none goes
+                        # farther than twice the depth
+                        most = wp.max(w0 * share[0], wp.max(w1 * share[1], w2 * share[2]))
+                        w = wp.max(w, 0.5 * most)
                         if depth > 0.0 and w > 0.0:
                             n = xyz(found)
                             was = carried(c.tools, world, shape, at)
