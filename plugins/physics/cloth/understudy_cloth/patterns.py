@@ -134,9 +134,9 @@ class _Piece:
 
 def _between(a: Sequence[float], b: Sequence[float], edge: float) -> np.ndarray:
     """From a to b, without b."""
-    a, b = np.asarray(a, float), np.asarray(b, float)
-    count = max(2, round(float(np.linalg.norm(b - a)) / edge))
-    return a + np.arange(count)[:, None] / count * (b - a)
+    begin, way = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
+    count = max(2, round(float(np.linalg.norm(way)) / edge))
+    return begin + np.arange(count)[:, None] / count * way
 
 
 def _corners(shirt: Shirt) -> dict[str, tuple[float, float]]:
