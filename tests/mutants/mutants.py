@@ -27,6 +27,7 @@ RUNS = f"{KERNEL}/records/runs.py"
 SIGNALS = f"{KERNEL}/signals.py"
 MUJOCO = "plugins/physics/mujoco/understudy_mujoco/simulator.py"
 MJCF = "plugins/physics/mujoco/understudy_mujoco/mjcf.py"
+CLOTH = "plugins/physics/cloth/understudy_cloth"
 PPO = "plugins/learning/ppo/understudy_ppo/learner.py"
 OPTIMISERS = "plugins/learning/networks/understudy_networks/optimisers.py"
 CLIP = "plugins/figures/motion/understudy_motion/clip.py"
@@ -104,6 +105,19 @@ MUTANTS = (
            "config.logto_file = config.logto_console = False", "pass", f"{F02} -k written_nowhere"),
     Mutant("particles may fly", "plugins/physics/pbd/understudy_pbd/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3",
            "_EXTENT, _SPEED = 1e6, 1e6", "tests/faults/test_04_diverging_particles.py"),
+    Mutant("cloth may fly", f"{CLOTH}/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3", "_EXTENT, _SPEED = 1e6, 1e6",
+           "tests/plugins/cloth/test_cloth_simulator.py -k fails_alone"),
+    Mutant("what was searched is not kept", f"{CLOTH}/simulator.py", '"anchor": (wp.to_torch(c.anchor), (v, 3)),', "",
+           "tests/plugins/cloth/test_cloth_simulator.py -k bit_for_bit"),
+    Mutant("contact shoots cloth off", f"{CLOTH}/solver.py", "return wp.max(before + change - wp.max(before, 0.0), 0.0)",
+           "return 0.0", "tests/plugins/cloth/test_cloth_physics.py -k shot_off"),
+    Mutant("a held corner throws", f"{CLOTH}/solver.py", "w = wp.max(w, 0.5 * most)", "w = wp.max(w, 0.0 * most)",
+           "tests/plugins/cloth/test_cloth_physics.py -k held_corner"),
+    Mutant("a garment's mesh is anywhere", f"{CLOTH}/garments.py",
+           "inside = mesh.resolve().is_relative_to(path.parent.resolve())", "inside = True",
+           "tests/plugins/cloth/test_garments.py -k link or elsewhere or absolute"),
+    Mutant("a garment has holes", f"{CLOTH}/garments.py", "if frozenset(hole.tolist()) not in named:", "if False:",
+           "tests/plugins/cloth/test_garments.py -k hole"),
     Mutant("a bad gradient is taken", PPO, "largest = norm(self._row[LOSSES_AND_NORMS], ord=torch.inf)",
            "largest = norm(self._row[3:5], ord=torch.inf)", f"{F05} -k gradient"),
     Mutant("a bad loss is taken", PPO, "sound = largest < torch.inf",

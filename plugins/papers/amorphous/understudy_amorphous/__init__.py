@@ -18,6 +18,7 @@ REQUIRES = (
     "ppo",
     "report",
     "sweeps",
+    "warp_torch",
 )
 
 #: By module and kind: the component's name less ``amorphous.``, its class or function, and what it is.

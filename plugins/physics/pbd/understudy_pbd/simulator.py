@@ -17,9 +17,9 @@ from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
-from understudy_pbd.shapes import build_tools
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
 from understudy_warp_torch.kernels import Kernels, put_rows
+from understudy_warp_torch.shapes import build_tools
 
 #: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged: tables are a
 #: few metres wide, and at this speed a particle passes them within a control period.

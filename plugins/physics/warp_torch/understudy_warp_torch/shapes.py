@@ -1,4 +1,5 @@
-"""Tools on the device: signed distances of boxes, capsules and grids, and where tools go."""
+"""Tools on the device: signed distances of boxes, capsules, tapered capsules and grids, where tools go,
+and the friction of what touches them."""
 
 # What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
 # conditions known when compiling stand alone.
@@ -15,9 +16,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from understudy_pbd.scene import Box, Capsule, Grid, Shape, Tool
+from understudy_warp_torch.tools import Box, Capsule, Grid, Shape, TaperedCapsule, Tool
 
-BOX, CAPSULE, GRID = wp.constant(0), wp.constant(1), wp.constant(2)
+BOX, CAPSULE, GRID, TAPERED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 #: Farther than anything touches, m.
 FAR = wp.constant(1e6)
 
@@ -36,6 +37,7 @@ class Tools:
     turn: wp.array(dtype=wp.quat)
     centre: wp.array(dtype=wp.vec3)
     bound: wp.array(dtype=float)
+    core: wp.array(dtype=float)  # how deep the shape is, m
     friction: wp.array(dtype=float)
     grid_start: wp.array(dtype=int)
     grid_points: wp.array(dtype=wp.vec3i)
@@ -52,6 +54,24 @@ class Tools:
     shape_rotation: wp.array2d(dtype=wp.quat)
     shape_position_before: wp.array2d(dtype=wp.vec3)
     shape_rotation_before: wp.array2d(dtype=wp.quat)
+
+
+@wp.func
+def friction(slip: wp.vec3, depth: float, static: float, dynamic: float) -> wp.vec3:
+    """The part of the tangential displacement `slip` that friction takes back, at a contact
+    corrected by `depth` (Macklin et al. 2014, equation 24)."""
+    length = wp.length(slip)
+    share = float(1.0)
+    if length >= static * depth:
+        share = wp.min(dynamic * depth / length, 1.0)
+    if length <= 0.0:
+        share = 0.0
+    return share * slip
+
+
+@wp.func
+def xyz(v: wp.vec4) -> wp.vec3:
+    return wp.vec3(v[0], v[1], v[2])
 
 
 @wp.func
@@ -161,6 +181,37 @@ def capsule_distance(radius: float, half_length: float, p: wp.vec3) -> wp.vec4:
 
 
 @wp.func
+def tapered_distance(ra: float, rb: float, half_length: float, p: wp.vec3) -> wp.vec4:
+    """Outward normal and signed distance; the axis is z, the sphere of radius `ra` at its lower end."""
+    length = 2.0 * half_length
+    along = p[2] + half_length
+    across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
+    sine = (ra - rb) / length  # of the flank's angle with the axis
+    cosine = wp.sqrt(1.0 - sine * sine)
+    side = along * cosine - across * sine
+    u = cosine  # the normal's parts across and along the axis
+    w = sine
+    distance = across * cosine + along * sine - ra
+    if side < 0.0 or side > cosine * length:
+        radius = ra
+        centre = float(0.0)
+        if side >= 0.0:
+            radius = rb
+            centre = length
+        away = wp.sqrt(across * across + (along - centre) * (along - centre))
+        u = float(1.0)
+        w = float(0.0)
+        if away > 0.0:
+            u = across / away
+            w = (along - centre) / away
+        distance = away - radius
+    n = wp.vec3(u, 0.0, w)
+    if across > 0.0:
+        n = wp.vec3(u * p[0] / across, u * p[1] / across, w)
+    return wp.vec4(n[0], n[1], n[2], distance)
+
+
+@wp.func
 def grid_distance(
     values: wp.array(dtype=float),
     start: int,
@@ -215,6 +266,8 @@ def local_distance(tools: Tools, shape: int, p: wp.vec3) -> wp.vec4:
         return box_distance(size, p)
     if kind == CAPSULE:
         return capsule_distance(size[0], size[1], p)
+    if kind == TAPERED:
+        return tapered_distance(size[0], size[1], size[2], p)
     return grid_distance(
         tools.grid_values, tools.grid_start[shape], tools.grid_points[shape], size[0], p
     )
@@ -270,8 +323,21 @@ def _extent(shape: Shape) -> tuple[np.ndarray, float]:
         return np.zeros(3), float(np.linalg.norm(shape.half_extents))
     if isinstance(shape, Capsule):
         return np.zeros(3), shape.radius + shape.half_length
+    if isinstance(shape, TaperedCapsule):
+        return np.zeros(3), max(shape.radii) + shape.half_length
     sides = (np.array(shape.distances.shape) - 1) * shape.spacing
     return 0.5 * sides, 0.5 * float(np.linalg.norm(sides))
+
+
+def _depth(shape: Shape) -> float:
+    """How far the point that is deepest within the shape is from its surface, m."""
+    if isinstance(shape, Box):
+        return min(shape.half_extents)
+    if isinstance(shape, Capsule):
+        return shape.radius
+    if isinstance(shape, TaperedCapsule):
+        return 0.5 * sum(shape.radii)
+    return max(-float(np.min(shape.distances)), 0.0)
 
 
 def build_tools(tools: Sequence[Tool], worlds: int) -> Any:
@@ -279,6 +345,7 @@ def build_tools(tools: Sequence[Tool], worlds: int) -> Any:
     shapes = [(number, shape) for number, tool in enumerate(tools) for shape in tool.shapes]
     kinds, owners, sizes, offsets, turns, centres, bounds, frictions = ([] for _ in range(8))
     starts, points, values = [], [], [np.zeros(1)]
+    cores = [_depth(shape) for _, shape in shapes]
     for number, shape in shapes:
         owners.append(number)
         frictions.append(tools[number].friction)
@@ -301,6 +368,9 @@ def build_tools(tools: Sequence[Tool], worlds: int) -> Any:
         if isinstance(shape, Box):
             kinds.append(int(BOX))
             sizes.append(shape.half_extents)
+        elif isinstance(shape, TaperedCapsule):
+            kinds.append(int(TAPERED))
+            sizes.append((*shape.radii, shape.half_length))
         else:
             kinds.append(int(CAPSULE))
             sizes.append((shape.radius, shape.half_length, 0.0))
@@ -318,6 +388,7 @@ def build_tools(tools: Sequence[Tool], worlds: int) -> Any:
     result.size, result.offset = constant(sizes, wp.vec3, 3), constant(offsets, wp.vec3, 3)
     result.turn, result.centre = constant(turns, wp.quat, 4), constant(centres, wp.vec3, 3)
     result.bound, result.friction = constant(bounds, float), constant(frictions, float)
+    result.core = constant(cores, float)
     result.grid_start, result.grid_points = constant(starts, int), constant(points, wp.vec3i, 3)
     result.grid_values = wp.array(np.concatenate(values), dtype=float)
     places = np.tile(np.array([tool.position for tool in tools]).reshape(t, 3), (worlds, 1, 1))
