@@ -30,7 +30,7 @@ FIRM = Contact(
     solimp=(0.99, 0.99, 0.01),
 )
 #: m from the palm, in sizes of the hand; degrees.
-_DISTANCE, _AZIMUTH, _ELEVATION = 0.45, 335.0, -14.0
+_DISTANCE, _AZIMUTH, _ELEVATION = 0.45, 345.0, -14.0
 #: m, in the palm's frame.
 _AIM = np.array([0.02, -0.06, 0.09])
 _GHOST = np.array([0.145, 0.388, 0.922, 0.35], np.float32)
