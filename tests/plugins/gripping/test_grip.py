@@ -85,9 +85,13 @@ def test_forces_balance_both_sticks(grip: Grip) -> None:
 
 
 def test_it_is_found_from_the_t_pose_as_packaged(grip: Grip) -> None:
+    """What costs nothing, such as a little finger a little elsewhere, need not be the same."""
     found = find_grip(scene(), NAMED["standard"], grip.places)
-    np.testing.assert_allclose(found.poses, grip.poses, atol=0.05)
-    assert found.held(scene(), 0, seconds=2.0).drift.max() < 1e-3
+    np.testing.assert_allclose(found.lower[:3], grip.lower[:3], atol=3e-3)
+    held = found.held(scene(), 0, seconds=5.0, settle=1.0)
+    assert held.drift.max() < 1e-3
+    assert held.depth < 0.5e-3
+    assert len(held.links) == 7
 
 
 def test_what_is_written_is_read(grip: Grip, tmp_path: Path) -> None:

@@ -156,3 +156,17 @@ def test_arm_and_hand_bear_their_weight() -> None:
 def test_what_cannot_be_is_refused(options: dict[str, object], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         scene(**options)
+
+
+def test_contacts_are_firm_but_for_what_is_set() -> None:
+    """One setting changes no other."""
+    firm, changed = scene().model, scene(contact={"impratio": 10.0}).model
+    assert (firm.opt.impratio, changed.opt.impratio) == (100.0, 10.0)
+    for model in (firm, changed):
+        assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
+        assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+        assert model.geom("thumb_distal").solimp[:3].tolist() == [0.99, 0.99, 0.01]
+    with pytest.raises(
+        ConfigError, match="noslip_iterations=4 is not possible with the integrator"
+    ):
+        _ = scene(contact={"noslip_iterations": 4}).model

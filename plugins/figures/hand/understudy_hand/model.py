@@ -13,6 +13,8 @@ _HAND, _TOOL, _TABLE = 1, 2, 4
 #: Of the arm and of the hand: gain N m/rad, damping N m s/rad, and N m at most (the release).
 ARM_SERVO, HAND_SERVO = (5000.0, 500.0, 1000.0), (1.0, 0.1, 10.0)
 _ARM_ARMATURE, _WRIST_ARMATURE, _HAND_ARMATURE = 1.0, 0.005, 0.001
+#: m: how far around a tip a contact counts as one of it.
+_AROUND = 0.002
 _FRICTION_LOSS, _HAND_DAMPING, _MARGIN = 0.001, 0.05, 0.01
 _SKIN, _SLEEVE, _TOP = (0.87, 0.67, 0.53, 1.0), (0.36, 0.44, 0.56, 1.0), (0.75, 0.77, 0.80, 1.0)
 #: m: the table's half sizes and middle; its top is at z = 0 (the release).
@@ -42,7 +44,17 @@ def build_spec(measures: Measures, tool: tools.Tool, friction: float = 1.0) -> m
         if link.shape is not None:
             _add_shape(body, link, link.shape, friction, link.name in arm)
     tools.add(spec, tool, friction, (_TOOL, _HAND | _TOOL))
+    for name in (*(f"{finger}_distal" for finger in measures.names), *tools.tips(tool)):
+        _add_touch(spec, name)
     return spec
+
+
+def _add_touch(spec: mujoco.MjSpec, name: str) -> None:
+    """The sensor ``touch_NAME`` N: the normal forces on a finger's tip, or at a tool's."""
+    sensor = spec.add_sensor(
+        name=f"touch_{name}", type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE
+    )
+    sensor.objname = f"touch_{name}"
 
 
 def _add_hinges(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link, arm: bool) -> None:
@@ -77,6 +89,11 @@ def _add_shape(body: mujoco.MjsBody, link: Link, shape: Shape, friction: float, 
         geom.size = [shape.radius, shape.half_length, 0]
     else:
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0, 0]
+    if tip:
+        body.add_site(
+            name=f"touch_{link.name}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, pos=shape.centre,
+            size=[shape.radius + _AROUND, shape.half_length, 0], group=4,
+        )  # fmt: skip
     half = float(np.sqrt(0.5))
     turn = shape.tilt / 2
     geom.quat = [half, -half, 0, 0] if shape.along_y else [np.cos(turn), 0, np.sin(turn), 0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -47,7 +47,9 @@ class HandScene(MujocoScene):
         size: float = 1.0  #: of the hand, in that of the human hand; the arm stays as it is
         tool: tools.Tool = "sticks"  #: what it holds
         friction: float = 1.0  #: sliding, of everything (the release)
-        contact: Contact = FIRM  #: how contacts are solved
+        contact: Contact = field(
+            default_factory=Contact
+        )  #: how contacts are solved, where not FIRM
 
         def __post_init__(self) -> None:
             Measures(self.fingers, self.finger_length, self.size)
@@ -65,6 +67,7 @@ class HandScene(MujocoScene):
     def spec(self) -> mujoco.MjSpec:
         spec = build_spec(self.measures, self.options.tool, self.options.friction)
         spec.option.timestep = self.timestep
+        FIRM.apply(spec)
         self.contact.apply(spec)
         return spec
 

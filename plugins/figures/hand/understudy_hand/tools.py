@@ -11,6 +11,7 @@ from typing import Literal
 
 import mujoco
 import numpy as np
+import torch
 from torch import Tensor
 
 from understudy_basics import rotations
@@ -27,6 +28,8 @@ STIFFNESS, REST = 20.0, 0.2
 ARMATURE = 1e-4
 #: Of the tip of a tool, in its frame, m.
 TIP = (-HALF_LENGTH, 0.0, 0.0)
+#: m: how far around it a contact counts as one of a tool's tip.
+_TOUCH = 0.015
 _DENSITY = 1000.0
 #: Of the upper and the lower part.
 _WOOD = ((0.80, 0.58, 0.30, 1.0), (0.55, 0.27, 0.15, 1.0))
@@ -66,11 +69,13 @@ def upper_pose(
         angle: (…) rad, between the two.
         gripper: how they hang together.
     """
-    axis, pivot = rotation.new_tensor(gripper.axis), rotation.new_tensor(gripper.pivot)
-    turned = rotations.multiply(rotation, rotations.from_axis_angle(axis, angle))
-    along = rotation.new_tensor([gripper.along, 0.0, 0.0])
-    place = position + rotations.rotate(rotation, pivot) - rotations.rotate(turned, along)
-    return place, turned
+    # From numbers, so that a step that is recorded makes no tensors of them.
+    sine, cosine = (0.5 * angle).sin(), (0.5 * angle).cos()
+    turn = torch.stack([cosine, *(part * sine for part in gripper.axis)], dim=-1)
+    turned = rotations.multiply(rotation, turn)
+    axes, along = rotations.to_matrix(rotation), rotations.to_matrix(turned)[..., 0]
+    pivot = sum(axes[..., k] * part for k, part in enumerate(gripper.pivot))
+    return position + pivot - gripper.along * along, turned
 
 
 def add(spec: mujoco.MjSpec, tool: Tool, friction: float, contact: tuple[int, int]) -> None:
@@ -110,4 +115,10 @@ def _shape(
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         half = float(np.sqrt(0.5))
         geom.quat = [half, 0, half, 0]  # along x
-    body.add_site(name=f"{name}_tip", pos=TIP, size=[0.002] * 3)
+    body.add_site(name=f"{name}_tip", pos=TIP, size=[0.002] * 3, group=4)
+    body.add_site(name=f"touch_{name}_tip", pos=TIP, size=[_TOUCH] * 3, group=4)
+
+
+def tips(tool: Tool) -> tuple[str, ...]:
+    """Names of the sites at the tips, the upper part's first."""
+    return tuple(f"{name}_tip" for name in BODIES[tool])
