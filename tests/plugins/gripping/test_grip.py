@@ -104,6 +104,15 @@ def test_what_is_written_is_read(grip: Grip, tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(read, name), getattr(grip, name))
 
 
+def test_a_pose_whose_sticks_fall_is_no_grip(grip: Grip) -> None:
+    """Reached, balanced, and let go by contacts as soft as the engine's default."""
+    soft = Contact(None, "pyramidal", 1.0, solref=(0.02, 1.0), solimp=(0.9, 0.95, 0.001))
+    with pytest.raises(
+        ConfigError, match=r"does not hold the sticks: at an angle of 0 rad one falls"
+    ):
+        find_grip(scene(contact=soft), NAMED["standard"], grip.places, iterations=80)
+
+
 @pytest.mark.parametrize("options", [{"fingers": 4}, {"size": 2.0}, {"finger_length": 2.0}])
 def test_a_grip_of_another_hand_is_refused(grip: Grip, options: dict[str, Any]) -> None:
     with pytest.raises(

@@ -52,7 +52,8 @@ def hold(
     model = scene.model
     data.ctrl[:] = targets
     sticks = np.array([model.geom(name).id for name in scene.tool_bodies])
-    first, since, depth, fell = _relative(scene, data), None, 0.0, None
+    now = first = _relative(scene, data)
+    since, depth, fell = None, 0.0, None
     while data.time < seconds:
         mujoco.mj_step(model, data)
         now = _relative(scene, data)

@@ -194,7 +194,7 @@ class OpenAndClose(InitialStates):
         rate: tuple[float, float] = (2.0, 2.0)  #: Hz; "several times" within a second
         #: rad, added to the standard arm's pose: directions to point to. The thesis has three, without numbers.
         arms: tuple[tuple[float, float, float, float, float, float, float], ...] = (
-            (0.0,) * 7,
+            (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
             (0.0, 0.0, 0.0, 0.0, 0.4, 0.0, 0.0),
             (0.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.0),
         )
