@@ -420,4 +420,16 @@ MUTANTS = (
            "if True:", "tests/faults/test_18_global_random_state.py"),
     Mutant("processes wait for half an hour", f"{KERNEL}/distributed.py", ", timeout=patience)", ")",
            "tests/faults/test_15_lost_workers.py -m slow -k 19-1"),
+    # Grips.
+    Mutant("contact settings are ignored", MODELS, "        self.contact.apply(spec)\n", "", "tests/plugins/mujoco/test_contact.py"),
+    Mutant("noslip goes with any integrator", "plugins/physics/mujoco/understudy_mujoco/contact.py",
+           'if option.integrator == _INTEGRATORS["discrete"] and option.noslip_iterations:', "if False:",
+           "tests/plugins/mujoco/test_contact.py"),
+    Mutant("fingers may cross", "plugins/figures/gripping/understudy_gripping/styles.py", "if above > below:", "if False:",
+           "tests/plugins/gripping/test_styles.py"),
+    Mutant("a grip of another hand is taken", "plugins/figures/gripping/understudy_gripping/grip.py",
+           "if scene.measures != self.measures:", "if False:", "tests/plugins/gripping/test_grip.py -k another_hand"),
+    Mutant("a grip that falls is written", "plugins/figures/gripping/understudy_gripping/grip.py",
+           "if (fell := grip.held(scene, row, 1.0).fell) is not None:", "if (fell := None) is not None:",
+           "tests/plugins/gripping/test_grip.py -k fall"),
 )  # fmt: skip

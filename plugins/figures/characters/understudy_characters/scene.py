@@ -31,6 +31,7 @@ from understudy_characters.state import Poses
 from understudy_characters.surroundings import Surroundings
 from understudy_motion.section import Motion
 from understudy_motion.writing import Shape
+from understudy_mujoco.contact import Contact
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
 from understudy_mujoco.studio import draw as draw_figures
@@ -64,9 +65,10 @@ class CharacterScene(MujocoScene):
         end_effectors: tuple[str, ...] = ()  #: bodies that are hands and feet; empty finds them
         #: how servos are made where the model has none
         servos: ServoOptions = field(default_factory=ServoOptions)
+        contact: Contact = field(default_factory=Contact)  #: how contacts are solved
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
-        self._options = options
+        self._options, self.contact = options, options.contact
         registry = context.registry if context and context.registry else installed().registry
         name, spec = character_spec(options.character, registry, context)
         timestep = context.control_dt / context.substeps if context else 1 / 600

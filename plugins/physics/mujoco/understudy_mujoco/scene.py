@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import mujoco
 from understudy.errors import FileError
 from understudy.inputs import Inputs
 from understudy.task import Context, Scene
+from understudy_mujoco.contact import Contact
 from understudy_mujoco.mjcf import read_mjcf
 from understudy_mujoco.trial import try_out
 
@@ -30,6 +31,8 @@ _log_nothing()
 
 class MujocoScene(Scene):
     """A scene that compiles to one ``mujoco.MjModel``."""
+
+    contact = Contact()  #: how contacts are solved, where not as :meth:`spec` has it
 
     @abstractmethod
     def spec(self) -> mujoco.MjSpec:
@@ -49,10 +52,13 @@ class MujocoScene(Scene):
 
         Raises
         ------
+        ConfigError
+            if its settings do not go together.
         FileError
             if it does not compile.
         """
         spec = self.spec()
+        self.contact.apply(spec)
         spec.option.timestep = context.control_dt / context.substeps
         spec.option.disableflags |= disable
         try:
@@ -77,8 +83,10 @@ class MjcfFile(MujocoScene):
     @dataclass(frozen=True)
     class Options:
         file: str  #: path of the MJCF file
+        contact: Contact = field(default_factory=Contact)  #: how contacts are solved
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
+        self.contact = options.contact
         inputs = context.inputs if context else Inputs()
         own = Path(options.file)
         self._path = inputs.file(f"mjcf {own}", lambda: read_mjcf(own).files)

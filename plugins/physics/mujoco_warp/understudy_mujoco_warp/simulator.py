@@ -18,6 +18,7 @@ from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import Stage, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
+from understudy_mujoco_warp.capacity import constraint_capacity, contact_capacity
 from understudy_warp_torch.kernels import Kernels, put_rows
 
 try:
@@ -62,32 +63,6 @@ _PLACES = {"body_pos", "body_quat", "geom_pos", "geom_quat"}
 _SWITCHED, _FAR = "geom_margin", -1e8
 
 
-def contact_capacity(model: mujoco.MjModel) -> int:
-    """The most contacts that geoms of `model` can make with planes, plus room for others.
-
-    A plane touches a sphere in 1 point, a capsule in 2, anything else in at most 4. Pairs of other
-    geoms that may collide get one contact each, up to 64: they cannot all touch at once.
-    """
-    points = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2}
-    plane = int(mujoco.mjtGeom.mjGEOM_PLANE)
-    with_planes = others = 0
-    for a in range(model.ngeom):
-        for b in range(a + 1, model.ngeom):
-            if model.body_weldid[model.geom_bodyid[a]] == model.body_weldid[model.geom_bodyid[b]]:
-                continue
-            if not (
-                model.geom_contype[a] & model.geom_conaffinity[b]
-                or model.geom_contype[b] & model.geom_conaffinity[a]
-            ):
-                continue
-            types = (int(model.geom_type[a]), int(model.geom_type[b]))
-            if plane in types:
-                with_planes += points.get(max(types), 4)
-            else:
-                others += 1
-    return max(1, with_planes + min(others, 64))
-
-
 class MujocoWarpSimulator(Simulator):
     """Fields are torch views of Warp's arrays, float32; ``ctrl`` is the control.
 
@@ -118,8 +93,7 @@ class MujocoWarpSimulator(Simulator):
         self._n = context.num_worlds
         self._substeps = context.substeps
         contacts = options.contacts or contact_capacity(self.model)
-        limits = int(self.model.jnt_limited.sum())
-        constraints = options.constraints or 4 * contacts + limits  # pyramids have 4 edges
+        constraints = options.constraints or constraint_capacity(self.model, contacts)
         self._kernels = Kernels(context.device)
         self._device = self._kernels.device
         self._refuse_too_large(context.num_worlds, constraints)

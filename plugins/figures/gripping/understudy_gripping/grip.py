@@ -1,0 +1,226 @@
+"""A grip: how a hand holds two sticks, at some angles between them. As a JSON file, and as a config section."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from understudy.errors import ConfigError, FileError, suggestion
+from understudy.inputs import Inputs
+from understudy.records.checkpoint import write_atomically
+from understudy.setup.registry import Registry
+from understudy_gripping.balance import balance
+from understudy_gripping.hold import Held, hold, placed
+from understudy_gripping.pose import Candidate, Poses, PoseSolver
+from understudy_gripping.styles import Style, read_style, written
+from understudy_hand.scene import HandScene
+from understudy_hand.table import ARM_POSE, Measures
+from understudy_hand.tools import upper_pose
+
+#: rad: angles at which a grip is solved. The sticks touch at 0.154.
+ANGLES = (0.0, 0.04, 0.08, 0.12, 0.15)
+#: N, wanted and least, of each contact; 2 and 0.5 lose the sticks under 40 mrad of noise, these do not at 60.
+FORCES = (3.0, 1.0)
+#: m: a wider gap between what shall touch, or less clearance, is no grip.
+WIDEST_GAP, LEAST_CLEARANCE = 2e-3, 0.0
+_VERSION = 1
+_LARGEST = 1 << 20
+
+
+@dataclass(frozen=True)
+class Grip:
+    """K angles, H hinges of the hand; m, rad, in the palm's frame."""
+
+    measures: Measures  #: of the hand
+    style: Style
+    places: tuple[float, ...]  #: by finger that touches, along its stick: x of section 5.5.3
+    hinges: tuple[str, ...]
+    lower: np.ndarray  #: (7,) the lower stick's position and rotation, at all angles
+    angles: np.ndarray  #: (K,) between the sticks, rising
+    poses: np.ndarray  #: (K, H)
+    targets: np.ndarray  #: (K, H) of the servos, which press as much as holds the sticks
+
+    @property
+    def upper(self) -> np.ndarray:
+        """(K, 7) the upper stick's position and rotation."""
+        angles = torch.from_numpy(self.angles)
+        lower = torch.from_numpy(self.lower).expand(len(angles), 7)
+        return torch.cat(upper_pose(lower[:, :3], lower[:, 3:], angles), dim=1).numpy()
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """The fingers that touch a stick."""
+        return tuple(f for f, s in zip(self.measures.names, self.style, strict=True) if s)
+
+    def need(self, scene: HandScene) -> None:
+        """Raises:
+        ConfigError: it is a grip of another hand than the scene's, or the scene has no sticks.
+        """
+        if scene.options.tool != "sticks":
+            raise ConfigError(
+                f"The grip {written(self.style)} holds two sticks, and the scene has "
+                f"{scene.options.tool}. Set scene.tool=sticks."
+            )
+        if scene.measures != self.measures:
+            raise ConfigError(
+                f"The grip {written(self.style)} is one of a hand with {_said(self.measures)}, and the "
+                f"scene's has {_said(scene.measures)}. Find one: understudy grip STYLE FILE --fingers "
+                f"{scene.measures.fingers} --finger-length {scene.measures.finger_length:g} --size "
+                f"{scene.measures.size:g}, then grip.file=FILE."
+            )
+
+    def held(self, scene: HandScene, row: int, seconds: float, settle: float = 0.5) -> Held:
+        """The grip at its angle number `row`, simulated under its targets."""
+        data = placed(scene, np.array(ARM_POSE), self.poses[row], self.upper[row], self.lower)
+        return hold(scene, data, np.array([*ARM_POSE, *self.targets[row]]), seconds, settle)
+
+    def save(self, path: Path) -> None:
+        values = {
+            "version": _VERSION,
+            "hand": asdict(self.measures),
+            "style": written(self.style),
+            "places": _rounded(self.places),
+            "hinges": list(self.hinges),
+            **{n: _rounded(getattr(self, n)) for n in ("lower", "angles", "poses", "targets")},
+        }
+        lines = ",\n".join(f" {json.dumps(k)}: {json.dumps(v)}" for k, v in values.items())
+        write_atomically(path, f"{{\n{lines}\n}}\n".encode())
+
+
+def _said(measures: Measures) -> str:
+    return (
+        f"{measures.fingers} fingers, finger_length {measures.finger_length:g} and size "
+        f"{measures.size:g}"
+    )
+
+
+def _rounded(values: Any) -> Any:
+    return np.round(np.asarray(values, np.float64), 7).tolist()
+
+
+def find_grip(
+    scene: HandScene, style: Style, places: Sequence[float], iterations: int = 400
+) -> Grip:
+    """A grip from the T-pose: its poses at :data:`ANGLES`, targets that hold them, held for a second.
+
+    Raises:
+        ConfigError: fingers do not reach, or the sticks fall; the sentence says what.
+    """
+    solver = PoseSolver(scene)
+    candidate = Candidate(style, tuple(places))
+    base = solver.solve([candidate], iterations, angles=ANGLES[:1])
+    what = f"The style {written(style)} with places {_rounded(candidate.places)}"
+    _refuse_unreachable(what, base)
+    count = len(ANGLES)
+    start = Poses(
+        base.hinges, base.pose.expand(count, -1), base.lower.expand(count, -1),
+        torch.tensor(ANGLES, dtype=torch.float64), base.gaps, base.clearance, base.cost, 0,
+    )  # fmt: skip
+    poses = solver.solve([candidate] * count, iterations, start, ANGLES)
+    _refuse_unreachable(what, poses)
+    targets = []
+    for row in range(count):
+        upper, lower = poses.upper[row].numpy(), poses.lower[row].numpy()
+        data = placed(scene, np.array(ARM_POSE), poses.pose[row].numpy(), upper, lower)
+        targets.append(balance(scene, data, style, *FORCES).targets[len(ARM_POSE) :])
+    grip = Grip(
+        scene.measures, style, candidate.places, poses.hinges, poses.lower[0].numpy(),
+        np.array(ANGLES), poses.pose.numpy(), np.array(targets),
+    )  # fmt: skip
+    for row, angle in enumerate(ANGLES):
+        if (fell := grip.held(scene, row, 1.0).fell) is not None:
+            raise ConfigError(
+                f"{what} does not hold the sticks: at an angle of {angle:g} rad one falls after "
+                f"{fell:.2f} s. Try other places."
+            )
+    return grip
+
+
+def _refuse_unreachable(what: str, poses: Poses) -> None:
+    gap, clearance = float(poses.gaps.max()), float(poses.clearance.min())
+    if not gap <= WIDEST_GAP:
+        raise ConfigError(
+            f"{what} has no pose: {1e3 * gap:.1f} mm are left between a stick and what shall touch it. "
+            "Try other places."
+        )
+    if not clearance >= LEAST_CLEARANCE:
+        raise ConfigError(
+            f"{what} has no pose: a finger is {-1e3 * clearance:.1f} mm inside a stick. Try other places."
+        )
+
+
+def load_grip(path: Path) -> Grip:
+    """Raises:
+    FileError: the file is missing, or no grip.
+    """
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise ValueError("it is too large for a grip")
+        values = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(values, dict) or values.get("version") != _VERSION:
+            raise ValueError(f"it is not of version {_VERSION}")
+        measures = Measures(
+            int(values["hand"]["fingers"]), *(float(values["hand"][k]) for k in ("finger_length", "size"))
+        )  # fmt: skip
+        style = read_style(str(values["style"]), measures.fingers)
+        hinges = tuple(map(str, values["hinges"]))
+        if len(set(hinges)) != len(hinges) or not hinges:
+            raise ValueError("its hinges are not named each once")
+        rows = len(values["angles"])
+        grip = Grip(
+            measures,
+            style,
+            tuple(_numbers(values, "places", (sum(map(bool, style)),)).tolist()),
+            hinges,
+            _numbers(values, "lower", (7,)),
+            _numbers(values, "angles", (rows,)),
+            _numbers(values, "poses", (rows, len(hinges))),
+            _numbers(values, "targets", (rows, len(hinges))),
+        )
+        if rows < 2 or (np.diff(grip.angles) <= 0).any():
+            raise ValueError("its angles are not two or more that rise")
+        if not math.isclose(np.linalg.norm(grip.lower[3:]), 1.0, abs_tol=1e-3):
+            raise ValueError("the lower stick's rotation is no unit quaternion")
+    except FileNotFoundError as error:
+        raise FileError(f"There is no grip at {path}.") from error
+    except (OSError, ValueError, TypeError, KeyError, RecursionError, ConfigError) as error:
+        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+        raise FileError(f"{path} is no grip: {reason}.") from error
+    return grip
+
+
+def _numbers(values: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
+    found = np.array(values[name])
+    if found.shape != shape or found.dtype.kind not in "if" or not np.isfinite(found).all():
+        raise ValueError(f"{name} are not {' × '.join(map(str, shape))} finite numbers")
+    if np.abs(found).max() > 1e3:
+        raise ValueError(f"{name} are larger than any of a hand's")
+    return found.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class GripOptions:
+    name: str = "standard"  #: a grip that comes with a plugin
+    file: str | None = None  #: path of another one; wins over ``name``
+
+
+def build_grip(options: GripOptions, registry: Registry, inputs: Inputs) -> Grip:
+    """The config section ``grip``."""
+    if (given := options.file) is not None:
+        return load_grip(inputs.file(f"grip.file={given}", lambda: [Path(given)]))
+    known = registry.names("grip")
+    if options.name not in known:
+        raise ConfigError(f"There is no grip '{options.name}'.{suggestion(options.name, known)}")
+    return load_grip(registry.find("grip", options.name).factory())
+
+
+def standard() -> Path:
+    """The standard style of the human hand, found from the T-pose."""
+    return Path(__file__).parent / "grips" / "standard.json"

@@ -1,0 +1,89 @@
+"""Holding a grip in simulation, before any training: what slips, and how deep fingers are in sticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from understudy_hand.scene import HandScene
+
+#: m: a stick that is so far from where it was in the palm has fallen.
+FALLEN = 0.03
+
+
+@dataclass(frozen=True)
+class Held:
+    fell: float | None  #: s, when a stick fell; None if none did
+    drift: np.ndarray  #: (2,) m, of the sticks in the palm's frame from `settle` to the end
+    turn: np.ndarray  #: (2,) rad, of their axes
+    depth: float  #: m: the deepest penetration of sticks after `settle`
+    qpos: np.ndarray  #: (nq,) at the end
+    links: frozenset[str]  #: that touched a stick at the end
+
+
+def placed(
+    scene: HandScene, arm: np.ndarray, pose: np.ndarray, upper: np.ndarray, lower: np.ndarray
+) -> mujoco.MjData:
+    """The scene with the arm at `arm` (7,) rad, the hand at `pose` (H,) rad, and the sticks (7,) where they
+    are given in the palm's frame; computed forward."""
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos[: model.nu] = [*arm, *pose]
+    mujoco.mj_kinematics(model, data)
+    palm = data.body("palm")
+    for name, local in zip(scene.tool_bodies, (upper, lower), strict=True):
+        qpos = data.joint(name).qpos
+        mujoco.mju_rotVecQuat(qpos[:3], np.asarray(local[:3], float), palm.xquat)
+        qpos[:3] += palm.xpos
+        mujoco.mju_mulQuat(qpos[3:], palm.xquat, np.asarray(local[3:], float))
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def hold(
+    scene: HandScene,
+    data: mujoco.MjData,
+    targets: np.ndarray,
+    seconds: float = 1.0,
+    settle: float = 0.5,
+) -> Held:
+    """Simulate `data` for `seconds` under fixed `targets` (U,) rad. `data` is changed."""
+    model = scene.model
+    data.ctrl[:] = targets
+    sticks = np.array([model.geom(name).id for name in scene.tool_bodies])
+    now = first = _relative(scene, data)
+    since, depth, fell = None, 0.0, None
+    while data.time < seconds:
+        mujoco.mj_step(model, data)
+        now = _relative(scene, data)
+        if since is None and data.time >= settle:
+            since = now
+        if since is not None and data.ncon:
+            on = np.isin(data.contact.geom, sticks).any(axis=1)
+            depth = max(depth, -float(data.contact.dist[on].min(initial=0.0)))
+        if not (np.linalg.norm(now[0] - first[0], axis=1) < FALLEN).all():  # NaN too
+            fell = data.time
+            break
+    since = first if since is None else since
+    turned = np.clip((now[1] * since[1]).sum(1), -1.0, 1.0)
+    pairs = data.contact.geom[: data.ncon]
+    touching = {int(g) for pair in pairs if np.isin(pair, sticks).any() for g in pair} - {*sticks}
+    return Held(
+        fell,
+        np.linalg.norm(now[0] - since[0], axis=1),
+        np.arccos(turned),
+        depth,
+        data.qpos.copy(),
+        frozenset(model.geom(g).name for g in touching),
+    )
+
+
+def _relative(scene: HandScene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (2, 3) m and axes (2, 3) of the sticks in the palm's frame."""
+    model = scene.model
+    palm = model.body("palm").id
+    turn = data.xmat[palm].reshape(3, 3)
+    bodies = [model.body(name).id for name in scene.tool_bodies]
+    axes = data.xmat[bodies].reshape(-1, 3, 3)[:, :, 0]
+    return (data.xpos[bodies] - data.xpos[palm]) @ turn, axes @ turn

@@ -1,0 +1,184 @@
+"""A hand on an arm, with a tool, at a table, as a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from understudy.options import check_range
+from understudy.task import Context
+from understudy_hand import tools
+from understudy_hand.model import build_spec
+from understudy_hand.table import Measures, links
+from understudy_mujoco.contact import Contact
+from understudy_mujoco.drawing import open_renderer
+from understudy_mujoco.scene import MujocoScene
+
+#: Firm contacts, and the integrator under which stiff servos bear them; measured at 5 ms.
+FIRM = Contact(
+    integrator="discrete",
+    cone="elliptic",
+    impratio=100.0,
+    iterations=20,
+    ls_iterations=20,
+    solref=(0.01, 1.0),
+    solimp=(0.99, 0.99, 0.01),
+)
+#: m from the palm, in sizes of the hand; degrees.
+_DISTANCE, _AZIMUTH, _ELEVATION = 0.45, 345.0, -14.0
+#: m, in the palm's frame.
+_AIM = np.array([0.02, -0.06, 0.09])
+_GHOST = np.array([0.145, 0.388, 0.922, 0.35], np.float32)
+
+
+class HandScene(MujocoScene):
+    """A hand on an arm whose shoulder stands, holding a tool over a table; each hinge has a position
+    servo. The tool's bodies come after the hand's."""
+
+    @dataclass(frozen=True)
+    class Options:
+        fingers: int = 5  #: how many there are, from the thumb on: 3 to 5
+        finger_length: float = 1.0  #: of all fingers, in those of the human hand
+        size: float = 1.0  #: of the hand, in that of the human hand; the arm stays as it is
+        tool: tools.Tool = "sticks"  #: what it holds
+        friction: float = 1.0  #: sliding, of everything (the release)
+        contact: Contact = field(
+            default_factory=Contact
+        )  #: how contacts are solved, where not FIRM
+
+        def __post_init__(self) -> None:
+            Measures(self.fingers, self.finger_length, self.size)
+            check_range(self, "friction", above=0)
+
+    #: ``planned_upper`` and ``planned_lower``, positions and rotations (7,) in the palm's frame, are drawn
+    #: as a ghost.
+    recorded = ("qpos", "planned_upper", "planned_lower")
+
+    def __init__(self, options: Options, context: Context | None = None) -> None:
+        self.options, self.contact = options, options.contact
+        self.measures = Measures(options.fingers, options.finger_length, options.size)
+        self.timestep = context.control_dt / context.substeps if context else 0.005
+
+    def spec(self) -> mujoco.MjSpec:
+        spec = build_spec(self.measures, self.options.tool, self.options.friction)
+        spec.option.timestep = self.timestep
+        FIRM.apply(spec)
+        self.contact.apply(spec)
+        return spec
+
+    def shown(self) -> mujoco.MjSpec:
+        spec = self.spec()
+        spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+        spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
+        spec.visual.map.znear = 0.005
+        spec.stat.extent, spec.stat.center = 1.0, [0, 0, 0.2]
+        spec.visual.quality.shadowsize = 2048
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=[-0.6, -0.9, 1.6],
+            dir=[0.4, 0.6, -1],
+            diffuse=[0.55, 0.55, 0.55],
+            castshadow=True,
+        )
+        spec.add_texture(
+            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[0.93, 0.95, 0.98], rgb2=[0.62, 0.7, 0.8], width=256, height=1536,
+        )  # fmt: skip
+        return spec
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        return self.spec().compile()
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of the bodies of arm and hand, parents first."""
+        return tuple(link.name for link in links(self.measures))
+
+    @property
+    def hinges(self) -> int:
+        """H, of arm and hand; they come first in qpos and qvel."""
+        return self.model.nu
+
+    @property
+    def tool_bodies(self) -> tuple[str, ...]:
+        """The upper part first; empty without a tool."""
+        return tools.BODIES[self.options.tool]
+
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
+    ) -> Iterator[np.ndarray]:
+        """A close-up of the hand; what is planned, where it is, as a ghost."""
+        model = self.shown().compile()
+        data = mujoco.MjData(model)
+        renderer = open_renderer(model, width, height)
+        camera = mujoco.MjvCamera()
+        camera.distance, camera.elevation = _DISTANCE * max(1.0, self.measures.size), _ELEVATION
+        camera.azimuth = _AZIMUTH if self.azimuth is None else self.azimuth
+        palm = model.body("palm").id
+        try:
+            for frame, qpos in enumerate(tracks["qpos"]):
+                data.qpos[:] = qpos
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_camlight(model, data)
+                turn = data.xmat[palm].reshape(3, 3)
+                if frame == 0:  # it stands still: the hand's movement is what is to be seen
+                    camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)
+                renderer.update_scene(data, camera)
+                for name in ("planned_upper", "planned_lower"):
+                    if name in tracks:
+                        _add_ghost(renderer.scene, data.xpos[palm], turn, tracks[name][frame])
+                yield renderer.render()
+        finally:
+            renderer.close()
+
+    def outlines(
+        self, tracks: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """(T, S, 2, 3): a segment from each link's parent to the link, and one along each part of the
+        tool."""
+        model, data = self.model, mujoco.MjData(self.model)
+        own = np.array([model.body(name).id for name in self.links])
+        ends = np.stack([model.body_parentid[own], own], axis=1)
+        parts = [model.body(name).id for name in self.tool_bodies]
+        along = np.array([[-tools.HALF_LENGTH, 0, 0], [tools.HALF_LENGTH, 0, 0]])
+        segments = []
+        for qpos in tracks["qpos"]:
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            sticks = [data.xpos[b] + along @ data.xmat[b].reshape(3, 3).T for b in parts]
+            segments.append(np.concatenate([data.xpos[ends], np.reshape(sticks, (-1, 2, 3))]))
+        return np.array(segments), None
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            **super().describe(),
+            "fingers": list(self.measures.names),
+            "tool": self.options.tool,
+        }
+
+
+def _add_ghost(
+    scene: mujoco.MjvScene, palm: np.ndarray, turn: np.ndarray, pose: np.ndarray
+) -> None:
+    """A translucent stick at `pose` (7,) in the frame of the palm, which is at `palm` (3,), `turn` (3, 3)."""
+    if scene.ngeom >= scene.maxgeom:
+        return
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, np.asarray(pose[3:], np.float64))
+    axis = rotation.reshape(3, 3)[:, 0]
+    ends = [
+        palm + turn @ (np.asarray(pose[:3]) + way * tools.HALF_LENGTH * axis) for way in (-1, 1)
+    ]
+    geom = scene.geoms[scene.ngeom]
+    capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+    mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), _GHOST)
+    mujoco.mjv_connector(geom, capsule, 1.02 * tools.RADIUS, *ends)
+    scene.ngeom += 1

@@ -1,0 +1,124 @@
+"""What a hand holds: two sticks, or tongs (thesis, sections 5.6.1, 5.7 and 5.7.4).
+
+A tool's frame has its origin in the middle and x along it; the tip is at -x. As a planner sees both, they
+are a gripper of seven degrees of freedom: the lower part's pose, and an angle about its z axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy_basics import rotations
+
+Tool = Literal["sticks", "tongs", "none"]
+
+#: m: half of a stick without its caps, and its radius (thesis: 26 cm, 0.4 cm).
+HALF_LENGTH, RADIUS = 0.13, 0.004
+#: m: a bar of the tongs is 26 × 0.8 × 2 cm (section 5.7.4); its broad side is across the opening.
+BAR = (0.13, 0.004, 0.01)
+#: N m/rad and rad of the tongs' spring.
+STIFFNESS, REST = 20.0, 0.2
+#: kg m², on all six coordinates of a stick: more than its own, so that a step of 5 ms can hold it still.
+ARMATURE = 1e-4
+#: Of the tip of a tool, in its frame, m.
+TIP = (-HALF_LENGTH, 0.0, 0.0)
+#: m: how far around it a contact counts as one of a tool's tip.
+_TOUCH = 0.015
+_DENSITY = 1000.0
+#: Of the upper and the lower part.
+_WOOD = ((0.80, 0.58, 0.30, 1.0), (0.55, 0.27, 0.15, 1.0))
+_STEEL = (0.62, 0.65, 0.70, 1.0)
+#: Names of the bodies, the upper one first.
+BODIES: dict[Tool, tuple[str, ...]] = {
+    "sticks": ("upper_stick", "lower_stick"),
+    "tongs": ("upper_bar", "lower_bar"),
+    "none": (),
+}
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """How the two parts of a tool hang together."""
+
+    pivot: tuple[
+        float, float, float
+    ]  #: m: about which the upper part turns, in the lower one's frame
+    along: float  #: m: where that is on the upper part
+    axis: tuple[float, float, float]  #: in the lower part's frame
+
+
+#: Sticks are parallel at 0, 35 mm apart, and their tips nearer to each other above it (the release).
+STICKS = Gripper((0.045, 0.035, 0.0), 0.045, (0.0, 0.0, 1.0))
+#: Tongs turn about their ends. At 0 they are shut, above it their tips are apart.
+TONGS = Gripper((0.13, 0.008, 0.0), 0.13, (0.0, 0.0, -1.0))
+
+
+def upper_pose(
+    position: Tensor, rotation: Tensor, angle: Tensor, gripper: Gripper = STICKS
+) -> tuple[Tensor, Tensor]:
+    """Where the upper part of a gripper is: its middle (…, 3) m and rotation (…, 4).
+
+    Args:
+        position, rotation: (…, 3) m and (…, 4) of the lower part, in any frame.
+        angle: (…) rad, between the two.
+        gripper: how they hang together.
+    """
+    # From numbers, so that a step that is recorded makes no tensors of them.
+    sine, cosine = (0.5 * angle).sin(), (0.5 * angle).cos()
+    turn = torch.stack([cosine, *(part * sine for part in gripper.axis)], dim=-1)
+    turned = rotations.multiply(rotation, turn)
+    axes, along = rotations.to_matrix(rotation), rotations.to_matrix(turned)[..., 0]
+    pivot = sum(axes[..., k] * part for k, part in enumerate(gripper.pivot))
+    return position + pivot - gripper.along * along, turned
+
+
+def add(spec: mujoco.MjSpec, tool: Tool, friction: float, contact: tuple[int, int]) -> None:
+    """Add the tool `tool` to `spec`, with the contact masks (type, affinity), lying somewhere in the air."""
+    if tool == "sticks":
+        for name, y, wood in zip(BODIES[tool], (0.0, -STICKS.pivot[1]), _WOOD, strict=True):
+            body = spec.worldbody.add_body(name=name, pos=[-0.07, y, 0.14])
+            body.add_freejoint(name=name).armature = ARMATURE
+            _shape(body, name, mujoco.mjtGeom.mjGEOM_CAPSULE, (RADIUS, HALF_LENGTH, 0.0), wood)
+    elif tool == "tongs":
+        upper, lower = BODIES[tool]
+        body = spec.worldbody.add_body(name=lower, pos=[-0.07, 0.0, 0.14])
+        body.add_freejoint(name=lower).armature = ARMATURE
+        _shape(body, lower, mujoco.mjtGeom.mjGEOM_BOX, BAR, _STEEL)
+        x, y, z = TONGS.pivot
+        other = body.add_body(name=upper, pos=[x - TONGS.along, y, z])
+        hinge = other.add_joint(
+            name="opening", axis=TONGS.axis, pos=[TONGS.along, 0, 0], range=[0, 0.6], limited=True
+        )
+        hinge.stiffness[0], hinge.springref, hinge.armature = STIFFNESS, REST, ARMATURE
+        _shape(other, upper, mujoco.mjtGeom.mjGEOM_BOX, BAR, _STEEL)
+    for body in spec.bodies:
+        if body.name in BODIES[tool]:
+            for geom in body.geoms:
+                geom.contype, geom.conaffinity = contact
+                geom.friction = [friction, 0.005, 0.0001]
+
+
+def _shape(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    size: tuple[float, float, float],
+    colour: tuple[float, float, float, float],
+) -> None:
+    geom = body.add_geom(name=name, type=kind, size=size, density=_DENSITY, condim=4, rgba=colour)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        half = float(np.sqrt(0.5))
+        geom.quat = [half, 0, half, 0]  # along x
+    body.add_site(name=f"{name}_tip", pos=TIP, size=[0.002] * 3, group=4)
+    body.add_site(name=f"touch_{name}_tip", pos=TIP, size=[_TOUCH] * 3, group=4)
+
+
+def tips(tool: Tool) -> tuple[str, ...]:
+    """Names of the sites at the tips, the upper part's first."""
+    return tuple(f"{name}_tip" for name in BODIES[tool])

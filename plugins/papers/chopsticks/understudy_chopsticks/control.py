@@ -1,0 +1,91 @@
+"""What the policy sees (table 5.1) and what it decides: offsets from the grip (thesis, section 5.4.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Actuation, Context, Encoder, box
+from understudy_chopsticks.plan import AHEAD, GRIPPER, gripping
+from understudy_hand.table import ARM_POSE
+from understudy_hand.tools import tips
+
+
+class State(Encoder):
+    """Table 5.1 without an object: arm and hand, sticks, fingertips' distances, normal forces, the plan ahead.
+
+    Sticks are in the palm's frame. Forces are divided by 1 N beyond their logarithm: log(1 + f).
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        #: Normal forces on fingertips and on the sticks' tips; costs a forward computation a step.
+        forces: bool = True
+        planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
+
+    def __init__(self, options: Options, context: Context) -> None:
+        scene = gripping(context, "encoder 'chopsticks/state'").scene
+        self._options, self._hinges = options, scene.hinges
+        names = (*(f"{finger}_distal" for finger in scene.measures.names), *tips("sticks"))
+        self._touch = tuple(f"sensor_touch_{name}" for name in names) if options.forces else ()
+        self.reads = ("qpos", "qvel", "stick_state", "tip_distance", "plan_ahead", *self._touch)
+        touching = len(gripping(context, "encoder").grip.touching)
+        planned = GRIPPER + (2 * scene.hinges if options.planned_hand else 0)
+        self.shape = (2 * scene.hinges + 26 + touching + len(self._touch) + len(AHEAD) * planned,)
+
+    def encode(
+        self,
+        qpos: Tensor,
+        qvel: Tensor,
+        stick_state: Tensor,
+        tip_distance: Tensor,
+        plan_ahead: Tensor,
+        **touch: Tensor,
+    ) -> Tensor:
+        ahead = plan_ahead if self._options.planned_hand else plan_ahead[..., -GRIPPER:]
+        count = self._hinges
+        return torch.cat(
+            [
+                qpos[:, :count],
+                qvel[:, :count],
+                stick_state.flatten(1),
+                tip_distance,
+                *(torch.log1p(touch[name]) for name in self._touch),
+                ahead.flatten(1),
+            ],
+            dim=1,
+        )
+
+
+class Offsets(Actuation):
+    """Targets are a grip's, or a plan's, plus the action times `hand` or `arm`."""
+
+    reads = ("planned_targets", "planned_arm")
+
+    @dataclass(frozen=True)
+    class Options:
+        hand: float = 1.0  #: rad, of an action of 1 on the hand (thesis: the action is the offset)
+        arm: float = 0.1  #: rad, of an action of 1 on the arm (the release explores a tenth there)
+        #: ``grip``: the targets that hold the sticks in parallel (thesis); ``plan``: those that hold them at the
+        #: planned angle, by which the sticks open and close a little without any policy.
+        base: Literal["grip", "plan"] = "grip"
+
+        def __post_init__(self) -> None:
+            check_range(self, "hand", "arm", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        made = gripping(context, "actuation 'chopsticks/offsets'")
+        self._follows = options.base == "plan"
+        arm, hand = len(ARM_POSE), made.scene.hinges - len(ARM_POSE)
+        self._scale = torch.tensor([options.arm] * arm + [options.hand] * hand)
+        self._scale = self._scale.to(context.device)
+        self._grip = made.targets[0]
+        self.action_space = box(made.scene.hinges)
+
+    def control(self, action: Tensor, planned_targets: Tensor, planned_arm: Tensor) -> Tensor:
+        still = torch.cat([planned_arm, self._grip.expand(len(action), -1)], dim=1)
+        return (planned_targets if self._follows else still) + self._scale * action

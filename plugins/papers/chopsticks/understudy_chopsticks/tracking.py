@@ -1,0 +1,197 @@
+"""Where the sticks are, how far from the plan, and what that is worth (thesis, section 5.4.2).
+
+N worlds, F fingers that touch a stick; everything in the palm's frame, m, rad. The upper stick comes first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Context, Fields, Shape
+from understudy.task.terms import ranges
+from understudy_basics import rotations
+from understudy_chopsticks.plan import gripping
+from understudy_gripping.distances import at, place_on_segment
+from understudy_gripping.pose import sides
+from understudy_hand.tools import RADIUS
+
+
+class Tracking(Fields):
+    """The sticks in the palm's frame, and errors.
+
+    - ``stick_state`` (2, 13): position, rotation, linear and angular velocity
+    - ``stick_distance`` (2,) m, of the middles from the planned ones; ``stick_turn`` (2,) rad, between the
+      sticks' axes and the planned ones; ``stick_rotation`` (2,) rad, the same with the spin about the axis
+    - ``angle`` () rad, between the sticks as the plan means it: about the lower one's z axis
+    - ``angle_error`` () rad, of that, without sign
+    - ``tip_distance`` (F,) m, of fingertips from their places on the sticks
+    """
+
+    reads = (
+        "xpos", "xquat", "cvel", "subtree_com", "geom_xpos", "geom_xmat", "planned_upper",
+        "planned_lower", "planned_angle",
+    )  # fmt: skip
+    provides: Mapping[str, Shape] = {
+        "stick_state": (2, 13),
+        "stick_distance": (2,),
+        "stick_turn": (2,),
+        "stick_rotation": (2,),
+        "angle": (),
+        "angle_error": (),
+        "tip_distance": (0,),
+    }
+
+    def __init__(self, options: None, context: Context) -> None:
+        made = gripping(context, "fields 'chopsticks/tracking'")
+        model, grip, device = made.scene.model, made.grip, context.device
+        bodies = [model.body(name).id for name in ("palm", *made.scene.tool_bodies)]
+        self._bodies = torch.tensor(bodies, device=device)
+        self._roots = torch.tensor(model.body_rootid[bodies], dtype=torch.long, device=device)
+        tips = [model.geom(f"{finger}_distal").id for finger in grip.touching]
+        self._tips = torch.tensor(tips, device=device)
+        self._half = torch.tensor(model.geom_size[tips, 1], dtype=torch.float32, device=device)
+        self._radii = torch.tensor(model.geom_size[tips, 0], dtype=torch.float32, device=device)
+        touching = [k for k, stick in enumerate(grip.style) if stick]
+        self._sticks = torch.tensor([grip.style[k] - 1 for k in touching], device=device)
+        side = torch.tensor([sides(grip.style)[k] for k in touching])
+        places = torch.tensor(grip.places)[:, None] * torch.tensor([1.0, 0.0, 0.0])
+        self._goals = (places + RADIUS * side).float().to(device)
+        self._x = torch.tensor([1.0, 0.0, 0.0], device=device)
+        self._z = torch.tensor([0.0, 0.0, 1.0], device=device)
+        self.provides = {**self.provides, "tip_distance": (len(tips),)}
+
+    def compute(
+        self,
+        xpos: Tensor,
+        xquat: Tensor,
+        cvel: Tensor,
+        subtree_com: Tensor,
+        geom_xpos: Tensor,
+        geom_xmat: Tensor,
+        planned_upper: Tensor,
+        planned_lower: Tensor,
+        planned_angle: Tensor,
+    ) -> dict[str, Tensor]:
+        places, turns = xpos.index_select(1, self._bodies), xquat.index_select(1, self._bodies)
+        moving = cvel.index_select(1, self._bodies).view(len(xpos), 3, 6)
+        spin = moving[..., :3]  # world axes; MuJoCo gives velocities at the tree's centre of mass
+        arms = places - subtree_com.index_select(1, self._roots)
+        speed = moving[..., 3:] + torch.linalg.cross(spin, arms, dim=-1)
+        palm, away = turns[:, :1], places[:, 1:] - places[:, :1]
+        carried = speed[:, :1] + torch.linalg.cross(spin[:, :1].expand_as(away), away, dim=-1)
+        position = rotations.inverse_rotate(palm, away)
+        rotation = rotations.multiply(rotations.conjugate(palm), turns[:, 1:])
+        state = [
+            position,
+            rotations.canonical(rotation),
+            rotations.inverse_rotate(palm, speed[:, 1:] - carried),
+            rotations.inverse_rotate(palm, spin[:, 1:] - spin[:, :1]),
+        ]
+        planned = torch.stack([planned_upper, planned_lower], dim=1)
+        axes = rotations.rotate(rotation, self._x)
+        wanted = rotations.rotate(planned[..., 3:], self._x)
+        upper = rotations.inverse_rotate(rotation[:, 1], axes[:, 0])
+        angle = torch.atan2(upper[:, 1], upper[:, 0])
+        goals = places[:, 1:][:, self._sticks] + rotations.rotate(
+            turns[:, 1:][:, self._sticks], self._goals
+        )
+        return {
+            "stick_state": torch.cat(state, dim=-1),
+            "stick_distance": torch.linalg.vector_norm(position - planned[..., :3], dim=-1),
+            "stick_turn": _between(axes, wanted),
+            "stick_rotation": rotations.angle_between(rotation, planned[..., 3:]),
+            "angle": angle,
+            "angle_error": (angle - planned_angle).abs(),
+            "tip_distance": self._from_tips(goals, geom_xpos, geom_xmat),
+        }
+
+    def _from_tips(self, goals: Tensor, geom_xpos: Tensor, geom_xmat: Tensor) -> Tensor:
+        middle = geom_xpos.index_select(1, self._tips)
+        matrix = geom_xmat.index_select(1, self._tips).view(*middle.shape, 3)
+        reach = self._half[:, None] * matrix[..., 2]
+        ends = torch.stack([middle - reach, middle + reach], dim=-2)
+        nearest = at(ends, place_on_segment(goals, ends))
+        away = torch.linalg.vector_norm(nearest - goals, dim=-1) - self._radii
+        return away.clamp(min=0.0)
+
+
+def _between(one: Tensor, other: Tensor) -> Tensor:
+    """(…) rad between unit vectors (…, 3), exact for small angles too."""
+    cross = torch.linalg.vector_norm(torch.linalg.cross(one, other, dim=-1), dim=-1)
+    return torch.atan2(cross, (one * other).sum(-1))
+
+
+# ------------------------------------------------------------------ eqs. 5.2, 5.3, 5.5, each as exp
+
+
+@ranges(0.0, 1.0)
+class Hand:
+    """exp of eq. 5.2: arm and hand as planned, exp(-w ‖q - q̃‖)."""
+
+    @dataclass(frozen=True)
+    class Options:
+        scale: float = 10.0  #: 1/rad (eq. 5.2)
+
+        def __post_init__(self) -> None:
+            check_range(self, "scale", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._scale, self._count = options.scale, gripping(context, "reward").scene.hinges
+
+    def __call__(self, qpos: Tensor, planned_pose: Tensor) -> Tensor:
+        error = torch.linalg.vector_norm(qpos[:, : self._count] - planned_pose, dim=1)
+        return torch.exp(-self._scale * error)
+
+
+@ranges(0.0, 1.0)
+def sticks(
+    stick_distance: Tensor,
+    stick_turn: Tensor,
+    stick_rotation: Tensor,
+    *,
+    distance: float = 40.0,
+    turn: float = 10.0,
+    spin: bool = False,
+) -> Tensor:
+    """exp of eq. 5.3: both sticks as planned, exp(-40 Σ ‖p - p̃‖ - 10 Σ Θ).
+
+    Args:
+        distance: 1/m.
+        turn: 1/rad.
+        spin: whether Θ counts a stick's turn about its own axis, as an angle between quaternions does.
+    """
+    angle = stick_rotation if spin else stick_turn
+    return torch.exp(-distance * stick_distance.sum(1) - turn * angle.sum(1))
+
+
+@ranges(0.0, 1.0)
+def contact(tip_distance: Tensor, *, scale: float = 10.0) -> Tensor:
+    """exp of eq. 5.5: fingertips at their places on the sticks, exp(-10 Σ d).
+
+    Args:
+        scale: 1/m.
+    """
+    return torch.exp(-scale * tip_distance.sum(1))
+
+
+def dropped(stick_distance: Tensor, *, distance: float = 0.03) -> Tensor:
+    """A stick is far from where it is planned; it has fallen, or will.
+
+    Args:
+        distance: m. The thesis names no early ending; so far off, no grip was seen to recover.
+    """
+    return (stick_distance > distance).any(dim=1)
+
+
+def contact_lost(tip_distance: Tensor, *, distance: float = 0.035) -> Tensor:
+    """Fingertips have left their places on the sticks.
+
+    Args:
+        distance: m, of all together; at the release's, exp(-20 Σ d) is 0.5.
+    """
+    return tip_distance.sum(1) > distance

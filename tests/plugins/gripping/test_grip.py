@@ -1,0 +1,188 @@
+"""A grip that is found, held, written and read; and files that are none."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError, FileError
+from understudy_gripping.balance import balance
+from understudy_gripping.grip import Grip, find_grip, load_grip, standard
+from understudy_gripping.hold import placed
+from understudy_gripping.styles import NAMED
+from understudy_hand.scene import FIRM, HandScene
+from understudy_hand.table import ARM_POSE
+from understudy_mujoco.contact import Contact
+
+
+def scene(**options: Any) -> HandScene:
+    return HandScene(HandScene.Options(**options))
+
+
+@pytest.fixture(scope="module")
+def grip() -> Grip:
+    return load_grip(standard())
+
+
+def test_the_standard_grip_holds_for_ten_seconds(grip: Grip) -> None:
+    """Less than 1 mm of drift, less than 0.5 mm of penetration at 5 ms, all seven links touching, at
+    every angle."""
+    made = scene()
+    assert made.model.opt.timestep == 0.005
+    for row in range(len(grip.angles)):
+        held = grip.held(made, row, seconds=10.0, settle=1.0)
+        assert held.fell is None
+        assert held.drift.max() < 1e-3
+        assert held.depth < 0.5e-3
+        assert held.links == {
+            "thumb_distal", "index_distal", "middle_distal", "ring_distal",
+            "thumb_middle", "index_metacarpal", "index_proximal",
+        }  # fmt: skip
+
+
+def test_the_engines_default_contacts_hold_nothing(grip: Grip) -> None:
+    """So it is the settings that hold, and the test above can fail."""
+    soft = Contact("discrete", "pyramidal", 1.0, solref=(0.02, 1.0), solimp=(0.9, 0.95, 0.001))
+    fell = grip.held(scene(contact=soft), 0, seconds=3.0).fell
+    assert fell is not None
+    assert fell < 1.0
+
+
+def test_firm_contacts_bear_noise_under_the_discrete_integrator_alone(grip: Grip) -> None:
+    """20 mrad on the hand's targets and 2 on the arm's, which stiff servos under ``implicitfast`` turn
+    into a shaking that throws the sticks out."""
+    for integrator, holds in (("discrete", True), ("implicitfast", False)):
+        made = scene(contact=replace(FIRM, integrator=integrator))
+        data = placed(made, np.array(ARM_POSE), grip.poses[0], grip.upper[0], grip.lower)
+        first = data.body("lower_stick").xpos - data.body("palm").xpos
+        generator, far = np.random.default_rng(0), 0.0
+        for _ in range(150):
+            noise = generator.normal(size=36) * np.array([0.002] * 7 + [0.02] * 29)
+            data.ctrl[:] = np.array([*ARM_POSE, *grip.targets[0]]) + noise
+            for _ in range(2):
+                mujoco.mj_step(made.model, data)
+            now = data.body("lower_stick").xpos - data.body("palm").xpos
+            far = max(far, float(np.linalg.norm(now - first)))
+            if not far < 0.03:
+                break
+        assert (far < 0.03) == holds, integrator
+
+
+def test_forces_balance_both_sticks(grip: Grip) -> None:
+    made = scene()
+    data = placed(made, np.array(ARM_POSE), grip.poses[0], grip.upper[0], grip.lower)
+    found = balance(made, data, grip.style, 3.0, 1.0)
+    assert found.error < 0.05
+    assert min(found.forces.values()) >= 1.0 - 1e-6
+    np.testing.assert_allclose(found.targets[7:], grip.targets[0], atol=1e-3)
+
+
+def test_it_is_found_from_the_t_pose_as_packaged(grip: Grip) -> None:
+    """What costs nothing, such as a little finger a little elsewhere, need not be the same."""
+    found = find_grip(scene(), NAMED["standard"], grip.places)
+    np.testing.assert_allclose(found.lower[:3], grip.lower[:3], atol=3e-3)
+    held = found.held(scene(), 0, seconds=5.0, settle=1.0)
+    assert held.drift.max() < 1e-3
+    assert held.depth < 0.5e-3
+    assert len(held.links) == 7
+
+
+def test_what_is_written_is_read(grip: Grip, tmp_path: Path) -> None:
+    grip.save(tmp_path / "grip.json")
+    read = load_grip(tmp_path / "grip.json")
+    assert (read.measures, read.style, read.places, read.hinges) == (
+        grip.measures, grip.style, grip.places, grip.hinges,
+    )  # fmt: skip
+    for name in ("lower", "angles", "poses", "targets"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(grip, name))
+
+
+def test_a_pose_whose_sticks_fall_is_no_grip(grip: Grip) -> None:
+    """Reached, balanced, and let go by contacts as soft as the engine's default."""
+    soft = Contact(None, "pyramidal", 1.0, solref=(0.02, 1.0), solimp=(0.9, 0.95, 0.001))
+    with pytest.raises(
+        ConfigError, match=r"does not hold the sticks: at an angle of 0 rad one falls"
+    ):
+        find_grip(scene(contact=soft), NAMED["standard"], grip.places, iterations=80)
+
+
+@pytest.mark.parametrize("options", [{"fingers": 4}, {"size": 2.0}, {"finger_length": 2.0}])
+def test_a_grip_of_another_hand_is_refused(grip: Grip, options: dict[str, Any]) -> None:
+    with pytest.raises(
+        ConfigError, match="is one of a hand with 5 fingers, finger_length 1 and size 1"
+    ):
+        grip.need(scene(**options))
+
+
+def test_tongs_take_no_grip_of_sticks(grip: Grip) -> None:
+    with pytest.raises(ConfigError, match="the scene has tongs"):
+        grip.need(scene(tool="tongs"))
+
+
+def change(key: str, value: Any) -> str:
+    values = json.loads(standard().read_text(encoding="utf-8"))
+    values[key] = value
+    return json.dumps(values)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is no grip"),
+        ("[]", "it is not of version 1"),
+        ('{"version": 2}', "it is not of version 1"),
+        ('{"version": 1}', "it has no 'hand'"),
+        (change("hand", {"fingers": 9, "finger_length": 1, "size": 1}), "fingers=9"),
+        (change("hand", [1]), "is no grip"),
+        (change("style", "12112"), "cross"),
+        (change("places", [0.1]), "places are not 4 finite numbers"),
+        (change("lower", [0, 0, 0, 2, 0, 0, 0]), "no unit quaternion"),
+        (change("lower", [0, 0, 0, "x", 0, 0, 0]), "lower are not 7 finite numbers"),
+        (change("angles", [0.0, 0.0, 0.1, 0.12, 0.15]), "two or more that rise"),
+        (change("angles", 7), "is no grip"),
+        (change("poses", [[float("nan")] * 29] * 5), "poses are not 5 × 29 finite numbers"),
+        (change("targets", [[1e9] * 29] * 5), "larger than any"),
+        (change("hinges", ["a", "a"]), "not named each once"),
+        ("[" * 100_000, "is no grip"),
+        ("x" * (1 << 21), "too large"),
+    ],
+)
+def test_files_that_are_none_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "grip.json").write_text(text, encoding="utf-8")
+    with pytest.raises(FileError, match="is no grip") as error:
+        load_grip(tmp_path / "grip.json")
+    assert said in str(error.value)
+
+
+def test_a_missing_file_is_said() -> None:
+    with pytest.raises(FileError, match=r"There is no grip at nowhere\.json"):
+        load_grip(Path("nowhere.json"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["12112"], "cross"),
+        (["11120", "--fingers", "3"], "5 entries and the hand 3 fingers"),
+        (["11120", "--places", "35"], "--places takes 4 numbers"),
+        (["11120", "--places", "35", "2", "-9", "nan"], "between -130 and 130"),
+        (["11120", "--size", "0"], "--size=0.0 is not possible"),
+        (["11120", "--places", "120", "-120", "120", "-120"], "has no pose"),
+    ],
+)
+def test_bad_words_are_one_sentence_and_nothing_is_written(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "grip.json"
+    assert main(["grip", words[0], str(file), *words[1:]]) == 2
+    printed = capsys.readouterr().err
+    assert said in printed
+    assert len(printed.strip().splitlines()) == 1
+    assert not file.exists()
