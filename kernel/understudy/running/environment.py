@@ -364,7 +364,9 @@ class Environment:
         self.observations = reached
         returns = self.statistics.returns.clone()
         kept = {name: without_unsound(table[name]).clone() for name in self.reaches}
-        return Step(reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept)
+        return Step(
+            reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
+        )
 
     @_as_physics
     def begin(self, worlds: Tensor) -> dict[str, Tensor]:

@@ -58,9 +58,7 @@ class Reinforcement(Job):
         learner = self.learner
         records = (*initial.records, *(curriculum.records if curriculum else ()), *learner.records)
         seed = experiment.root.seed
-        self.collector = Collector(
-            self.environment, self.policy, seed, records, learner.reaches
-        )
+        self.collector = Collector(self.environment, self.policy, seed, records, learner.reaches)
         if experiment.root.start is not None:
             self._started = take_over(experiment.root.start, self.policy, initial, curriculum)
             self.environment.reset(seed)  # episodes begin as what was taken over says

@@ -56,19 +56,23 @@ class Imagined:
         space = action_space(context, _WHO)
         self._boxes = [part for part in space.parts.values() if isinstance(part, Box)]
         if len(self._boxes) < len(space.parts):
-            raise ConfigError(f"{_WHO} has no derivative of a choice. Choose learner=ppo.")
+            raise ConfigError(
+                f"{_WHO} needs actions that are numbers, and this task's have choices. Choose learner=ppo."
+            )
         reach = [torch.as_tensor(b.reach).expand(b.size) for b in self._boxes]
         #: (A,) what counts as one unit of each number of an action.
         self.reach = torch.cat(reach).float().to(context.device)
         self.margins = [t for t in parts.terminations if isinstance(t.function, Margin)]
         #: Terms without a derivative, by their places in the configuration.
-        self.flat = [t.where for t in parts.terminations if t not in self.margins]
-        self.flat += [t.where for t in parts.rewards if not self._smooth(t)]
+        self.flat = (
+            *(t.where for t in parts.terminations if t not in self.margins),
+            *(t.where for t in parts.rewards if not self._smooth(t)),
+        )
         self._rewarding = any(self._smooth(t) for t in parts.rewards)
         if not self.margins and not self._rewarding:
             raise ConfigError(
-                f"{_WHO} finds nothing to differentiate: no reward depends on the state but by whether "
-                "the episode fails, and no termination says how near it is. Choose learner=ppo."
+                f"{_WHO} needs a term with a derivative, and this task has none: no termination says how near "
+                "it is, and no reward depends on more than whether the episode failed. Choose learner=ppo."
             )
 
     def _readers(self) -> Iterator[tuple[str, Sequence[str]]]:
@@ -96,8 +100,8 @@ class Imagined:
             (self._moving if any(moves) else self._still).append(provider)
         else:
             raise ConfigError(
-                f"{_WHO} cannot imagine the field '{name}', which {who} needs: positions and velocities "
-                f"of the bodies do not decide it. Choose learner=ppo, or leave {who} out of the task."
+                f"{_WHO} needs fields that positions and velocities decide, and {who} reads '{name}', "
+                f"which they do not. Choose learner=ppo, or leave {who} out of the task."
             )
         return self._moves[name]
 

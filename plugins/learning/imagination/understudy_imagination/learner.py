@@ -120,7 +120,7 @@ class Imagination(Learner):
         for name in (*parts.initial_states.varies, *curriculum):
             if name in parts.simulator.parameters and name.startswith(_FIXED):
                 raise ConfigError(
-                    f"{_WHO} takes bodies to be alike in all worlds, and '{name}' varies. "
+                    f"{_WHO} needs bodies that are alike in all worlds, and '{name}' varies. "
                     "Choose learner=ppo, or let it not vary."
                 )
         if parts.actuation.part.keeps:
@@ -133,7 +133,13 @@ class Imagination(Learner):
         self.rollout_steps = options.rollout_steps
         set_precision(policy, "float32")
         device = context.device
-        rigid = Rigid(scene.compiled(context), device)
+        compiled = scene.compiled(context)
+        if compiled.nmocap:
+            raise ConfigError(
+                f"{_WHO} needs bodies that physics alone moves, and this scene has some that the task "
+                "moves (mocap). Choose learner=ppo."
+            )
+        rigid = Rigid(compiled, device)
         self._rigid = rigid
         self._imagined = imagined = Imagined(parts, context, rigid)
         self.records = self.reaches = (*_STATE, *imagined.taken)
@@ -169,6 +175,11 @@ class Imagination(Learner):
         self._iterations, self._trained = 0, 0
         self._bad = torch.zeros((), dtype=torch.int64, device=device)
         self._skipped = torch.zeros((), device=device)
+
+    @property
+    def flat(self) -> tuple[str, ...]:
+        """The task's terms that the policy is not improved by, for want of a derivative."""
+        return self._imagined.flat
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options, own = self.options, self.options.model
@@ -207,7 +218,9 @@ class Imagination(Learner):
     @torch.no_grad()
     def _remember(self, window: Window) -> float:
         """Add the window to what the model is trained on; returns the model's loss on it before."""
-        state, after = ({k: v.flatten(0, 1) for k, v in f.items()} for f in (window.before, window.reached))
+        state, after = (
+            {k: v.flatten(0, 1) for k, v in f.items()} for f in (window.before, window.reached)
+        )
         posed = self._rigid.posed(state["qpos"], state["qvel"])
         if self._iterations == 0:
             self.model.look(posed)

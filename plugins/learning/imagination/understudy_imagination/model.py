@@ -112,9 +112,7 @@ class WorldModel(nn.Module):
 
     def loss(self, inputs: Tensor, targets: Tensor) -> Tensor:
         """(B,)"""
-        errors = nn.functional.smooth_l1_loss(
-            self.raw(inputs), self.out(targets), reduction="none"
-        )
+        errors = nn.functional.smooth_l1_loss(self.raw(inputs), self.out(targets), reduction="none")
         return errors.mean(1)
 
 

@@ -6,7 +6,7 @@ it: positions of free joints move along the world's axes, rotations turn in thei
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -27,9 +27,10 @@ _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 class _Slot(NamedTuple):
     """The k-th joint of every body that has so many, in the order of the levels."""
 
-    turn: Tensor  #: (nb,) rows of the joints' quaternions
-    spin: Tensor  #: (nb,) rows of the joints' angular velocities
-    slide: Tensor | None  #: (nb,) rows of the slides' axes times displacements; None: there are none
+    joints: Tensor  #: (nb,) rows of the joints' quaternions and angular velocities
+    slide: (
+        Tensor | None
+    )  #: (nb,) rows of the slides' axes times displacements; None: there are none
     anchor: Tensor | None  #: (nb, 3) m, in the body; None: all are at the bodies' origins
 
 
@@ -61,7 +62,15 @@ class Rigid:
         self._hinges = len(hinge)
         #: Columns of :meth:`lengths` and :meth:`shape`.
         self.lengths_size = len(scalar) + 3 * len(ball)
-        self.shape_size = 4 + 9 * (len(free) - 1) if len(free) else 0
+        #: Whether it matters where the root stands: something stands around it that is no floor.
+        self.placed = any(
+            model.body_weldid[body] == 0 and kind != _PLANE and (contacts or affinity)
+            for body, kind, contacts, affinity in zip(
+                model.geom_bodyid, model.geom_type, model.geom_contype, model.geom_conaffinity,
+                strict=True,
+            )
+        )  # fmt: skip
+        self.shape_size = (4 + 5 * self.placed + 9 * (len(free) - 1)) if len(free) else 0
         self._tree(model, free, ball, hinge, slide)
         self._things(model)
 
@@ -90,7 +99,11 @@ class Rigid:
         for level in range(1, depth.max() + 1):
             rows = [place[b] for b in np.flatnonzero(depth == level)]
             above = [place[b] for b in np.flatnonzero(depth == level - 1)] if level > 1 else []
-            own = [above.index(place[parents[b]]) for b in np.flatnonzero(depth == level)] if above else []
+            own = (
+                [above.index(place[parents[b]]) for b in np.flatnonzero(depth == level)]
+                if above
+                else []
+            )
             self._levels.append((slice(rows[0], rows[-1] + 1), self._rows(own)))
         # The world comes last; with it bodies are in MuJoCo's order again.
         self._bodies = self._rows([len(order), *(place[b] for b in range(1, model.nbody))])
@@ -108,15 +121,15 @@ class Rigid:
         self._slots = []
         for k in range(int(model.body_jntnum.max())):
             joints = [model.body_jntadr[b] + k if model.body_jntnum[b] > k else -1 for b in order]
-            turn = self._rows([row.get(j, len(row)) for j in joints])
             slides = [glide.get(j, len(glide)) for j in joints]
-            anchors = np.array([model.jnt_pos[j] if j >= 0 and j not in free else np.zeros(3) for j in joints])
+            anchors = [
+                model.jnt_pos[j] if j >= 0 and j not in free else np.zeros(3) for j in joints
+            ]
             self._slots.append(
                 _Slot(
-                    turn,
-                    turn,
-                    self._rows(slides) if any(s < len(glide) for s in slides) else None,
-                    self._numbers(anchors) if anchors.any() else None,
+                    self._rows([row.get(j, len(row)) for j in joints]),
+                    self._rows(slides) if min(slides) < len(glide) else None,
+                    self._numbers(np.array(anchors)) if np.any(anchors) else None,
                 )
             )
 
@@ -190,9 +203,7 @@ class Rigid:
     def difference(self, before: Tensor, after: Tensor) -> Tensor:
         """The step (B, nv) from `before` to `after`, each (B, nq), as ``mj_differentiatePos``."""
         first, second = self._rotations(before), self._rotations(after)
-        turns = rotations.to_exponential_map(
-            rotations.multiply(rotations.conjugate(first), second)
-        )
+        turns = rotations.to_exponential_map(rotations.multiply(rotations.conjugate(first), second))
         lines = after.index_select(1, self._lines) - before.index_select(1, self._lines)
         return torch.cat([lines, turns.flatten(1)], dim=1).index_select(1, self._to_qvel)
 
@@ -230,14 +241,16 @@ class Rigid:
         return control - self._servos * lengths.index_select(1, self._columns)
 
     def shape(self, qpos: Tensor) -> Tensor:
-        """(B, …): where free joints are, as the root sees it: its height and up; of others, position
-        from the root and two axes."""
+        """(B, …): where free joints are. Of the root its height and up, where it is ``placed`` its
+        position and x axis too; of others, seen from it, position and two axes."""
         if not self.frees:
             return qpos[:, :0]
         every = self._rotations(qpos)[:, : self.frees]
         places = qpos.index_select(1, self._lines)[:, : 3 * self.frees].unflatten(1, (-1, 3))
         root = every[:, 0]
         found = [places[:, 0, 2:], rotations.to_matrix(root)[:, 2]]
+        if self.placed:
+            found += [places[:, 0, :2], rotations.to_matrix(root)[:, :, 0]]
         if self.frees > 1:
             inverse = rotations.conjugate(root).unsqueeze(1)
             away = rotations.rotate(inverse, places[:, 1:] - places[:, :1])
@@ -283,10 +296,10 @@ class Rigid:
                     speed = speed + torch.linalg.cross(spin, moved)
                 place = place + moved
             lever = rotations.rotate(turn, slot.anchor) if slot.anchor is not None else None
-            own = turns.index_select(1, slot.turn)
+            own = turns.index_select(1, slot.joints)
             turn = own if straight else rotations.multiply(turn, own)
             straight = False
-            added = rotations.rotate(turn, spins.index_select(1, slot.spin))
+            added = rotations.rotate(turn, spins.index_select(1, slot.joints))
             if lever is not None:
                 if spin is not None:
                     speed = speed + torch.linalg.cross(spin, lever)

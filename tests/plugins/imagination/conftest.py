@@ -1,0 +1,48 @@
+"""The walk with few worlds and small networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from understudy.errors import UnderstudyError
+from understudy.running.reinforcement import Reinforcement
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import Plugins
+
+WALK = (
+    "experiment=spacetime/walk", "learner=imagination", "num_worlds=4", "control.substeps=5",
+    "scene.servos.step_speed=10", "policy.feedback.hidden=[16]", "learner.rollout_steps=8",
+    "learner.tail=4", "learner.model.hidden=[16]", "learner.model.first_samples=64",
+    "learner.model.first_updates=3", "learner.model.updates=2", "learner.updates=2",
+    "learner.model.replay=100",
+)  # fmt: skip
+
+
+@pytest.fixture
+def job(plugins: Plugins) -> Callable[..., Reinforcement]:
+    """The prepared job of the walk with other options."""
+    made: list[Reinforcement] = []
+
+    def make(*overrides: str) -> Reinforcement:
+        one = Reinforcement(None, load_experiment([*WALK, *overrides], plugins))
+        one.prepare()
+        made.append(one)
+        return one
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def refusal(plugins: Plugins) -> Callable[..., str]:
+    """The sentence that refuses the walk with other options."""
+
+    def make(*overrides: str) -> str:
+        with pytest.raises(UnderstudyError) as caught:
+            Reinforcement(None, load_experiment([*WALK, *overrides], plugins)).prepare()
+        return str(caught.value)
+
+    return make
