@@ -7,7 +7,7 @@ from understudy.setup.registry import Registrar
 from understudy_basics.packaged import register_skills
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "motion", "mujoco", "ppo", "report")
+REQUIRES = ("basics", "characters", "imagination", "motion", "mujoco", "ppo", "report")
 
 _HERE = "understudy_spacetime"
 
