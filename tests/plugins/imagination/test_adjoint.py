@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from understudy.running.reinforcement import Reinforcement
 from understudy_imagination.adjoint import Adjoint, Weights, Window, clean, limited
+from understudy_imagination.errors import model_errors
 from understudy_imagination.learner import Imagination
 
 STEPS = 5
@@ -126,3 +128,30 @@ def test_long_rows_are_cut_to_medians_of_those_that_are_not_zero() -> None:
     assert found[:3].tolist() == rows[:3].tolist()
     assert found[3].tolist() == pytest.approx([1.8, 2.4])
     assert limited(torch.zeros(2, 3), 3.0).tolist() == torch.zeros(2, 3).tolist()
+
+
+def test_a_models_error_is_how_far_bodies_are_off(job: Callable[..., Reinforcement]) -> None:
+    """None of what the model itself imagined; as much as the trajectory is moved, before it ends."""
+    made = job()
+    learner, _ = parts(made)
+    rigid, imagined = learner.adjoint._rigid, learner.adjoint._imagined
+    n, a = made.environment.num_worlds, made.environment.action_size
+    ended = torch.zeros(STEPS, n, dtype=torch.bool)
+    with torch.no_grad():
+        _, window = imagine(
+            made, learner, torch.zeros(STEPS, n, a), torch.zeros(STEPS, n, a), ended
+        )
+    found = model_errors(rigid, imagined, learner.model, window)
+    assert list(found) == [1, 4]
+    for off in found.values():
+        assert off[1:].max() < 1e-3
+    moved = window.reached["qpos"].clone()
+    moved[3, 0, 0] += 0.5  # of one world, 4 decisions ahead
+    shifted = replace(window, reached={**window.reached, "qpos": moved})
+    found = model_errors(rigid, imagined, learner.model, shifted)
+    assert found[4][1:].tolist() == pytest.approx(
+        [0.5 / n] * (rigid.fields["xpos"][0] - 1), abs=1e-3
+    )
+    ended[1, 0] = True  # and its episode does not last so long
+    found = model_errors(rigid, imagined, learner.model, replace(shifted, ended=ended))
+    assert found[4][1:].max() < 1e-3

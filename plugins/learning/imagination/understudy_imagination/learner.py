@@ -18,6 +18,7 @@ from understudy_basics.nn import set_precision
 from understudy_basics.policies import check_units
 from understudy_basics.returns import digest, explained_variance, observations_of
 from understudy_imagination.adjoint import Adjoint, Gradients, Weights, Window, limited
+from understudy_imagination.errors import model_errors
 from understudy_imagination.imagined import Imagined
 from understudy_imagination.model import WorldModel
 from understudy_imagination.replay import Replay
@@ -29,6 +30,8 @@ _WHO = "learner 'imagination'"
 _STATE = ("qpos", "qvel")
 #: Iterations after which the model's units of input and output stay as they are.
 _SETTLING = 3
+#: Iterations from one look at how far the model goes wrong to the next.
+_LOOKS = 8
 #: The parameters of worlds of which kinematics does not know.
 _FIXED = ("body_", "mocap_")
 
@@ -141,6 +144,11 @@ class Imagination(Learner):
             )
         rigid = Rigid(compiled, device)
         self._rigid = rigid
+        self._bodies = {
+            body: compiled.body(body).name or f"body{body}"
+            for body in range(compiled.nbody)
+            if compiled.body_weldid[body] != 0
+        }
         self._imagined = imagined = Imagined(parts, context, rigid)
         self.records = self.reaches = (*_STATE, *imagined.taken)
         own, seed = options.model, context.seed
@@ -196,6 +204,7 @@ class Imagination(Learner):
             rollout.actions,
             rollout.terminated | rollout.truncated,
         )
+        metrics |= self._errors(newest)
         before = self.replay.seen
         surprise = self._remember(newest)
         seen = self.replay.seen
@@ -230,6 +239,18 @@ class Imagination(Learner):
         targets = self.model.targets(posed.qpos, posed.qvel, after["qpos"], after["qvel"])
         self.replay.add(inputs, targets)
         return float(averages.mean(self.model.loss(inputs, targets).nanmean()))
+
+    def _errors(self, window: Window) -> dict[str, float]:
+        """Now and then, of decisions that the model has not seen: ``model_error/BODY/HORIZON``, m."""
+        if not self._trained or self._trained % _LOOKS:
+            return {}
+        found = model_errors(self._rigid, self._imagined, self.model, window)
+        return {
+            f"model_error/{name}/{horizon}": float(off[body])
+            for horizon, off in found.items()
+            for body, name in self._bodies.items()
+            if off[body].isfinite()
+        }
 
     def _settle(self) -> None:
         """Set the model's units by what there is."""
