@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -21,7 +21,7 @@ WALK = (
 
 
 @pytest.fixture
-def job(plugins: Plugins) -> Callable[..., Reinforcement]:
+def job(plugins: Plugins) -> Iterator[Callable[..., Reinforcement]]:
     """The prepared job of the walk with other options."""
     made: list[Reinforcement] = []
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from understudy.task import Policy
 from understudy_imagination.imagined import Imagined
 from understudy_imagination.model import WorldModel
-from understudy_imagination.rigid import Rigid
+from understudy_imagination.rigid import Posed, Rigid
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Adjoint:
         by_state, by_action = (clean(g).unflatten(0, window.ended.shape) for g in found)
         return cost.detach(), by_state, by_action
 
-    def _posed(self, state: Mapping[str, Tensor], step: Tensor):
+    def _posed(self, state: Mapping[str, Tensor], step: Tensor) -> Posed:
         """The states moved by `step` (B, 2 nv), of positions and velocities."""
         place, speed = step.chunk(2, dim=1)
         return self._rigid.posed(self._rigid.moved(state["qpos"], place), state["qvel"] + speed)
@@ -160,10 +160,11 @@ class Adjoint:
         change = [rigid.difference(qpos.detach(), qpos), qvel - qvel.detach()]
         effort = self._weights.actions * imagined.offset(chosen, fields).square().mean()
         effort = effort * len(action)
-        found = torch.autograd.grad(
+        by_state, by_action = torch.autograd.grad(
             (torch.cat(change, dim=1), effort), (step, moved), (after, torch.ones_like(effort))
         )
-        return *found, mean.detach(), {name: value.detach() for name, value in seen.items()}
+        observations = {name: value.detach() for name, value in seen.items()}
+        return by_state, by_action, mean.detach(), observations
 
     def _tamed(self, gradient: Tensor) -> Tensor:
         """`gradient` (N, 2 nv) a step further back; positions and velocities are limited apart."""

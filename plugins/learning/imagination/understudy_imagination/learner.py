@@ -30,6 +30,8 @@ _WHO = "learner 'imagination'"
 _STATE = ("qpos", "qvel")
 #: Iterations after which the model's units of input and output stay as they are.
 _SETTLING = 3
+#: Of an iteration: decisions, and of each world at least.
+_SAMPLES, _FEWEST = 2048, 8
 #: Iterations from one look at how far the model goes wrong to the next.
 _LOOKS = 8
 #: The parameters of worlds of which kinematics does not know.
@@ -85,7 +87,9 @@ class Imagination(Learner):
 
     @dataclass(frozen=True)
     class Options:
-        rollout_steps: int = 32  #: T, decisions per world and iteration
+        #: T, decisions per world and iteration; null makes an iteration of 2,048 decisions, or of 8 of
+        #: each world if these are more.
+        rollout_steps: int | None = None
         #: Decisions that follow each one at least, where its episode does, when derivatives are taken.
         tail: int = 16
         #: By what derivatives shrink a decision back, beside what the dynamics does to them.
@@ -133,7 +137,8 @@ class Imagination(Learner):
                 f"{parts.actuation.where} keeps {kept}. Choose learner=ppo."
             )
         self.options, self.policy = options, policy
-        self.rollout_steps = options.rollout_steps
+        usual = max(_FEWEST, _SAMPLES // context.num_worlds)
+        self.rollout_steps = options.rollout_steps or usual
         set_precision(policy, "float32")
         device = context.device
         compiled = scene.compiled(context)

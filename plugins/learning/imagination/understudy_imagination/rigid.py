@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """Kinematics of a MuJoCo model in torch: B states at once, differentiable, MuJoCo's fields.
 
 A state is ``qpos`` (B, nq) and ``qvel`` (B, nv). A *step* (B, nv) is a displacement as MuJoCo defines
@@ -6,6 +7,7 @@ it: positions of free joints move along the world's axes, rotations turn in thei
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
@@ -93,18 +95,14 @@ class Rigid:
         depth = np.zeros(model.nbody, dtype=int)
         for body in range(1, model.nbody):
             depth[body] = depth[parents[body]] + 1
-        order = [b for level in range(1, depth.max() + 1) for b in np.flatnonzero(depth == level)]
+        at = [np.flatnonzero(depth == level).tolist() for level in range(depth.max() + 1)]
+        order = [body for bodies in at[1:] for body in bodies]
         place = {body: row for row, body in enumerate(order)}
         self._levels = []  # of each, its rows, and within the level above those of its parents
-        for level in range(1, depth.max() + 1):
-            rows = [place[b] for b in np.flatnonzero(depth == level)]
-            above = [place[b] for b in np.flatnonzero(depth == level - 1)] if level > 1 else []
-            own = (
-                [above.index(place[parents[b]]) for b in np.flatnonzero(depth == level)]
-                if above
-                else []
-            )
-            self._levels.append((slice(rows[0], rows[-1] + 1), self._rows(own)))
+        for above, bodies in itertools.pairwise(at):
+            rows = slice(place[bodies[0]], place[bodies[-1]] + 1)
+            own = [above.index(int(parents[b])) for b in bodies]
+            self._levels.append((rows, self._rows(own)))
         # The world comes last; with it bodies are in MuJoCo's order again.
         self._bodies = self._rows([len(order), *(place[b] for b in range(1, model.nbody))])
         loose = model.body_jntnum.astype(bool) & np.isin(
@@ -142,13 +140,17 @@ class Rigid:
         self._shares = self._numbers(masses / np.maximum(masses.sum(1, keepdims=True), 1e-12))
         self._centres = self._numbers(model.body_ipos)
         self._roots = self._rows(model.body_rootid)
-        self._geoms = self._rows(model.geom_bodyid), self._numbers(model.geom_pos)
-        self._sites = self._rows(model.site_bodyid), self._numbers(model.site_pos)
+        self._geoms = self._carried(model.geom_bodyid, model.geom_pos, model.geom_quat)
+        self._sites = self._carried(model.site_bodyid, model.site_pos, model.site_quat)
         self._touching(model)
+        self._actuators(model)
+
+    def _actuators(self, model: mujoco.MjModel) -> None:
+        """Which of the lengths each servo is driven by, and its gear."""
         joints = model.actuator_trnid[:, 0]
         servos, columns = np.zeros(model.nu), np.zeros(model.nu, dtype=int)
         balls, hinges, slides = (
-            list(np.flatnonzero(model.jnt_type == kind)) for kind in (_BALL, _HINGE, _SLIDE)
+            np.flatnonzero(model.jnt_type == kind).tolist() for kind in (_BALL, _HINGE, _SLIDE)
         )
         scalar = hinges + slides  # the order of `lengths`
         for actuator in range(model.nu):
@@ -163,6 +165,13 @@ class Rigid:
                 servos[actuator] = gear[axis]
                 columns[actuator] = len(scalar) + 3 * balls.index(joint) + axis
         self._servos, self._columns = self._numbers(servos), self._rows(columns)
+
+    def _carried(
+        self, bodies: np.ndarray, places: np.ndarray, turns: np.ndarray
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Bodies (K,), and of what they carry places (K, 3) and rotations (K, 3, 3) in them."""
+        matrices = rotations.to_matrix(self._numbers(turns))
+        return self._rows(bodies), self._numbers(places), matrices
 
     def _touching(self, model: mujoco.MjModel) -> None:
         """Points of geoms that collide: centres of spheres, ends of capsules, corners of others."""
@@ -261,8 +270,9 @@ class Rigid:
     def posed(self, qpos: Tensor, qvel: Tensor) -> Posed:
         return Posed(self, qpos, qvel)
 
-    def locally(self, qpos: Tensor, qvel: Tensor) -> Tensor:
-        """(B, nb, 3, 6): of each body, from its parent: rotation, position, angular and linear velocity."""
+    def locally(self, qpos: Tensor, qvel: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, nb, 3, 6): of each body, from its parent: rotation, position, angular and linear velocity;
+        and (B, nb, 4) the rotation again."""
         count = len(qpos)
         scalars = qpos.index_select(1, self._lines)[:, self._scalars] - self._zeros
         rates = qvel.index_select(1, self._line_dofs)[:, self._scalars]
@@ -295,7 +305,8 @@ class Rigid:
                 if spin is not None:
                     speed = speed + torch.linalg.cross(spin, moved)
                 place = place + moved
-            lever = rotations.rotate(turn, slot.anchor) if slot.anchor is not None else None
+            anchor = slot.anchor
+            lever = rotations.rotate(turn, anchor) if anchor is not None else None
             own = turns.index_select(1, slot.joints)
             turn = own if straight else rotations.multiply(turn, own)
             straight = False
@@ -305,12 +316,12 @@ class Rigid:
                     speed = speed + torch.linalg.cross(spin, lever)
                 place = place + lever
             spin = added if spin is None else spin + added
-            if lever is not None:
-                back = -rotations.rotate(turn, slot.anchor)
+            if anchor is not None:
+                back = -rotations.rotate(turn, anchor)
                 place, speed = place + back, speed + torch.linalg.cross(spin, back)
         spin = torch.zeros_like(speed) if spin is None else spin
         vectors = torch.stack([place, spin, speed], dim=-1)
-        return torch.cat([rotations.to_matrix(turn), vectors], dim=-1)
+        return torch.cat([rotations.to_matrix(turn), vectors], dim=-1), turn
 
     def worldly(self, local: Tensor) -> Tensor:
         """(B, nbody, 3, 6): as :meth:`locally` (B, nb, 3, 6), from the world; of all bodies."""
@@ -327,6 +338,16 @@ class Rigid:
         world = torch.eye(3, 6, device=local.device).expand(len(local), 1, 3, 6)
         return torch.cat([*levels, world], dim=1).index_select(1, self._bodies)
 
+    def turned(self, turns: Tensor) -> Tensor:
+        """(B, nbody, 4): the rotations of all bodies, of those from their parents (B, nb, 4)."""
+        above = turns[:, self._levels[0][0]]
+        levels = [above]
+        for rows, parents in self._levels[1:]:
+            above = rotations.multiply(above.index_select(1, parents), turns[:, rows])
+            levels.append(above)
+        world = turns.new_tensor([1.0, 0.0, 0.0, 0.0]).expand(len(turns), 1, 4)
+        return torch.cat([*levels, world], dim=1).index_select(1, self._bodies)
+
     @property
     def fields(self) -> Mapping[str, Shape]:
         """What :meth:`Posed.field` gives, as the simulator's fields of these names."""
@@ -334,7 +355,8 @@ class Rigid:
         return {
             "qpos": (self.nq,), "qvel": (self.nv,), "xpos": (bodies, 3), "xmat": (bodies, 9),
             "xipos": (bodies, 3), "cvel": (bodies, 6), "subtree_com": (bodies, 3),
-            "geom_xpos": (geoms, 3), "site_xpos": (sites, 3),
+            "xquat": (bodies, 4), "geom_xpos": (geoms, 3), "geom_xmat": (geoms, 9),
+            "site_xpos": (sites, 3), "site_xmat": (sites, 9),
         }  # fmt: skip
 
     def touch(self, bodies: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
@@ -356,9 +378,13 @@ class Posed:
         self.rigid, self.qpos, self.qvel = rigid, qpos, qvel
 
     @cached_property
+    def _local(self) -> tuple[Tensor, Tensor]:
+        return self.rigid.locally(self.qpos, self.qvel)
+
+    @cached_property
     def bodies(self) -> Tensor:
         """(B, nbody, 3, 6): rotation, position, angular and linear velocity of each body's frame."""
-        return self.rigid.worldly(self.rigid.locally(self.qpos, self.qvel))
+        return self.rigid.worldly(self._local[0])
 
     @cached_property
     def turn(self) -> Tensor:
@@ -376,10 +402,14 @@ class Posed:
             return bodies[..., :3].flatten(2)
         if name == "xipos":
             return _points(bodies, rigid._centres)
-        if name == "geom_xpos":
-            return _points(bodies.index_select(1, rigid._geoms[0]), rigid._geoms[1])
-        if name == "site_xpos":
-            return _points(bodies.index_select(1, rigid._sites[0]), rigid._sites[1])
+        if name == "xquat":
+            return rigid.turned(self._local[1])
+        if name in ("geom_xpos", "geom_xmat", "site_xpos", "site_xmat"):
+            of, places, turns = rigid._geoms if name.startswith("geom") else rigid._sites
+            carriers = bodies.index_select(1, of)
+            if name.endswith("xpos"):
+                return _points(carriers, places)
+            return (carriers[..., :3] @ turns).flatten(2)
         com = rigid._shares @ _points(bodies, rigid._centres)
         if name == "subtree_com":
             return com
