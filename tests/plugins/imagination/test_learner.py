@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from worlds import assert_same_state
+from imagined_walk import WALK
+from worlds import assert_same_state, make_training, resumed
 
 from understudy.running.reinforcement import Reinforcement
 from understudy.setup.plugins import Plugins
@@ -27,16 +31,50 @@ def iterate(job: Reinforcement, count: int, samples: int = 0) -> list[dict[str, 
     return rows
 
 
-def test_going_on_from_a_checkpoint_is_exact(job: Callable[..., Reinforcement]) -> None:
+def test_resuming_is_exact(plugins: Plugins, tmp_path: Path) -> None:
     """Stopped while the replay fills, and once it has begun to lose what is old."""
-    whole = job()
-    iterate(whole, 6)
+    whole = make_training(plugins, WALK, tmp_path / "whole")
+    length = len(list(islice(whole.rows(), 6)))
+    assert length == 6
     for stop in (1, 5):
-        cut, again = job(), job()
-        iterate(cut, stop)
-        again.load_state_dict(cut.state_dict())
-        iterate(again, 6 - stop, 32 * stop)
-        assert_same_state(again.state_dict(), whole.state_dict())
+        cut = make_training(plugins, WALK, tmp_path / str(stop))
+        rows = cut.rows()
+        for _ in range(stop):
+            next(rows)
+        rows.close()
+        cut.save()
+        cut.close()
+        assert cut.run is not None
+        cut.run.unlock()
+        again = resumed(plugins, tmp_path / str(stop))
+        list(islice(again.rows(), 6 - stop))
+        ours, theirs = again.job.state_dict(), whole.job.state_dict()
+        assert_same_state(ours, theirs)
+        again.close()
+    whole.close()
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("replay", "rows", "inputs"), torch.zeros(3, 2)),
+        (("window", "actions"), torch.zeros(4, 9, 28)),
+        (("model", "near"), torch.full((8,), 10**6)),
+    ],
+    ids=["replay", "window", "points"],
+)
+def test_a_strangers_checkpoint_is_refused(
+    job: Callable[..., Reinforcement], path: tuple[str, ...], value: torch.Tensor
+) -> None:
+    made = job()
+    iterate(made, 1)
+    state: Any = made.learner.state_dict()
+    inner = state
+    for name in path[:-1]:
+        inner = inner[name]
+    inner[path[-1]] = value
+    with pytest.raises((ValueError, RuntimeError)):
+        job().learner.load_state_dict(state)
 
 
 def test_seeds_differ_and_repeat(job: Callable[..., Reinforcement]) -> None:
@@ -124,4 +162,6 @@ def test_a_replay_of_another_size_is_refused() -> None:
     replay = Replay(4, 1, 1, torch.device("cpu"))
     replay.add(torch.zeros(4, 1), torch.zeros(4, 1))
     with pytest.raises(ValueError, match="replay"):
-        Replay(8, 1, 1, torch.device("cpu")).load_state_dict(replay.state_dict() | {"seen": 9})
+        Replay(4, 2, 1, torch.device("cpu")).load_state_dict(replay.state_dict())
+    with pytest.raises(ValueError, match="replay"):
+        Replay(3, 1, 1, torch.device("cpu")).load_state_dict(replay.state_dict())

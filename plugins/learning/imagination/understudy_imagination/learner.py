@@ -137,6 +137,7 @@ class Imagination(Learner):
                 f"{parts.actuation.where} keeps {kept}. Choose learner=ppo."
             )
         self.options, self.policy = options, policy
+        self._worlds = context.num_worlds
         usual = max(_FEWEST, _SAMPLES // context.num_worlds)
         self.rollout_steps = options.rollout_steps or usual
         set_precision(policy, "float32")
@@ -334,6 +335,20 @@ class Imagination(Learner):
         self._bad.add_(1).mul_(~sound)
         return torch.where(sound, loss, 0.0)
 
+    def _restored(self, kept: Mapping[str, Tensor]) -> Window:
+        """The window that :meth:`state_dict` kept; ValueError if it is of another task."""
+        device, steps = self._bad.device, min(self.options.tail, len(kept["actions"]))
+
+        def fields(prefix: str) -> dict[str, Tensor]:
+            return {name: kept[f"{prefix}/{name}"].to(device) for name in self.records}
+
+        ended = kept["ended"].to(device)
+        window = Window(fields("before"), fields("reached"), kept["actions"].to(device), ended)
+        for value in (*window.before.values(), *window.reached.values(), window.actions, ended):
+            if value.shape[:2] != (steps, self._worlds):
+                raise ValueError(f"the newest decisions do not fit: {tuple(value.shape)}")
+        return window
+
     def state_dict(self) -> State:
         window = self._window
         kept = {} if window is None else {
@@ -355,24 +370,12 @@ class Imagination(Learner):
 
     def load_state_dict(self, state: State) -> None:
         self.model.load_state_dict(state["model"])
+        if not ((self.model.near >= 0) & (self.model.near < self._rigid.touching)).all():
+            raise ValueError("the model is told of points that the bodies do not have")
         for name, optimiser in self._optimisers.items():
             optimisers.load_state(optimiser, state["optimisers"][name])
         self.replay.load_state_dict(state["replay"])
-        device, kept = self._bad.device, state["window"]
-
-        def named(prefix: str) -> dict[str, Tensor]:
-            return {name: kept[f"{prefix}/{name}"].to(device) for name in self.records}
-
-        self._window = (
-            Window(
-                named("before"),
-                named("reached"),
-                kept["actions"].to(device),
-                kept["ended"].to(device),
-            )
-            if kept
-            else None
-        )
+        self._window = self._restored(state["window"]) if state["window"] else None
         self._iterations, self._trained = int(state["iterations"]), int(state["trained"])
         self._bad.copy_(state["bad_steps"])
         self._generator.set_state(state["generator"].cpu())

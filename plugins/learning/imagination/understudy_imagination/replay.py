@@ -41,23 +41,19 @@ class Replay:
         rows = torch.randint(len(self), (count,), generator=generator, device=self._counts.device)
         return self._inputs[rows], self._targets[rows], self._counts[rows]
 
-    def state_dict(self) -> State:
+    def _rows(self) -> dict[str, Tensor]:
         kept = len(self)
-        return {
-            "inputs": self._inputs[:kept].clone(),
-            "targets": self._targets[:kept].clone(),
-            "counts": self._counts[:kept].clone(),
-            "seen": self.seen,
-        }
+        own = {"inputs": self._inputs, "targets": self._targets, "counts": self._counts}
+        return {name: value[:kept] for name, value in own.items()} if kept else {}
+
+    def state_dict(self) -> State:
+        return {"seen": self.seen, "rows": {k: v.clone() for k, v in self._rows().items()}}
 
     def load_state_dict(self, state: State) -> None:
         """Restore what :meth:`state_dict` returned; ValueError if that is of another ring."""
-        seen, kept = int(state["seen"]), len(state["counts"])
-        if kept != min(seen, len(self._counts)):
-            raise ValueError(f"a replay of {kept} rows, where {len(self._counts)} are kept")
-        own = (self._inputs, self._targets, self._counts)
-        for name, mine in zip(("inputs", "targets", "counts"), own, strict=True):
-            if state[name].shape != (kept, *mine.shape[1:]):
-                raise ValueError(f"the replay's '{name}' are of another model")
-            mine[:kept] = state[name].to(mine.device)
-        self.seen = seen
+        self.seen = int(state["seen"])
+        for name, mine in self._rows().items():
+            value = state["rows"][name]
+            if value.shape != mine.shape or not value.isfinite().all():
+                raise ValueError(f"the replay's '{name}' do not fit: {tuple(value.shape)}")
+            mine.copy_(value)
