@@ -129,6 +129,17 @@ def test_a_task_without_anything_to_differentiate_is_refused(refusal: Callable[.
     assert "derivative" in sentence
 
 
+def test_what_is_to_be_reached_is_not_kept_away_from(job: Callable[..., Reinforcement]) -> None:
+    """A margin that ends an episode as a success or merely cuts it costs nothing."""
+    made = job("termination.terms.com.outcome=success", "termination.terms.root.outcome=report")
+    learner = made.learner
+    assert isinstance(learner, Imagination)
+    assert [term.name for term in learner.adjoint._imagined.margins] == [
+        "root", "joints", "end_effectors", "fall",
+    ]  # fmt: skip
+    assert "termination.terms.com" in learner.flat
+
+
 def test_terms_without_a_derivative_are_named(job: Callable[..., Reinforcement]) -> None:
     learner = job().learner
     assert isinstance(learner, Imagination)

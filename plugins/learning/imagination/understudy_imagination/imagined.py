@@ -62,7 +62,12 @@ class Imagined:
         reach = [torch.as_tensor(b.reach).expand(b.size) for b in self._boxes]
         #: (A,) what counts as one unit of each number of an action.
         self.reach = torch.cat(reach).float().to(context.device)
-        self.margins = [t for t in parts.terminations if isinstance(t.function, Margin)]
+        #: Terminations that are to be kept away from, and say how near they are.
+        self.margins = [
+            term
+            for term in parts.terminations
+            if isinstance(term.function, Margin) and term.outcome in ("failure", "report")
+        ]
         #: Terms without a derivative, by their places in the configuration.
         self.flat = (
             *(t.where for t in parts.terminations if t not in self.margins),

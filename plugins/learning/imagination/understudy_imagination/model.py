@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from understudy_basics import averages
 from understudy_basics.nn import mlp
 from understudy_imagination.rigid import Posed, Rigid
 
@@ -29,8 +30,9 @@ class Scaling(nn.Module):
 
     @torch.no_grad()
     def fit(self, rows: Tensor) -> None:
-        self.mean.copy_(rows.mean(0))
-        self.deviation.copy_(rows.std(0).clamp(min=self._least))
+        _, mean, variance = averages.moments(rows)
+        self.mean.copy_(mean)
+        self.deviation.copy_(variance.sqrt().clamp(min=self._least))
 
     def forward(self, rows: Tensor) -> Tensor:
         return (rows - self.mean) / self.deviation
@@ -67,7 +69,7 @@ class WorldModel(nn.Module):
         if rigid.touching:
             every = torch.arange(rigid.touching, device=self.near.device)
             height, _ = rigid.touch(posed.bodies, every)
-            touches = _touching(height).mean(0)
+            touches = averages.mean(_touching(height).nan_to_num().mean(0))
             self.near.copy_(touches.argsort(descending=True, stable=True)[: len(self.near)])
 
     def inputs(self, posed: Posed, control: Tensor) -> Tensor:
