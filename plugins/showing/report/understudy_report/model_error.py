@@ -46,7 +46,9 @@ class ModelError(ReportSection):
         )
         end = max((x for row in rows if (x := number(row.get("samples"))) is not None), default=0.0)
         charts = "".join(
-            draw_chart(Chart(f"{h} decisions ahead", key, "cm", low=0.0), rows, (), end)
+            draw_chart(
+                Chart(f"{h} decision{'s' * (h != 1)} ahead", key, "cm", low=0.0), rows, (), end
+            )
             for key, h in sorted(means.items(), key=lambda item: item[1])
         )
         return (
