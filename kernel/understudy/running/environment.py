@@ -59,6 +59,7 @@ class Step:
     unsound: Tensor  #: (N,) bool: failed because numbers went wrong
     returns: Tensor  #: (N,) the episodes' returns up to and with this step
     endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
+    reached: dict[str, Tensor]  #: the fields that :attr:`Environment.reaches` names
     #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
     final_observations: dict[str, Tensor] | None = None
 
@@ -174,6 +175,8 @@ class Environment:
             if memory.part.uniforms
         }
         self.observations: dict[str, Tensor] = {}
+        #: Fields of the states reached that a step is to bring, (N, …).
+        self.reaches: Sequence[str] = ()
         self.statistics = EpisodeStatistics(parts.terminations, num_worlds, device)
         #: Worlds quarantined since the start because their numbers went wrong.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
@@ -339,7 +342,10 @@ class Environment:
         self._quarantine(unsound, before)
         self.observations = reached
         returns = self.statistics.returns.clone()
-        return Step(reached, rewards, terminated, failed, truncated, unsound, returns, endings)
+        kept = {name: without_unsound(table[name]).clone() for name in self.reaches}
+        return Step(
+            reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
+        )
 
     @_as_physics
     def begin(self, worlds: Tensor) -> dict[str, Tensor]:

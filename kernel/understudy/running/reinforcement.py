@@ -60,9 +60,10 @@ class Reinforcement(Job):
         self.learner = experiment.need("learner").build(built.context, self.policy)
         self._hopeless = Hopeless(self.environment.num_worlds)
         initial, curriculum = self._adapting()
-        records = (*initial.records, *(curriculum.records if curriculum else ()))
+        learner = self.learner
+        records = (*initial.records, *(curriculum.records if curriculum else ()), *learner.records)
         seed = experiment.root.seed
-        self.collector = Collector(self.environment, self.policy, seed, records)
+        self.collector = Collector(self.environment, self.policy, seed, records, learner.reaches)
         if experiment.root.start is not None:
             self._started = take_over(experiment.root.start, self.policy, initial, curriculum)
             self.environment.reset(seed)  # episodes begin as what was taken over says

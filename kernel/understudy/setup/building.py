@@ -141,6 +141,7 @@ def build_environment(
     )
     context.action_space = parts.actuation.part.action_space
     context.observation_shapes = environment.observation_shapes
+    context.parts = parts
     assert context.scene is not None
     return Built(environment, context, context.scene)
 

@@ -13,6 +13,7 @@ REQUIRES = (
     "tensors",
     "terms",
     "characters",
+    "imagination",
     "motion",
     "mujoco",
     "ppo",
