@@ -3,7 +3,7 @@
 A :class:`Clip` of a character has one joint for each body that can move against its parent, named
 after the body. In the *zero pose* (``qpos0``) every joint's frame is parallel to the root's, so all
 rotations are then the identity; offsets are those of the zero pose. Several hinges of one body are
-one joint. Bodies without joints belong to the body they are welded to.
+one joint, which is where the first of them is. Bodies without joints belong to the body they are welded to.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ _FREE, _BALL, _HINGE = (
     int(mujoco.mjtJoint.mjJNT_BALL),
     int(mujoco.mjtJoint.mjJNT_HINGE),
 )
+#: Of names that can only be those of a model's file, in lower case.
+_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
 def load_character(named: str, registry: Registry) -> Character:
@@ -59,12 +61,14 @@ def character_spec(
     """
     if named in registry.names("character"):
         return named, registry.find("character", named).factory()
-    if Path(named).suffix == ".xml":
-        return Path(named).stem, MjcfFile(MjcfFile.Options(named), context).spec()
     known = registry.names("character")
+    # A kept model's own file may be gone: it is told from a misspelt name by its spelling then.
+    path = Path(named)
+    if path.is_file() or path.suffix.lower() in _SUFFIXES or (context and f"mjcf {path}" in context.inputs.kept):
+        return path.stem, MjcfFile(MjcfFile.Options(named), context).spec()
     raise ConfigError(
-        f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF "
-        "file (.xml)."
+        f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF or "
+        "URDF file."
     )
 
 
@@ -80,6 +84,7 @@ class Joint:
         np.ndarray
     )  #: (K, 3) of its hinges, in the body's frame; empty for a ball and for the root
     ranges: np.ndarray  #: (K, 2) rad of its hinges, infinite where unlimited
+    apart: np.ndarray  #: (K, 3) m, from its first hinge to each, in the body's frame
 
     def angles(self, turned: Tensor) -> Tensor:
         """(F, K) rad: the angles at which its hinges turn by `turned` (F, 4), in the body's frame, or
@@ -134,13 +139,17 @@ class Joint:
 
 
 class Character:
-    """A model with one free root, whose other bodies hang on ball joints or on up to three hinges.
+    """A model with a free root, whose other bodies hang on ball joints or on up to three hinges.
 
-    F frames, J joints (the root first, parents before children), nq as in MuJoCo.
+    F frames, J joints (the root first, parents before children), nq as in MuJoCo. Of several free bodies
+    the root is the one on which the most joints hang, the first of these; the others are things.
+
+    Hinges of one body at different points also move it a little. ``qpos`` and all that is computed from
+    it have that; a clip, whose joints only turn, has not.
 
     Raises:
-        ConfigError: no free root, a slide joint, a ball beside hinges, hinges of one body that are
-            not at one point, more than three of them, or one with a reference angle.
+        ConfigError: no free root, a root without joints, a slide joint, a ball beside hinges, more than
+            three hinges of one body, or one with a reference angle.
     """
 
     def __init__(self, name: str, model: mujoco.MjModel) -> None:
@@ -149,10 +158,13 @@ class Character:
         free = [j for j in range(model.njnt) if model.jnt_type[j] == _FREE]
         if not free:
             raise ConfigError(
-                f"Model '{name}' is no character: none of its bodies has a freejoint."
+                f"Model '{name}' is no character: none of its bodies has a freejoint. Give it to the "
+                "one that carries all others."
             )
-        self.root = int(model.jnt_bodyid[free[0]])
-        self.root_address = int(model.jnt_qposadr[free[0]])
+        carried = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
+        root = max(free, key=lambda j: carried[model.jnt_bodyid[j]])
+        self.root = int(model.jnt_bodyid[root])
+        self.root_address = int(model.jnt_qposadr[root])
         self.joints = tuple(self._joints())
         self.joint_names = tuple(joint.name for joint in self.joints)
         self._at_rest()
@@ -161,7 +173,7 @@ class Character:
         model = self.model
         found = [
             Joint(self._body_name(self.root), self.root, -1, (self.root_address,),
-                  np.zeros((0, 3)), np.zeros((0, 2)))
+                  np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3)))
         ]  # fmt: skip
         row = {self.root: 0}  # of each body of the figure, the joint that carries it
         for body in range(self.root + 1, model.nbody):
@@ -177,8 +189,8 @@ class Character:
             place = f"Model '{self.name}' is no character: body '{self._body_name(body)}' has"
             if types not in ({_BALL}, {_HINGE}) or (types == {_BALL} and count > 1):
                 raise ConfigError(f"{place} joints other than one ball or some hinges.")
-            if count > 3 or np.ptp(model.jnt_pos[ids], axis=0).max() > 1e-6:
-                raise ConfigError(f"{place} more than three hinges, or hinges at different points.")
+            if count > 3:
+                raise ConfigError(f"{place} more than three hinges; split them among several bodies.")
             hinge = types == {_HINGE}
             if hinge and model.qpos0[model.jnt_qposadr[ids]].any():
                 raise ConfigError(f"{place} a hinge whose reference angle (ref) is not 0.")
@@ -193,6 +205,7 @@ class Character:
                     np.where(limited[:, None], model.jnt_range[ids], [-np.inf, np.inf])
                     if hinge
                     else np.zeros((0, 2)),
+                    model.jnt_pos[ids] - model.jnt_pos[first] if hinge else np.zeros((0, 3)),
                 )
             )
             row[body] = len(found) - 1
