@@ -64,7 +64,11 @@ def character_spec(
     known = registry.names("character")
     # A kept model's own file may be gone: it is told from a misspelt name by its spelling then.
     path = Path(named)
-    if path.is_file() or path.suffix.lower() in _SUFFIXES or (context and f"mjcf {path}" in context.inputs.kept):
+    if (
+        path.is_file()
+        or path.suffix.lower() in _SUFFIXES
+        or (context and f"mjcf {path}" in context.inputs.kept)
+    ):
         return path.stem, MjcfFile(MjcfFile.Options(named), context).spec()
     raise ConfigError(
         f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF or "
@@ -190,7 +194,9 @@ class Character:
             if types not in ({_BALL}, {_HINGE}) or (types == {_BALL} and count > 1):
                 raise ConfigError(f"{place} joints other than one ball or some hinges.")
             if count > 3:
-                raise ConfigError(f"{place} more than three hinges; split them among several bodies.")
+                raise ConfigError(
+                    f"{place} more than three hinges; split them among several bodies."
+                )
             hinge = types == {_HINGE}
             if hinge and model.qpos0[model.jnt_qposadr[ids]].any():
                 raise ConfigError(f"{place} a hinge whose reference angle (ref) is not 0.")

@@ -96,7 +96,10 @@ class Kinematics:
                 place = place if apart is None else pivot - rotations.rotate(turn, apart[k])
             positions.append(place)
             world.append(turn)
-        return Poses(*(torch.stack(x, 1) for x in (positions, world)), *(torch.cat(x, 1) for x in (axes, pivots)))
+        return Poses(
+            *(torch.stack(x, 1) for x in (positions, world)),
+            *(torch.cat(x, 1) for x in (axes, pivots)),
+        )
 
     def _ball(self, qpos: Tensor, row: int, joint: Joint) -> Tensor:
         rest, start = self._rests[row], joint.addresses[0]

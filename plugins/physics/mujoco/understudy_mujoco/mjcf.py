@@ -28,7 +28,11 @@ MAX_DEPTH = 200
 _REFUSED = ("plugin", "extension", "model")
 """Elements by which a model has libraries loaded, or models that refer to files of their own."""
 _DIRECTORIES: tuple[str, ...] = ("assetdir", "meshdir", "texturedir")
-_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
 _DECLARED = re.compile(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.:-]+)")
 _PACKAGE = "package://"
 
@@ -233,7 +237,9 @@ def _decoded(path: Path, content: bytes) -> str:
     try:
         return content.decode(said or "utf-8")
     except LookupError as error:
-        raise FileError(f"The model {path} does not load: no encoding {said!r} is known.") from error
+        raise FileError(
+            f"The model {path} does not load: no encoding {said!r} is known."
+        ) from error
     except UnicodeError as error:
         if said is None:
             return content.decode("latin-1")
