@@ -317,5 +317,5 @@ def test_a_urdf_reads_nothing_outside(tmp_path: Path) -> None:
     for mesh in ("package://other/m.obj", "../other/m.obj", f"{tmp_path}/other/m.obj"):
         path = tmp_path / "robot" / "robot.urdf"
         path.write_text(URDF.format(mesh=mesh))
-        with pytest.raises(FileError, match="refers to other files|there is no file"):
+        with pytest.raises(FileError, match=r"refers to other files|there is no file"):
             load(path)

@@ -100,6 +100,7 @@ def _as_json(report: Report, destination: Path) -> dict[str, Any]:
         "mapping": {part: list(joints) for part, joints in report.mapping.items()},
         "missing": list(report.missing),
         "unused": list(report.unused),
+        "no_stance": list(report.no_stance),
         "scale": report.scale,
         "key_point_error_m": {
             "mean": report.mean_error,
@@ -122,6 +123,11 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
         lines.append(f"Not in the clip, left as in the zero pose: {', '.join(report.missing)}.")
     if report.unused:
         lines.append(f"Not on the character, left out: {', '.join(report.unused)}.")
+    if report.no_stance:
+        lines.append(
+            f"The clip's zero pose is no stance ({', '.join(report.no_stance)}): how these are turned "
+            "is taken from how they move on average. Look at the result."
+        )
     worst = max(report.errors, key=lambda part: report.errors[part][1])
     speed, joint = report.speed
     before, joint_before = report.source_speed

@@ -5,6 +5,7 @@ where they touch it.
 2. *Key points* are the source's pose on the character's limbs: each bone points where the source's
    does and has the character's length; the pelvis travels at the scale of the legs. Pelvis, chest,
    head and feet turn as the source's do, from how each of the two stands in its zero pose.
+   A zero pose that is no stance is replaced by one that is (:mod:`understudy_retarget.stance`).
 3. Feet that touch the floor are planted on it (:mod:`understudy_retarget.feet`).
 4. Inverse kinematics finds the poses that come nearest (:mod:`understudy_retarget.solver`).
 """
@@ -29,6 +30,7 @@ from understudy_retarget.feet import Contacts, Sole
 from understudy_retarget.figure import BONES, Figure, Place
 from understudy_retarget.goals import Goals
 from understudy_retarget.posing import lifted, pose
+from understudy_retarget.stance import standing
 
 NEEDED: tuple[str, ...] = tuple(
     f"{side}_{part}"
@@ -62,6 +64,7 @@ class Report:
     mapping: Mapping[str, tuple[str, str]]  #: by part: the character's joint, the clip's joint
     missing: tuple[str, ...]  #: parts of the character that the clip does not have
     unused: tuple[str, ...]  #: joints of the clip that no part of the character follows
+    no_stance: tuple[str, ...]  #: limbs of the clip whose zero pose is none to stand in
     scale: float
     errors: Mapping[str, tuple[float, float]]  #: m, by key point: mean and worst over the frames
     mean_error: float  #: m, over all key points and frames
@@ -88,6 +91,8 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
     target, soles = _target(character, own_parts)
     source = Figure(skeleton, parts)
     _check(source, target, clip, character)
+    clip, turned = standing(clip, parts)
+    source = Figure(need_skeleton(clip), parts)
 
     own_frames = slice(None)
     wide = clip
@@ -122,6 +127,7 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
         contact_share=share,
         skate=skate,
         penetration=max(0.0, -float(character.clearance(qpos).min())),
+        no_stance=turned,
         source_speed=_fastest(clip),
         speed=_fastest(result),
     )
