@@ -225,7 +225,7 @@ def test_lists(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 @pytest.mark.parametrize(
-    "command", ["--help", "experiments", "describe learner/ppo", "motion check walk"]
+    "command", ["--help", "experiments", "train", "describe learner/ppo", "motion check walk"]
 )
 def test_terminals_without_utf_8(command: str, encoding: str) -> None:
     """What they cannot show is replaced; the rest is printed."""

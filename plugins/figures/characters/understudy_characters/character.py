@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from shlex import quote
 
 import mujoco
 import numpy as np
@@ -22,7 +23,7 @@ from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
 from understudy.task import Context
 from understudy_basics import rotations
-from understudy_motion.clip import Clip, Skeleton, sample
+from understudy_motion.clip import Clip, Skeleton, angle_names, sample
 from understudy_mujoco.scene import MjcfFile
 
 _FREE, _BALL, _HINGE = (
@@ -43,7 +44,7 @@ def load_character(named: str, registry: Registry) -> Character:
     """
     name, spec = character_spec(named, registry)
     try:
-        return Character(name, spec.compile())
+        return Character(name, spec.compile(), named)
     except (ValueError, mujoco.FatalError) as error:
         reason = str(error).strip().splitlines()[0]
         raise FileError(f"The model {named} does not compile: {reason}") from error
@@ -156,8 +157,9 @@ class Character:
             three hinges of one body, or one with a reference angle.
     """
 
-    def __init__(self, name: str, model: mujoco.MjModel) -> None:
-        self.name, self.model = name, model
+    def __init__(self, name: str, model: mujoco.MjModel, named: str | None = None) -> None:
+        #: ``named`` is what commands take for it: a registered name, or the path of its file.
+        self.name, self.model, self.named = name, model, named or name
         self.data = mujoco.MjData(model)
         free = [j for j in range(model.njnt) if model.jnt_type[j] == _FREE]
         if not free:
@@ -312,6 +314,7 @@ class Character:
         Raises:
             FileError: the clip lacks a joint of the character.
         """
+        clip = self.posed(clip)
         if times is None:
             position, rotation = clip.root_position, clip.rotations
         else:
@@ -326,7 +329,7 @@ class Character:
                 raise FileError(
                     f"Clip {clip.source} has no joint '{joint.name}', which {self.name} needs."
                     f"{suggestion(joint.name, clip.joint_names)} A clip of another skeleton is "
-                    f"retargeted first: understudy motion retarget CLIP {self.name} OUT."
+                    f"retargeted first: {self.retargeting(clip)}."
                 )
             rest = self._rest(row)
             local = rotation[:, clip.joint_names.index(joint.name)]
@@ -337,6 +340,53 @@ class Character:
             else:
                 result[:, list(joint.addresses)] = joint.angles(turned)
         return result
+
+    def retargeting(self, clip: Clip) -> str:
+        """The command that makes `clip` fit."""
+        source = clip.source if Path(clip.source).is_file() else clip.name
+        return f"understudy motion retarget {quote(source)} {quote(self.named)} OUT.npz"
+
+    @cached_property
+    def hinges(self) -> dict[str, int]:
+        """By name, in the model's order: the ``qpos`` address of each hinge of the figure."""
+        own = {
+            address for joint in self.joints[1:] if len(joint.axes) for address in joint.addresses
+        }
+        ids = [j for j in range(self.model.njnt) if int(self.model.jnt_qposadr[j]) in own]
+        return {
+            self.model.joint(j).name or f"joint{j}": int(self.model.jnt_qposadr[j]) for j in ids
+        }
+
+    def posed(self, clip: Clip) -> Clip:
+        """`clip` itself; or if it has a robot's angles in place of joints
+        (:mod:`understudy_motion.readers.angles`), the clip of this character with these angles.
+
+        Raises:
+            FileError: the angles are not those of the character's hinges.
+        """
+        names = angle_names(clip)
+        if names is None:
+            return clip
+        if set(names) == set(self.hinges):
+            addresses = [self.hinges[name] for name in names]
+        elif len(names) == len(self.hinges) and names[0] == "1":
+            addresses = list(self.hinges.values())
+        else:
+            raise FileError(
+                f"Clip {clip.source} has {len(names)} angles of a robot, and {self.name} has "
+                f"{len(self.hinges)} hinges{'' if names[0] == '1' else ', or others'}: give the robot's own "
+                f"model. Its hinges are {', '.join(self.hinges) or 'none'}."
+            )
+        qpos = torch.tensor(self.model.qpos0, dtype=torch.float64).repeat(clip.num_frames, 1)
+        at = self.root_address
+        qpos[:, at : at + 3], qpos[:, at + 3 : at + 7] = clip.root_position, clip.rotations[:, 0]
+        axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+        turned = rotations.twist_angle(clip.rotations[:, 1:], axis).numpy()
+        qpos[:, addresses] = torch.from_numpy(np.unwrap(turned, axis=0))
+        about = {
+            key: getattr(clip, key) for key in ("source", "licence", "sha256", "url", "attribution")
+        }
+        return self.clip(qpos, clip.times, name=clip.name, loop=clip.loop, **about)
 
     def clip(
         self, qpos: Tensor, times: Tensor, *, name: str, loop: bool = False, **about: str

@@ -63,7 +63,7 @@ class CharacterScene(MujocoScene):
         registry = context.registry if context and context.registry else installed().registry
         name, spec = character_spec(options.character, registry, context)
         timestep = context.control_dt / context.substeps if context else 1 / 600
-        character = _compiled(name, spec)
+        character = _compiled(name, spec, options.character)
         if len(character.joints) == 1:
             raise ConfigError(
                 f"Model '{name}' is no character: nothing hangs on its free body "
@@ -97,7 +97,7 @@ class CharacterScene(MujocoScene):
             self.recorded += one.recorded
         self._things = [body.name for body in spec.bodies if body.name not in own]
         self._spec = spec
-        self.character = _compiled(name, self.spec())
+        self.character = _compiled(name, self.spec(), options.character)
 
     def spec(self) -> mujoco.MjSpec:
         spec = self._spec.copy()
@@ -219,9 +219,9 @@ class CharacterScene(MujocoScene):
         }
 
 
-def _compiled(name: str, spec: mujoco.MjSpec) -> Character:
+def _compiled(name: str, spec: mujoco.MjSpec, named: str) -> Character:
     try:
-        return Character(name, spec.compile())
+        return Character(name, spec.compile(), named)
     except (ValueError, mujoco.FatalError) as error:
         reason = str(error).strip().splitlines()[0]
         raise FileError(f"The model of {name} does not compile: {reason}") from error
