@@ -20,6 +20,9 @@ class RunObserver:
 
     def finished(self, run: Run, outcome: str) -> None: ...
 
+    def evaluated(self, run: Run, tell: Callable[[str], None]) -> None:
+        """The last evaluation was made anew, and nothing else: pictures are as they were."""
+
     def judged(self, run: Run, recording: Recording | None, tell: Callable[[str], None]) -> None:
         """The last evaluation is in the folder, and the `recording` of it if there is something to
         see; `tell` takes messages."""

@@ -70,6 +70,11 @@ class Job(ABC):
     ) -> Evaluation:
         """Judge what was learned on data of the name `draw`, which iterations never use."""
 
+    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Evaluation] | None:
+        """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz. None where
+        there is no physics."""
+        return None
+
     def record(
         self, draw: str, episodes: int, seconds: float
     ) -> tuple[Evaluation, Recording | None]:

@@ -188,6 +188,13 @@ class Reinforcement(Job):
     ) -> Evaluation:
         return self.evaluator.run(self.policy, draw, episodes, give_up_below=give_up_below)
 
+    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Evaluation] | None:
+        control = self.experiment.root.control
+        substeps = 2 * control.substeps
+        return control.frequency * substeps, self._evaluator(substeps).run(
+            self.policy, draw, episodes
+        )
+
     def record(
         self, draw: str, episodes: int, seconds: float
     ) -> tuple[Evaluation, Recording | None]:

@@ -75,7 +75,7 @@ def build_environment(
         decision=root.control.decision,
         difficulty=root.difficulty,
         evaluating=evaluating,
-        coarse=substeps is not None and substeps < root.control.substeps,
+        own_substeps=root.control.substeps,
         registry=registry,
         sections=sections or build_sections(experiment),
         inputs=experiment.inputs,

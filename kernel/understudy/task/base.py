@@ -41,7 +41,8 @@ class Context:
     decision: int = 1  #: control periods of one decision, unless a curriculum says otherwise
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at and trainings lead to
     evaluating: bool = False  #: whether this task is an evaluation's, at the target difficulty
-    coarse: bool = False  #: whether physics is coarser than the task's, as trainings may begin
+    #: As ``substeps``, of the task itself: trainings may begin coarser, and a result is tried finer.
+    own_substeps: int | None = None
     registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)
     inputs: Inputs = field(default_factory=Inputs)  #: through which parts read files
@@ -51,6 +52,18 @@ class Context:
     observation_shapes: Mapping[str, Shape] = field(default_factory=dict)
 
     _shared: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def coarse(self) -> bool:
+        """Whether physics is coarser than the task's, as trainings may begin."""
+        return self.own_substeps is not None and self.substeps < self.own_substeps
+
+    @property
+    def longest_dt(self) -> float:
+        """s: the time step of physics, or the task's where that is longer: what a model is made for, so that
+        a finer step tries the same model."""
+        own = self.own_substeps or self.substeps
+        return self.control_dt / min(self.substeps, own)
 
     @property
     def action_size(self) -> int:

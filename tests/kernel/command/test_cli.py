@@ -202,7 +202,15 @@ def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_pat
     assert {f: f.read_bytes() for f in own} == own, "the run's own result stays"
     assert main(["resume", str(run), "budget.samples=128"]) == 0
     assert main(["evaluate", str(run)]) == 0
-    assert json.loads((run / "evaluation.json").read_text())["samples"] == 128
+    found = json.loads((run / "evaluation.json").read_text())
+    assert found["samples"] == 128
+    finer = found["half_step"]
+    assert finer["physics_hz"] == 2 * config["control"]["frequency"] * config["control"]["substeps"]
+    assert "At half the time step" in (run / "report.html").read_text(encoding="utf-8")
+    assert main(["evaluate", str(run), "half_step=false"]) == 0
+    assert "half_step" not in json.loads((run / "evaluation.json").read_text())
+    capsys.readouterr()
+    assert "half_step=false" in complaint(capsys, "evaluate", str(run), "half_step=maybe")
     rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [row["iteration"] for row in rows] == [1, 2, 3, 4]
 

@@ -116,3 +116,14 @@ def test_resuming_across_the_change_is_exact(tmp_path: Path, stop: int) -> None:
 def test_physics_cannot_begin_finer_than_it_ends() -> None:
     with pytest.raises(ConfigError, match=r"resolution\.substeps=8.*control\.substeps=4"):
         load_experiment([*COARSE, "resolution.substeps=8"], line_plugins())
+
+
+def test_a_result_is_tried_at_half_the_time_step() -> None:
+    """On the same starts, whatever physics a training began with."""
+    training = made(None)
+    hertz, finer = training.judge_finer() or (0.0, None)
+    assert hertz == 80.0
+    simulator = training.job._evaluator(8).built.environment.parts.simulator  # type: ignore[attr-defined]
+    assert simulator._substeps == 8
+    assert finer is not None
+    assert finer.episodes == training.experiment.root.evaluation.final_episodes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -211,6 +213,50 @@ def test_servos_track_at_any_time_step_as_they_do_at_a_fine_one(tmp_path: Path, 
     for hertz in (60, 90, 150, 240, 300, 600):
         away = shaken(at_hertz(source, hertz), hertz) - fine
         assert np.sqrt((away**2).mean(axis=0)).max() < 0.15, hertz
+
+
+def from_package(package: str, path: str) -> Path:
+    found = importlib.util.find_spec(package)
+    if found is None or not found.submodule_search_locations:
+        pytest.skip(f"{package}, which has {Path(path).name}, is not installed")
+    return Path(found.submodule_search_locations[0]) / path
+
+
+@pytest.mark.parametrize(
+    ("package", "path", "coarsest"),
+    [
+        ("gymnasium", "envs/mujoco/assets/humanoid.xml", 90),  # at 60 Hz: 0.16 rad
+        ("mjlab", "asset_zoo/robots/unitree_g1/xmls/g1.xml", 60),
+        ("mjlab", "asset_zoo/robots/unitree_go1/xmls/go1.xml", 60),
+    ],
+)
+def test_robots_from_packages_track_as_well(package: str, path: str, coarsest: int) -> None:
+    robot = from_package(package, path)
+    fine = shaken(at_hertz(robot, 2400), 2400)
+    for hertz in (60, 90, 150, 240, 300, 600):
+        away = shaken(at_hertz(robot, hertz), hertz) - fine
+        if hertz >= coarsest:
+            assert np.sqrt((away**2).mean(axis=0)).max() < 0.15, hertz
+
+
+def test_a_time_step_that_is_too_long_for_a_servo_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match=r"joint 'right_hip'.*control\.substeps.*step_speed=10"):
+        at_hertz("humanoid", 150, None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        at_hertz("humanoid", 150)
+        at_hertz("humanoid", 600, None)
+
+
+def test_a_finer_step_tries_the_same_model() -> None:
+    """Rotors are chosen for the task's step: half of it changes nothing but the step and its damping."""
+    masses = []
+    for substeps in (5, 10):
+        context = Context(0, torch.device("cpu"), 1, control_dt=1 / 30, substeps=substeps, own_substeps=5)  # fmt: skip
+        options = CharacterScene.Options("humanoid", servos=ServoOptions(step_speed=10.0))
+        masses.append(CharacterScene(options, context).model.dof_armature)
+    np.testing.assert_array_equal(*masses)
+    assert (masses[0] > at_hertz("humanoid", 300).dof_armature + 1e-6).any()
 
 
 def test_without_rotors_servos_at_their_limits_do_not_hold_at_a_coarse_step() -> None:

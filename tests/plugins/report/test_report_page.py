@@ -222,6 +222,28 @@ def test_measures_of_the_task(tmp_path: Path) -> None:
         assert f"{name} {shares}" in page.text
 
 
+@pytest.mark.parametrize(
+    ("verdict", "said"),
+    [("depends", "the motion depends on"), ("independent", "the motion does not depend on"), ("", "")],
+)  # fmt: skip
+def test_half_the_time_step(tmp_path: Path, verdict: str, said: str) -> None:
+    run = make_run(tmp_path)
+    found = {"physics_hz": 1200.0, "success_rate": 0.5, "difference_95": [-0.53, -0.4]}
+    add_evaluation(run, half_step={**found, "verdict": verdict})
+    text = report(run)[0].text
+    assert "50 % succeeded (1,200 Hz), by -53 to -40 points (95 %)" in text
+    assert said in text
+
+
+def test_success_at_coarse_physics_is_a_curve_of_its_own(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    for samples, key in ((1, "rehearsal/success_rate_at_most"), (2, "rehearsal/success_rate"), (3, "evaluation/success_rate")):  # fmt: skip
+        run.append_metrics({"samples": samples, key: 0.5})
+    text = report(run)[0].text
+    assert "Of them at coarse physics" in text
+    assert "Episodes that succeeded" in text
+
+
 @pytest.mark.parametrize("missing", list(evaluation()))
 def test_evaluation_without_a_key(tmp_path: Path, missing: str) -> None:
     run = make_run(tmp_path)

@@ -19,7 +19,13 @@ from understudy_characters.character import Character, character_spec
 from understudy_characters.heads import head_body, ring
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import ReferenceMotion
-from understudy_characters.servos import COARSE_SPEED, ServoOptions, drive, gains_of
+from understudy_characters.servos import (
+    COARSE_SPEED,
+    ServoOptions,
+    drive,
+    gains_of,
+    warn_of_shaking,
+)
 from understudy_characters.shapes import body_shapes
 from understudy_characters.state import Poses
 from understudy_characters.surroundings import Surroundings
@@ -72,7 +78,7 @@ class CharacterScene(MujocoScene):
         servos = options.servos
         if context and context.coarse and servos.step_speed is None:
             servos = replace(servos, step_speed=COARSE_SPEED)
-        drive(spec, character, timestep, servos)
+        drive(spec, character, timestep, servos, context.longest_dt if context else timestep)
         spec.modelname = name
         spec.option.timestep = timestep
         if options.solver == "fast":
@@ -98,6 +104,7 @@ class CharacterScene(MujocoScene):
         self._things = [body.name for body in spec.bodies if body.name not in own]
         self._spec = spec
         self.character = _compiled(name, self.spec(), options.character)
+        warn_of_shaking(self.character, timestep)
 
     def spec(self) -> mujoco.MjSpec:
         spec = self._spec.copy()

@@ -7,6 +7,8 @@ qdot``. Its torque is limited.
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass
 
 import mujoco
@@ -29,6 +31,9 @@ EARTH = 9.81
 ROTOR = 0.02
 #: s: up to this time step servos are left as they are made (600 Hz: thesis, section 3.5).
 FINE = 1 / 600
+#: rad/s by which a servo's whole torque may turn its joint in one step. Below, joints that are shaken by 0.15
+#: rad stay within 0.2 rad of where they are at 2400 Hz, of six characters and robots; above, within 0.1 to 470.
+SHAKING = 40.0
 #: rad/s, of ``step_speed`` in coarse physics.
 COARSE_SPEED = 10.0
 
@@ -228,13 +233,18 @@ def gains(
 
 
 def drive(
-    spec: mujoco.MjSpec, character: Character, timestep: float, options: ServoOptions
+    spec: mujoco.MjSpec,
+    character: Character,
+    timestep: float,
+    options: ServoOptions,
+    longest: float | None = None,
 ) -> None:
     """Have every joint of `character`, the compiled `spec`, driven by a position servo at `timestep`.
 
     Other actuators, what senses them, and key frames (which hold controls) are taken out. Joints that
     carry very little get the inertia of the rotor that their torque needs, without which a hand would
-    shake; and all get what they need at this time step (:func:`steadying_rotors`).
+    shake; and all get what they need at the `longest` time step that this model is for, this one unless
+    given (:func:`steadying_rotors`).
     """
     if options.keep and has_servos(character):
         for actuator in spec.actuators:  # their velocity gain is for the time step they came with
@@ -242,10 +252,28 @@ def drive(
             actuator.biasprm[2] = min(actuator.biasprm[2], 0.0)
     else:
         _make_servos(spec, character, timestep, options)
-    if options.step_speed is not None and timestep > 1.001 * FINE:
+    longest = timestep if longest is None else longest
+    if options.step_speed is not None and longest > 1.001 * FINE:
         driven = Character(character.name, spec.compile())
-        rotors = steadying_rotors(driven, _most(driven), timestep, options.step_speed)
+        rotors = steadying_rotors(driven, _most(driven), longest, options.step_speed)
         _add_rotors(spec, driven, rotors)
+
+
+def warn_of_shaking(character: Character, timestep: float) -> None:
+    """Warn where a servo of a driven character is too strong for what it moves at this time step."""
+    limits = _most(character)
+    speeds = np.where(np.isfinite(limits), limits, 0.0) * timestep / free_inertia(character)
+    worst = int(speeds.argmax())
+    if speeds[worst] > SHAKING:
+        joint = character.model.joint(drives(character)[worst].joint).name
+        finer = math.ceil(speeds[worst] / SHAKING / timestep)
+        warnings.warn(
+            f"The time step of {1e3 * timestep:.3g} ms is too long for the servo of {character.name}'s joint "
+            f"'{joint}': its whole torque turns it by {speeds[worst]:.0f} rad/s in one step, and it may shake. "
+            f"Raise control.substeps until physics runs at {finer} Hz, or give the rotors more inertia: "
+            "scene.servos.step_speed=10.",
+            stacklevel=2,
+        )
 
 
 def _most(character: Character) -> np.ndarray:

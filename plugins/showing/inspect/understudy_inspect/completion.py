@@ -73,7 +73,7 @@ class Completion(Command):
 _COMPOSING = ("train", "config", "sweep")
 _OF_RUNS = {
     "resume": (),
-    "evaluate": ("episodes=", "seconds=", "checkpoint="),
+    "evaluate": ("episodes=", "seconds=", "checkpoint=", "half_step="),
     "render": ("episodes=", "seconds=", "size=", "camera=", "checkpoint="),
 }
 _SHELLS = ("bash", "zsh", "fish")

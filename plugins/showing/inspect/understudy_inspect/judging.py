@@ -22,6 +22,7 @@ from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
+from understudy_inspect.half_step import compared
 
 #: Words for what one changes of an evaluation most often, and the keys that they stand for.
 _EVALUATION = {"episodes": "evaluation.final_episodes", "seconds": "evaluation.seconds"}
@@ -34,37 +35,60 @@ _PICTURE = {
 
 
 #: Keys that say where a run is judged, not what of it.
-_WHERE = ("device", "num_worlds")
+_WHERE = ("device", "num_worlds", "simulator.threads")
 #: Of a run folder: where what was drawn otherwise is.
 RENDERS = "renders"
 
 
 class Evaluate(Command):
-    """Judges the newest checkpoint on starts that no training drew, and writes ``evaluation.json``. What is
-    judged otherwise, of whatever words follow, has a file of its own: ``evaluation-episodes-4.json``."""
+    """Judges the newest checkpoint on starts that no training drew, and again at half the time step of
+    physics; writes ``evaluation.json`` and the page. What is judged otherwise, of whatever words follow, has
+    a file of its own: ``evaluation-episodes-4.json``."""
 
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.usage = (
-            "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION] [KEY=VALUE …]"
+            "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION] "
+            "[half_step=false] [KEY=VALUE …]"
         )
         parser.add_argument("run", help="run folder")
 
     def run(self, options: argparse.Namespace) -> int:
-        training, run, _, chosen = load(options.run, options.overrides, _EVALUATION)
+        words, half_step = _without_half_step(options.overrides)
+        training, run, reporter, chosen = load(options.run, words, _EVALUATION)
         try:
             evaluation, _ = training.judge()
+            finer = training.judge_finer() if half_step else None
         finally:
             training.close()
-        changed = _changed(options.overrides, _EVALUATION)
+        changed = _changed(words, _EVALUATION)
         result = evaluation.as_json(training.progress.samples, changed)
-        name = _name(options.overrides, chosen)
+        if finer is not None:
+            result["half_step"] = compared(evaluation, *finer)
+        name = _name(words, chosen)
         file = f"evaluation-{name}.json" if name else "evaluation.json"
         run.write_json(file, result)
         print(json.dumps(result, indent=1))
         tell(f"Written to {run.path / file}." + (_KEPT if name else ""))
+        if not name:
+            reporter.observers = installed().observers()
+            reporter.notify("evaluated", run, tell)
         return 0
+
+
+def _without_half_step(words: Sequence[str]) -> tuple[list[str], bool]:
+    """The other `words`, and whether half the time step is to be tried."""
+    rest, wanted = [], True
+    for word in words:
+        key, _, value = word.partition("=")
+        if key != "half_step":
+            rest.append(word)
+        elif value.lower() not in ("true", "false"):
+            raise ConfigError(f"{word} is not possible: write half_step=false to leave it out.")
+        else:
+            wanted = value.lower() == "true"
+    return rest, wanted
 
 
 _KEPT = " The run's own result is as it was."

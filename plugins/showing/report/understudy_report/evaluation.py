@@ -56,8 +56,29 @@ def _facts(evaluation: Row) -> Iterator[tuple[str, object]]:
     yield "Success means", evaluation.get("success")
     yield "Succeeded", None if rate is None else words.share(rate)
     yield "95 % interval", percent_interval(evaluation) or None
+    yield "At half the time step", _half_step(mapping(evaluation.get("half_step")))
     if reached is not None:
         yield "Objective", f"{words.text(objective.get('name', ''))} {reached:.4g}".strip()
+
+
+_VERDICTS = {
+    "depends": "the motion depends on the time step",
+    "independent": "the motion does not depend on the time step",
+    "undecided": "too few episodes to say whether the motion depends on the time step",
+}
+
+
+def _half_step(found: Row) -> str | None:
+    """What physics at half the time step gave, and whether that is another result."""
+    rate, hertz = number(found.get("success_rate")), number(found.get("physics_hz"))
+    if rate is None or hertz is None:
+        return None
+    ends = interval(found.get("difference_95"))
+    apart = f", by {100 * ends[0]:+.0f} to {100 * ends[1]:+.0f} points (95 %)" if ends else ""
+    verdict = _VERDICTS.get(words.text(found.get("verdict", "")))
+    return f"{words.share(rate)} succeeded ({hertz:,.0f} Hz){apart}" + (
+        f": {verdict}" if verdict else ""
+    )
 
 
 def _measures(evaluation: Row) -> Iterator[tuple[str, ...]]:

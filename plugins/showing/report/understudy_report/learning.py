@@ -26,6 +26,8 @@ BOUND = "evaluation/bound"
 #: Of an evaluation that was stopped once the criterion was out of reach.
 _AT_MOST = "evaluation/success_rate_at_most"
 _CONFIRMED = "confirmation/success_rate"
+#: Of evaluations at the coarse physics that a training begins with, and whether it is a bound.
+_REHEARSED, _REHEARSED_BOUND = "rehearsal/success_rate", "rehearsal/bound"
 
 
 class LearningCurves(ReportSection):
@@ -77,7 +79,10 @@ def with_success(rows: Sequence[Row], evaluation: Row) -> list[Row]:
     for row in rows:
         share = next((row[k] for k in (_CONFIRMED, _SUCCESS, _AT_MOST) if k in row), None)
         bound = share is not None and _CONFIRMED not in row and _SUCCESS not in row
-        found.append(row if share is None else {**row, _SUCCESS: share, BOUND: bound})
+        row = row if share is None else {**row, _SUCCESS: share, BOUND: bound}
+        if (most := row.get(f"{_REHEARSED}_at_most")) is not None:
+            row = {**row, _REHEARSED: most, _REHEARSED_BOUND: True}
+        found.append(row)
     last = {"samples": evaluation.get("samples"), _SUCCESS: evaluation.get("success_rate")}
     return [*found, last] if None not in last.values() else found
 
@@ -90,6 +95,10 @@ def _evaluations(rows: Sequence[Row]) -> list[Chart]:
     """Success first, then the objective unless that is success, then the other measures."""
     objective_is_success = all(row.get(_OBJECTIVE) == row.get(_SUCCESS) for row in rows)
     known = [Chart("Episodes that succeeded", _SUCCESS, "%", 0.0, 100.0, dots=True, bound=BOUND)]
+    if any(_REHEARSED in row for row in rows):
+        known.append(
+            Chart("Of them at coarse physics", _REHEARSED, "%", 0.0, 100.0, dots=True, bound=_REHEARSED_BOUND)
+        )  # fmt: skip
     if not objective_is_success:
         known.append(Chart("Objective", _OBJECTIVE, dots=True))
     return known + [

@@ -30,6 +30,9 @@ class ReportMaker(RunObserver):
             self._try("video", tell, lambda: tell(_draw_video(run, recording)))
         tell(f"The report is {write_report(run)}.")
 
+    def evaluated(self, run: Run, tell: Callable[[str], None]) -> None:
+        tell(f"The report is {write_report(run)}.")
+
     def _try(self, what: str, tell: Callable[[str], None], draw: Callable[[], None]) -> None:
         """The page is worth having without a picture, whatever kept its scene from drawing."""
         try:

@@ -1,0 +1,58 @@
+"""Whether a motion depends on the time step of its physics.
+
+A result that half the time step takes away belongs to the solver, not to the character. Judged are the
+same starts with the same policy and the same model.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from understudy.running.evaluation import Evaluation, wilson_interval
+
+#: Success may differ by this much, as a share, in what is said to be the same.
+TOLERANCE = 0.1
+
+
+def difference(first: Evaluation, second: Evaluation) -> tuple[float, float, float] | None:
+    """By how much the success rate of `second` is above that of `first`, and the ends of its 95 % interval;
+    None where nothing counts as success.
+
+    Newcombe's hybrid score interval of a difference of independent shares (Newcombe 1998, method 10). Starts
+    that are the same make it too wide, never too narrow, as long as worlds do not part for the worse.
+    """
+    p, q = first.success_rate, second.success_rate
+    if p is None or q is None:
+        return None
+    (p_low, p_high), (q_low, q_high) = (
+        wilson_interval(rate, one.episodes) for rate, one in ((p, first), (q, second))
+    )
+    low = q - p - math.hypot(q - q_low, p_high - p)
+    return q - p, low, q - p + math.hypot(q_high - q, p - p_low)
+
+
+def verdict(interval: tuple[float, float]) -> str:
+    """``depends``, ``independent``, or ``undecided``, of the 95 % interval of a difference of shares."""
+    low, high = interval
+    if low > 0 or high < 0:
+        return "depends"
+    return "independent" if max(-low, high) <= TOLERANCE else "undecided"
+
+
+def compared(first: Evaluation, hertz: float, second: Evaluation) -> dict[str, Any]:
+    """For ``evaluation.json``: what `second` found with physics at `hertz`, beside `first`."""
+    found: dict[str, Any] = {
+        "physics_hz": hertz,
+        "mean_episode_seconds": second.mean_episode_seconds,
+        "objective": second.objective_value,
+    }
+    if (apart := difference(first, second)) is None or second.success_rate is None:
+        return found
+    return found | {
+        "success_rate": second.success_rate,
+        "success_rate_95": [*wilson_interval(second.success_rate, second.episodes)],
+        "difference": apart[0],
+        "difference_95": [*apart[1:]],
+        "verdict": verdict(apart[1:]),
+    }
