@@ -25,9 +25,8 @@ from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
-from understudy.setup.composition import compose_raw, load_experiment
-from understudy.setup.config import Experiment, validate
-from understudy.setup.plugins import installed
+from understudy.setup.composition import load_experiment
+from understudy.setup.config import Experiment
 from understudy.signals import StopRequest
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.page import Page
@@ -46,7 +45,7 @@ def sweep(overrides: Sequence[str]) -> int:
     PreemptedError
         after a stop signal, when trials under way are saved.
     """
-    experiment = validate(compose_raw(overrides), installed().registry)
+    experiment = load_experiment(overrides)
     if distributed.requested() > 1:
         raise ConfigError("A sweep starts its trials itself: start it without torchrun.")
     root, chosen = experiment.root, experiment.need("outer_loop")
