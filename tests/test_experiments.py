@@ -43,18 +43,18 @@ def test_no_part_of_others_is_listed() -> None:
 
 @pytest.mark.parametrize(("group", "name"), LISTED)
 def test_it_composes_or_says_what_it_needs(group: str, name: str) -> None:
-    chosen = f"{group}={name}"
+    chosen, said = f"{group}={name}", ""
     try:
         load_experiment([chosen], PLUGINS)
     except PluginError:  # of something that is not installed here
         return
     except ConfigError as error:
-        key = NEED.get(chosen, "nothing")
-        assert str(error).startswith(f"{key} is not set. It takes ")
-        assert "`understudy " in str(error), "the command that makes it"
-        assert "interpolation" not in str(error)
+        said = str(error)
+    if chosen not in NEED:
+        assert said == ""
         return
-    assert chosen not in NEED
+    assert said.startswith(f"{NEED[chosen]} is not set. It takes ")
+    assert "`understudy " in said, "the command that makes it"
 
 
 @pytest.mark.parametrize(("group", "name"), LOOPS)
@@ -96,7 +96,7 @@ def test_blanks_of_names_are_kept(value: str) -> None:
     assert raw["motion"]["name"] == value
 
 
-@pytest.mark.parametrize("value", [" [1, 2]", "[ 1, 2 ] ", " {a: 1}"])
+@pytest.mark.parametrize("value", [" [1, 2]", "[ 1, 2 ] ", "[1, 2]\t"])
 def test_blanks_around_structures_mean_nothing(value: str) -> None:
     raw = compose_raw(["experiment=miniature/go", f"policy.hidden={value}"], PLUGINS)
-    assert raw["policy"]["hidden"] in ([1, 2], {"a": 1})
+    assert raw["policy"]["hidden"] == [1, 2]
