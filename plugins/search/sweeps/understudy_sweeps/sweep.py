@@ -27,6 +27,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
+from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.page import Page
@@ -45,7 +46,7 @@ def sweep(overrides: Sequence[str]) -> int:
     PreemptedError
         after a stop signal, when trials under way are saved.
     """
-    experiment = load_experiment(overrides)
+    experiment = load_experiment(overrides, installed())
     if distributed.requested() > 1:
         raise ConfigError("A sweep starts its trials itself: start it without torchrun.")
     root, chosen = experiment.root, experiment.need("outer_loop")
