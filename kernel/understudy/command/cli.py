@@ -156,7 +156,7 @@ def _work(options: argparse.Namespace, overrides: list[str]) -> int:
 
     if options.work == "resume":
         return workflow.resume(options.run, overrides)
-    return workflow.train(overrides) if overrides else main(["experiments"]) or 2
+    return workflow.train(overrides) if overrides else main(["experiments"])
 
 
 if __name__ == "__main__":

@@ -101,6 +101,11 @@ def _carry_out(training: Training) -> int:
         if run is None:
             return 0
         time = f"{progress.seconds / 60:.1f} min of training"
+        if progress.seconds > 61 * (training.experiment.root.budget.minutes or progress.seconds):
+            each = progress.seconds / progress.iteration / 60
+            time += (
+                f", more than budget.minutes, since an iteration takes {each:.1f} and is finished"
+            )
         tell(f"Done ({reason}): {progress.samples:,} samples in {time}.")
         for name, count in training.job.report().items():
             tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import operator
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -41,6 +42,9 @@ OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
     (),
 )  # fmt: skip
 _PREVIOUS = "previous_"
+
+# A forked process has none of the threads that OpenMP would wait for, so it must ask for none.
+os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
 
 #: Numbers of this size and beyond count as non-finite, as they do for MuJoCo.
 LARGEST = 1e10

@@ -241,9 +241,11 @@ class Training:
     def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
-        own = (
-            1 if self.progress.met else 2 if self._spent() >= 1 else 3 if self.job.finished() else 0
-        )
+        progress, minutes = self.progress, self.experiment.root.budget.minutes or math.inf
+        # Not begun is what, as long as those before it, would end after the time.
+        late = progress.seconds * (1 + 1 / max(progress.iteration, 1)) > 60 * minutes
+        spent = self._spent() >= 1 or late
+        own = 1 if progress.met else 2 if spent else 3 if self.job.finished() else 0
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0

@@ -124,7 +124,6 @@ HEAD = "<mujoco><worldbody><body name='r'>{root}<geom size='.1'/><body name='a'>
         ("<freejoint/>", "<joint type='slide'/>", "'a' has joints other than one ball"),
         ("<freejoint/>", "<joint/><joint type='ball'/>", "'a' has joints other than one ball"),
         ("<freejoint/>", "<joint/><joint/><joint/><joint/>", "more than three hinges"),
-        ("<freejoint/>", "<joint/><joint pos='0 0 .1'/>", "hinges at different points"),
     ],
 )
 def test_what_is_no_character(root: str, joints: str, reason: str) -> None:

@@ -186,10 +186,10 @@ def test_values_are_compared_at_equal_samples(tmp_path: Path) -> None:
     ((_, shown),) = list(comparison.tables())
     assert shown.heads[1] == "best value after 30 samples"
     a, b = shown.rows
-    assert a[1].startswith("2.5 [")
-    assert b[1].startswith("1 [")
-    assert b[2].startswith("-1.5")
-    assert a[3].startswith("9.5 [")
+    assert a[1] == "2.5 (2)"
+    assert b[1] == "1 (2)"
+    assert b[2] == "-1.5 (2 seeds)"
+    assert a[3].startswith("9.5 (2)")
     assert (a[4], a[5], b[5]) == ("90", "3 (3), 3 (3)", "2 (1), 2 (1)")
     comparison.found["r", "b"] = [Found(0, lower, 1, True), Found(1, lower[:1])]
     _, b = next(comparison.tables())[1].rows

@@ -73,7 +73,7 @@ class ReferenceMotion:
         device: torch.device | None = None,
         floor: Floor = "lowest",
     ) -> None:
-        device = device or torch.device("cpu")
+        device, clip = device or torch.device("cpu"), character.posed(clip)
         self.clip, self.duration, self.loop = clip, clip.duration, clip.loop
         self.control_dt, self._root = control_dt, layout.root_address
         self._root_dof = layout.root_dof

@@ -52,7 +52,7 @@ class Cell:
         values = self.values(figure.of)
         if values:
             kind = SUCCESS if figure.share or figure.of.startswith("success_") else figure.of
-            parts.append(f"{shown_mean(mean_of(values), kind)} ({len(values)})")
+            parts.append(f"{shown_mean(mean_of(values), kind, counted=True)} ({len(values)})")
         missed = [r for r in done if figure.of == SAMPLES and r.state != "criterion"]
         if missed:
             least = min(r.figure(SAMPLES) or 0.0 for r in missed)

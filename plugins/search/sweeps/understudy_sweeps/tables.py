@@ -81,12 +81,16 @@ def shown(value: float | None, name: str = "") -> str:
     return words.duration(value) if name == SECONDS else words.short(value)
 
 
-def shown_mean(mean: Mean | None, name: str = "", *, sign: bool = False) -> str:
-    """A mean and its interval."""
+def shown_mean(
+    mean: Mean | None, name: str = "", *, sign: bool = False, counted: bool = False
+) -> str:
+    """A mean and its interval; of two seeds that word, unless their number is `counted` beside it."""
     if mean is None:
         return _NOTHING
     if name in _BOUNDS and not sign:
         mean = mean.clipped(*_BOUNDS[name])
+    elif name in (SUCCESS, UNSOUND):
+        mean = mean.clipped(-1.0, 1.0)
     scale = 100.0 if name in (SUCCESS, UNSOUND) else 1.0
 
     def figure(value: float) -> str:
@@ -96,7 +100,8 @@ def shown_mean(mean: Mean | None, name: str = "", *, sign: bool = False) -> str:
 
     unit = (" points" if sign else " %") if name in (SUCCESS, UNSOUND) else ""
     if mean.low is None or mean.high is None or (name == SAMPLES and mean.low == mean.high):
-        return figure(mean.value) + unit
+        few = " (2 seeds)" if mean.count == 2 and mean.low is None and not counted else ""
+        return figure(mean.value) + unit + few
     return f"{figure(mean.value)}{unit} [{figure(mean.low)}, {figure(mean.high)}]"
 
 

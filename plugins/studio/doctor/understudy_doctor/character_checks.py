@@ -54,7 +54,7 @@ def missing_joints(clip: Clip, character: Character) -> list[str]:
 def check_mapping(clip: Clip, character: Character) -> Iterator[Finding]:
     """Whether the clip's joints are the character's."""
     places = Places(clip)
-    retarget = f"`understudy motion retarget CLIP {character.name} OUT` makes it fit."
+    retarget = f"`{character.retargeting(clip)}` makes it fit."
     if missing := missing_joints(clip, character):
         yield places.finding(
             "mapping", Severity.MAJOR,
