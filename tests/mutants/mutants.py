@@ -37,6 +37,15 @@ POISON = "tests/faults/test_01_poisoned_fields.py"
 F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/test_09_damaged_files.py", "tests/faults/test_10_resume.py"  # fmt: skip
 F13 = "tests/faults/test_13_stop_signals.py"
 LINKS, ENDLESS = "tests/faults/test_22_links.py", "tests/faults/test_24_endless_files.py"
+SWEEP_TRIAL, EXECUTORS = (
+    "plugins/search/sweeps/understudy_sweeps/trial.py",
+    "tests/plugins/sweeps/test_executors.py",
+)
+POSES, SITTING_TRIALS = (
+    "plugins/papers/pose_vae/understudy_pose_vae/job.py",
+    "plugins/papers/sitting/understudy_sitting/trials.py",
+)
+ATTEMPT = "plugins/papers/jumping/understudy_jumping/attempt.py"
 FOLDERS, COMPOSITION = f"{KERNEL}/records/folders.py", f"{KERNEL}/setup/composition.py"
 GUARD, GUARDED = (
     "plugins/studio/viewer/understudy_viewer/guard.py",
@@ -226,6 +235,30 @@ MUTANTS = (
     Mutant("a stranger's overrides are resolved", RUNS, '        refuse_resolvers(words[: len(words) - len(more)], f"{self.path}")\n', "", f"{F21} -k resolvers_of"),
     Mutant("resolvers within others", COMPOSITION, "[^}]*(:|\\$\\{)", "[^}]*(:)", f"{F21} -k resolvers_of"),
     Mutant("a journal's overrides are resolved", JOURNAL, '                    refuse_resolvers(event.overrides, "A journal")', "                    pass", f"{F21} -k journal"),
+    # What the second attack found to be held by no test.
+    Mutant("a harvest keeps what went wrong", "plugins/learning/basics/understudy_basics/harvest.py", "counts & ~step.unsound, step", "counts, step",
+           "tests/plugins/basics/test_harvest.py"),
+    Mutant("a late trial has no grace", POOL, "                running.deadline += self._limits.grace\n", "", f"{EXECUTORS} -k grace"),
+    Mutant("a late trial is not told to save", POOL, """                running.deadline += self._limits.grace
+                running.host.save()""", "                running.deadline += self._limits.grace", f"{EXECUTORS} -k grace"),
+    Mutant("Ctrl-C reaches the fork server", PROCESSES, "of_terminals = {signal.SIGINT, signal.SIGHUP}", "of_terminals = {signal.SIGHUP}", f"{EXECUTORS} -k fork_server"),
+    Mutant("a terminal's end reaches the fork server", PROCESSES, "of_terminals = {signal.SIGINT, signal.SIGHUP}", "of_terminals = {signal.SIGINT}", f"{EXECUTORS} -k fork_server"),
+    Mutant("a trial is of its sweep's session", PROCESSES, "    os.setsid()  #", "    pass  #", f"{EXECUTORS} -k session"),
+    Mutant("nobody waits for who holds a folder", SWEEP_TRIAL, "            if time.monotonic() > deadline:", "            if True:", f"{EXECUTORS} -k waits_for"),
+    Mutant("the wait for a folder has no end", SWEEP_TRIAL, "            if time.monotonic() > deadline:", "            if False:", f"{EXECUTORS} -k waits_for"),
+    Mutant("a pose network of any shape", POSES, "for misfit in misshapen(dict(network.state_dict()), given, \"network\"):", "for misfit in ():",
+           "tests/plugins/pose_vae/test_pose_vae.py -k strangers"),
+    Mutant("what is no number fits", f"{KERNEL}/running/warm_start.py", "isfinite()", "isfinite().logical_or(torch.ones(()).bool())",
+           "tests/plugins/pose_vae/test_pose_vae.py -k strangers"),
+    Mutant("a batch larger than the set", POSES, "size = min(options.batch, len(x))", "size = options.batch", "tests/plugins/pose_vae/test_pose_vae.py -k larger"),
+    Mutant("what comes after an episode is near", SITTING_TRIALS, "nearer = running & (distance", "nearer = (distance", "tests/plugins/sitting/test_trials.py"),
+    Mutant("what comes after an episode is sitting", SITTING_TRIALS, "found[name] = torch.where(running, longest, found[name])", "found[name] = longest",
+           "tests/plugins/sitting/test_trials.py"),
+    Mutant("a policy may have more", SITTING_TRIALS, "misfits = misfits or [", "misfits = misfits or [][:0] and [", "tests/plugins/sitting/test_trials.py"),
+    Mutant("what has crashed lands", ATTEMPT, "(landed & beyond & ~crashed)", "(landed & beyond)", "tests/plugins/jumping/test_attempt.py"),
+    Mutant("a landing is undone", ATTEMPT, '(wrong & (kept["landed"] == 0))', "wrong", "tests/plugins/jumping/test_attempt.py"),
+    Mutant("particles forget what varies", "plugins/physics/pbd/understudy_pbd/simulator.py",
+           "                put_rows(self._known[name], worlds, snapshot[name])\n", "                pass\n", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
     check_within(path)
 """, """        raise RunError(f"{path} is no run folder: it has no run.json.")

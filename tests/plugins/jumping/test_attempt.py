@@ -199,3 +199,20 @@ def test_rewards_are_those_of_the_paper() -> None:
     """Eq. 4.15; eq. 4.3 is pose_vae's."""
     np.testing.assert_allclose(spin(torch.tensor([0.0, 5.0])), [1.0, math.exp(-0.1)])
     np.testing.assert_allclose(safety(torch.tensor([0.0, 1.0])), [1.0, 0.7])
+
+
+def test_what_has_crashed_does_not_land(context: Context) -> None:
+    """Through the wall, then as one that has cleared it."""
+    through = [pose(context, x, STANDING) for x in (-1.5, 2.0)]
+    lying = pose(context, 2.0, 0.18, pitch=-math.pi / 2)
+    found = follow(context, [*through, *over(context, lying)])
+    assert (found["landed"], found["crashed"], found["cleared"]) == (0.0, 1.0, 0.0)
+
+
+def test_what_is_touched_after_landing_on_feet_is_no_crash(context: Context) -> None:
+    standing, lying = (
+        pose(context, 2.0, STANDING + 0.1),
+        pose(context, 2.0, 0.18, pitch=-math.pi / 2),
+    )
+    found = follow(context, over(context, standing, lying), landing="feet")
+    assert (found["landed"], found["crashed"]) == (1.0, 0.0)

@@ -208,3 +208,19 @@ def test_kernels_compile_for_cuda(features: Features, tmp_path: Path) -> None:
         if name == "block":
             assert "bar.sync" in code
             assert "ld.shared.v4" in code, "positions are not where they were meant to be"
+
+
+def test_parameters_are_restored_too() -> None:
+    """In the worlds that are asked for, as they were in the snapshot."""
+    found = simulator(grains(), 3)
+    found.vary(["gravity"])
+    every = torch.ones(3, dtype=torch.bool)
+    state = {name: found.read(name).clone() for name in found.state_fields}
+    gravity = torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, -2.0], [0.0, 0.0, -3.0]])
+    found.set_state(every, {**state, "gravity": gravity})
+    snapshot = {name: value.clone() for name, value in found.snapshot().items()}
+    found.set_state(every, {**state, "gravity": torch.zeros(3, 3)})
+    found.restore(snapshot, torch.tensor([True, False, True]))
+    assert found.read("gravity")[:, 2].tolist() == [-1.0, 0.0, -3.0]
+    found.restore(snapshot)
+    assert found.read("gravity")[:, 2].tolist() == [-1.0, -2.0, -3.0]

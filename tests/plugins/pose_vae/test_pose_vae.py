@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from understudy.running.training import Training
 from understudy.setup.composition import load_experiment, replaced
 from understudy.testing import check_environment
 from understudy_motion.readers import npz
-from understudy_pose_vae.job import LearnPoses, PoseVAE, explained, needed
+from understudy_pose_vae.job import LearnPoses, PoseVAE, explained, needed, network_of
 from understudy_pose_vae.report import PosesSection
 from understudy_pose_vae.terms import learned_poses, naturalness
 from understudy_tensors import rotations
@@ -345,3 +346,36 @@ def test_the_authors_clips(tmp_path: Path) -> None:
     assert isinstance(job, LearnPoses)
     assert len(job.poses.poses) + len(job.poses.held_out_poses) == 20_230
     assert float(explained(job.poses.features)[12]) == pytest.approx(0.85, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda state: state.pop("code_mean"), "it has no codes"),
+        (lambda state: state.update(code_mean=torch.zeros(2, 2)), "it has no codes"),
+        (lambda state: state.pop("encoder.0.bias"), "'network/encoder.0.bias'"),
+        (
+            lambda state: state.update({"encoder.0.bias": torch.zeros(7)}),
+            "'network/encoder.0.bias'",
+        ),
+        (lambda state: state["encoder.0.bias"].fill_(torch.nan), "'network/encoder.0.bias'"),
+    ],
+)
+def test_networks_of_strangers(change: Any, says: str) -> None:
+    """One that does not fit, or is no number, is refused."""
+    options: Any = SimpleNamespace(hidden=(8,))
+    features: Any = SimpleNamespace(size=5)
+    state = {k: v.clone() for k, v in PoseVAE(5, 3, (8,)).state_dict().items()}
+    assert len(network_of({"network": state}, options, features).code_mean) == 3
+    change(state)
+    with pytest.raises(RunError, match=says):
+        network_of({"network": state}, options, features)
+
+
+def test_a_batch_may_be_larger_than_the_set() -> None:
+    training = learner("job.batch=9999")
+    job = training.job
+    assert isinstance(job, LearnPoses)
+    row = training.iterate()
+    assert training.progress.samples == len(job.poses.features)
+    assert row["loss"] > 0

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import pytest
 import torch
 from sitting_tasks import build
 
+from understudy.errors import RunError
 from understudy.records.runs import Run
+from understudy_sitting import trials
 from understudy_sitting.clips import generated_step_back, generated_whole
 from understudy_sitting.kinematics import minimum_distances
-from understudy_sitting.trials import FILE, TransitionsSection, _figures
+from understudy_sitting.trials import FILE, TransitionsSection, _carry_out, _figures
 
 
 def test_success_is_three_seconds_of_sitting_and_contact_stands_beside_it(tmp_path: Path) -> None:
@@ -72,3 +76,62 @@ def test_a_clip_that_is_only_played_comes_to_the_chair_that_stands_where_it_sits
     begins = away.environment.table["seat_distance"]
     assert (nearest <= begins + 1e-4).all()
     assert 0.3 < float(nearest.mean()) < 1.3
+
+
+class Still:
+    """An environment of two worlds: the first's episode ends after a decision, and then comes nearer."""
+
+    num_worlds, device, decision, control_dt = 2, torch.device("cpu"), 1, 0.5
+    observations: ClassVar = {}
+    on_period = None
+
+    def __init__(self) -> None:
+        self.step = 0
+        self.table = {
+            n: torch.zeros(2)
+            for n in ("zone", "side", "switch", "seated_seconds", "contact_seconds")
+        }
+
+    def reset(self, seed: int, draw: str) -> None:
+        self.table["seat_distance"] = torch.tensor([2.0, 2.0])
+
+    def advance(self, action: object) -> object:
+        self.step += 1
+        self.table["seat_distance"] = torch.tensor([2.0, 2.0]) / self.step
+        self.table["seated_seconds"] = torch.full((2,), float(self.step))
+        return SimpleNamespace(ended=torch.tensor([self.step == 1, False]))
+
+
+def test_what_comes_after_an_episode_does_not_count() -> None:
+    root = SimpleNamespace(seed=0, evaluation=SimpleNamespace(seconds=2.0))
+    actuation = SimpleNamespace(options=SimpleNamespace(runs=("walk",)))
+    experiment: Any = SimpleNamespace(root=root, need=lambda slot: actuation)
+    action = SimpleNamespace(mode=lambda: None)
+    policy: Any = SimpleNamespace(distribution=lambda observations: action)
+    environment: Any = Still()
+    found, counts = _carry_out(environment, policy, experiment)
+    assert found["distance"].tolist() == [2.0, 0.5]
+    assert found["seated"].tolist() == [1.0, 4.0]
+    assert int(counts.sum()) == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"weight": torch.zeros(1, 2), "bias": torch.zeros(1), "more": torch.zeros(1)}, "'policy/more' is only there"),
+        ({"weight": torch.zeros(1, 3), "bias": torch.zeros(1)}, "'policy/weight'"),
+        ({"weight": torch.zeros(1, 2)}, "'policy/bias'"),
+        ({"weight": torch.full((1, 2), torch.nan), "bias": torch.zeros(1)}, "'policy/weight'"),
+    ],
+)  # fmt: skip
+def test_a_policy_of_another_shape_is_not_judged(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given: dict[str, torch.Tensor], says: str
+) -> None:
+    state = {"policy": given, "progress": {"samples": 1}}
+    monkeypatch.setattr(trials, "newest_state", lambda path: state)
+    monkeypatch.setattr(trials, "build_policy", lambda experiment, context: torch.nn.Linear(2, 1))
+    nothing: Any = None
+    with pytest.raises(RunError, match=says):
+        trials.learned(nothing, nothing, Run(tmp_path, {}))
+    state["policy"] = {"weight": torch.zeros(1, 2), "bias": torch.zeros(1)}
+    assert trials.learned(nothing, nothing, Run(tmp_path, {}))[1] == 1

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -19,10 +20,12 @@ import torch
 from executors import ENDLESS, SMALL_STOP, iterations, make, work
 from worlds import child_environment
 
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, RunError
 from understudy.records.runs import Run, open_run
 from understudy.running.trials import Executor, Report, Trial, Work
 from understudy.setup.composition import load_experiment
+from understudy_sweeps import pool, trial
+from understudy_sweeps.pool import Host
 from understudy_sweeps.processes import OUTPUT
 from understudy_sweeps.trial import folder_of
 
@@ -240,3 +243,85 @@ def test_children_end_with_their_sweep(tmp_path: Path) -> None:
     folder.unlock()
     saved = sorted(p.stem for p in folder.checkpoints.glob("*.json"))
     assert int(saved[-1]) == iterations(tmp_path, "base/seed0")[-1] >= 3
+
+
+def test_a_trial_has_a_session_of_its_own(tmp_path: Path) -> None:
+    """What a terminal sends to all who run in it does not reach it."""
+    sessions: list[tuple[int, int]] = []
+
+    def note(executor: Any, report: Report | None) -> None:
+        for running in executor._running.values():
+            if report is not None and not report.final:
+                sessions.append((os.getsid(running.host.process), running.host.process))
+
+    executors.carry_out(built("processes")(work(tmp_path)), [Trial("a")], meanwhile=note)
+    assert sessions
+    assert all(session == process for session, process in sessions)
+
+
+def test_what_a_terminal_sends_does_not_reach_the_fork_server(tmp_path: Path) -> None:
+    """While it imports, too, when it has no handlers yet."""
+    code = (
+        "from multiprocessing import forkserver; from understudy_sweeps.processes import _server\n"
+        "_server(); print(open(f'/proc/{forkserver._forkserver._forkserver_pid}/status').read())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=child_environment(), capture_output=True, text=True, timeout=100
+    )  # fmt: skip
+    blocked = int(done.stdout.partition("SigBlk:")[2].split()[0], 16)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        assert blocked & 1 << (number - 1), done.stdout + done.stderr
+
+
+class Slow(Host):
+    """A process that has begun, and then says nothing."""
+
+    def __init__(self) -> None:
+        self.said = ['{"began": true}']
+        self.told: list[str] = []
+
+    def receive(self) -> str | None:
+        return self.said.pop() if self.said else None
+
+    def answer(self, stop: bool) -> None:
+        self.told.append("answer")
+
+    def save(self) -> None:
+        self.told.append("save")
+
+    def kill(self) -> None:
+        self.told.append("kill")
+
+
+def test_a_late_trial_has_its_grace(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(pool.time, "monotonic", lambda: now[0])
+    host = Slow()
+    executor = pool.Pool(
+        lambda trial: host, lambda hosts, seconds: hosts, 1, pool.Limits(0, 10.0, 5.0)
+    )
+    executor.start(Trial("a"))
+    assert executor.wait() is None
+    for now[0], told in ((109.9, []), (110.1, ["save"]), (114.9, ["save"])):
+        assert executor.wait() is None
+        assert host.told == told
+    now[0] = 115.1
+    report = executor.wait()
+    assert report is not None
+    assert (report.status, host.told) == ("failed: it took longer than 10 s", ["save", "kill"])
+
+
+def test_a_trial_waits_for_who_holds_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    holder = Run(tmp_path, {})
+    holder.lock()
+    monkeypatch.setattr(trial, "PATIENCE", 0.3)
+    with pytest.raises(RunError, match="Another process is training in"):
+        trial._await(tmp_path)
+    monkeypatch.setattr(trial, "PATIENCE", 30.0)
+    began = time.monotonic()
+    threading.Timer(0.5, holder.unlock).start()
+    trial._await(tmp_path)
+    assert time.monotonic() - began >= 0.4
+    holder.lock()  # it holds nothing itself

@@ -1,0 +1,57 @@
+"""What a harvest keeps of the decisions of a run's policy."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from understudy_basics.harvest import Harvest
+
+
+def flags(text: str) -> Tensor:
+    return torch.tensor([sign == "1" for sign in text])
+
+
+@pytest.mark.parametrize(
+    ("ending", "counts"), [("any", "0101"), ("failure", "0001"), ("truncation", "0100"), ("fall", "0001")]
+)  # fmt: skip
+def test_states_whose_numbers_went_wrong_are_none(ending: str, counts: str) -> None:
+    """Of four worlds the second was truncated, and the others failed, two of them by their numbers."""
+    step = SimpleNamespace(
+        unsound=flags("1010"), failed=flags("1011"), terminated=flags("1011"), truncated=flags("0100"),
+        ended=flags("1111"), endings={"fall": flags("1001")},
+    )  # fmt: skip
+    begun: list[Tensor] = []
+    environment = SimpleNamespace(
+        table={"x": torch.arange(4.0)}, advance=lambda action: step, begin=begun.append
+    )
+    harvest: Any = object.__new__(Harvest)
+    harvest.environment, harvest._names = environment, ("x",)
+    harvest.options = SimpleNamespace(field=None, ending=ending)
+    harvest._begun = torch.zeros(4, dtype=torch.bool)
+    _, counted, ended = harvest._advance(torch.zeros(4, 1))
+    assert counted.tolist() == flags(counts).tolist()
+    assert bool(ended.all())
+    assert len(begun) == 1
+
+
+def test_a_change_in_a_world_that_went_wrong_is_none() -> None:
+    table = {"x": torch.arange(3.0), "switch": torch.zeros(3)}
+    step = SimpleNamespace(
+        unsound=flags("100"), failed=flags("100"), terminated=flags("100"), truncated=flags("000"),
+        ended=flags("100"), endings={},
+    )  # fmt: skip
+
+    def advance(action: Tensor) -> Any:
+        table["switch"] = torch.tensor([2.0, 2.0, 0.0])
+        return step
+
+    harvest: Any = object.__new__(Harvest)
+    harvest.environment = SimpleNamespace(table=table, advance=advance, begin=lambda worlds: None)
+    harvest._names, harvest._begun = ("x",), torch.ones(3, dtype=torch.bool)
+    harvest.options = SimpleNamespace(field="switch", value=2.0, ending="any")
+    assert harvest._advance(torch.zeros(3, 1))[1].tolist() == [False, True, False]
