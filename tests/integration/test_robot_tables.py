@@ -13,10 +13,10 @@ from robots import robot_file
 from understudy.command.cli import main
 from understudy.errors import FileError
 from understudy.setup.plugins import installed
-from understudy_basics import rotations
 from understudy_characters.character import Character, load_character
 from understudy_motion.clip import Clip, angle_names
 from understudy_motion.reading import ReadOptions, UnknownFormatError, read_clip
+from understudy_tensors import rotations
 
 REGISTRY = installed().registry
 FRAMES = 40

@@ -213,7 +213,7 @@ MUTANTS = (
     Mutant("a decision has no end", f"{KERNEL}/setup/config.py", "if self.substeps * self.decision > _STEPS:", "if False:", f"{SIZES} -k asks"),
     Mutant("an evaluation has no end", f"{KERNEL}/setup/config.py", "if decisions > _DECISIONS:", "if False:", f"{SIZES} -k asks"),
     Mutant("a network of any size", NN, "if sum(a * b for a, b in (*hidden, last)) > LARGEST:", "if False:", f"{SIZES} -k asks"),
-    Mutant("layers of any number", "plugins/learning/basics/understudy_basics/policies.py", " or len(units) > 100:", ":", f"{SIZES} -k asks"),
+    Mutant("layers of any number", "plugins/learning/networks/understudy_networks/policies.py", " or len(units) > 100:", ":", f"{SIZES} -k asks"),
     Mutant("memory that there is not is a defect", f"{KERNEL}/setup/building.py", 'and "memory" not in str(error):', "and True:", f"{SIZES} -k memory"),
     Mutant("particles of any number", "plugins/papers/amorphous/understudy_amorphous/scene.py",
            "if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:", "if False:", f"{SIZES} -k scene"),
@@ -236,7 +236,7 @@ MUTANTS = (
     Mutant("resolvers within others", COMPOSITION, "[^}]*(:|\\$\\{)", "[^}]*(:)", f"{F21} -k resolvers_of"),
     Mutant("a journal's overrides are resolved", JOURNAL, '                    refuse_resolvers(event.overrides, "A journal")', "                    pass", f"{F21} -k journal"),
     # What the second attack found to be held by no test.
-    Mutant("a harvest keeps what went wrong", "plugins/learning/basics/understudy_basics/harvest.py", "counts & ~step.unsound, step", "counts, step",
+    Mutant("a harvest keeps what went wrong", "plugins/learning/skills/understudy_skills/harvest.py", "counts & ~step.unsound, step", "counts, step",
            "tests/plugins/basics/test_harvest.py"),
     Mutant("a late trial has no grace", POOL, "                running.deadline += self._limits.grace\n", "", f"{EXECUTORS} -k grace"),
     Mutant("a late trial is not told to save", POOL, """                running.deadline += self._limits.grace

@@ -12,7 +12,7 @@ from understudy.errors import ConfigError
 from understudy.inputs import Inputs
 
 if TYPE_CHECKING:
-    from understudy.running.environment import Parts
+    from understudy.running.promises import Parts
     from understudy.setup.registry import Registry
     from understudy.task.actions import ActionSpace
     from understudy.task.physics import Scene, Simulator

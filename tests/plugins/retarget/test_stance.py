@@ -11,7 +11,6 @@ from cases import CASES, needs_cases
 from scipy.spatial.transform import Rotation
 
 from understudy.setup.plugins import installed
-from understudy_basics import rotations
 from understudy_characters.character import load_character
 from understudy_motion import library
 from understudy_motion.clip import Clip
@@ -20,6 +19,7 @@ from understudy_motion.reading import ReadOptions, read_clip
 from understudy_retarget.anatomy import find_parts
 from understudy_retarget.retarget import retarget
 from understudy_retarget.stance import standing
+from understudy_tensors import rotations
 
 REGISTRY = installed().registry
 LIMBS = {"legs": ("hip", "knee", "ankle"), "arms": ("shoulder", "elbow")}

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy_basics.harvest import Harvest
+from understudy_skills.harvest import Harvest
 
 
 def flags(text: str) -> Tensor:

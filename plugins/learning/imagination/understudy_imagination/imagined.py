@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.running.environment import OWN_FIELDS, Parts
+from understudy.running.environment import OWN_FIELDS
+from understudy.running.promises import Parts
 from understudy.task import Box, Context, Fields
-from understudy.task.terms import Bound, Margin, Term
-from understudy_basics.policies import action_space
+from understudy.task.terms import Margin, Term, Wired
 from understudy_imagination.rigid import Posed, Rigid
+from understudy_networks.policies import action_space
 
 #: The environment's own fields that no derivative goes through: they are taken as they were.
 _TAKEN = frozenset(OWN_FIELDS) - {"reward"}
@@ -46,8 +47,8 @@ class Imagined:
         #: Whether a field moves with the state, of all that are needed.
         self._moves: dict[str, bool] = {}
         #: Providers by turns: of what does not move, and of what does.
-        self._still: list[Bound[Fields]] = []
-        self._moving: list[Bound[Fields]] = []
+        self._still: list[Wired[Fields]] = []
+        self._moving: list[Wired[Fields]] = []
         for who, names in self._readers():
             for name in names:
                 self._resolve(name, who)
@@ -175,7 +176,7 @@ class Imagined:
         return total
 
 
-def _provide(provider: Bound[Fields], values: dict[str, Tensor]) -> None:
+def _provide(provider: Wired[Fields], values: dict[str, Tensor]) -> None:
     given = provider.part.compute(**_picked(provider.reads, values))
     values.update({field: given[own] for own, field in provider.provides.items()})
 

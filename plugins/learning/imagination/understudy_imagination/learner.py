@@ -13,10 +13,6 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator, private_rng
 from understudy.task import Context, Learner, Policy, Rollout, State
-from understudy_basics import averages, optimisers
-from understudy_basics.nn import set_precision
-from understudy_basics.policies import check_units
-from understudy_basics.returns import digest, explained_variance, observations_of
 from understudy_imagination.adjoint import Adjoint, Gradients, Weights, Window, limited
 from understudy_imagination.errors import model_errors
 from understudy_imagination.imagined import Imagined
@@ -24,6 +20,10 @@ from understudy_imagination.model import WorldModel
 from understudy_imagination.replay import Replay
 from understudy_imagination.rigid import Rigid
 from understudy_mujoco.scene import MujocoScene
+from understudy_networks import averages, optimisers
+from understudy_networks.nn import set_precision
+from understudy_networks.policies import check_units
+from understudy_networks.returns import digest, explained_variance, observations_of
 
 _WHO = "learner 'imagination'"
 #: What rollouts have to bring in any case.

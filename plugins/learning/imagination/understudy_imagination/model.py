@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from understudy_basics import averages
-from understudy_basics.nn import mlp
 from understudy_imagination.rigid import Posed, Rigid
+from understudy_networks import averages
+from understudy_networks.nn import mlp
 
 #: m: by how much a point's distance from the floor changes whether it touches, and where it half does.
 _SOFT, _HALF = 0.01, 0.005

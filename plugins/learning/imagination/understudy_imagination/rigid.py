@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from understudy.task import Shape
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 _SLIDE, _HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)

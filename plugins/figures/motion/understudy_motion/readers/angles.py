@@ -21,7 +21,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import ANGLE, Clip
 from understudy_motion.readers.text import decoded, is_number, number_rows
 from understudy_motion.reading import (
@@ -32,6 +31,7 @@ from understudy_motion.reading import (
     provenance,
     read_bytes,
 )
+from understudy_tensors import rotations
 
 RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
