@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 
 from understudy.errors import RunError
 
@@ -44,18 +44,18 @@ def check_within(folder: Path) -> None:
         raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
 
 
-def open_lock(path: Path) -> BinaryIO:
+def open_lock(path: Path) -> io.FileIO:
     """The lock file at `path`, made if there is none, with what is in it untouched.
 
     Raises:
         OSError: it cannot be opened for writing, or is a link.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    return os.fdopen(os.open(path, flags, 0o666), "r+b", buffering=0)
+    return io.FileIO(os.open(path, flags, 0o666), "r+")
 
 
 @contextlib.contextmanager
-def opened(path: Path, most: int = DOCUMENT) -> Iterator[BinaryIO]:
+def opened(path: Path, most: int = DOCUMENT) -> Iterator[io.BufferedReader]:
     """The file at `path`, to be read.
 
     Raises:

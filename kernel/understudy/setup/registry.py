@@ -178,7 +178,7 @@ class Registry:
 
     def clashing_commands(self) -> dict[str, PluginError]:
         """Once all plugins are loaded: by plugin, a command that cannot be typed, or is another's by then."""
-        whole, groups = set(KERNEL_COMMANDS), set[str]()
+        whole, groups = set[str](KERNEL_COMMANDS), set[str]()
         faults: dict[str, PluginError] = {}
         for c in (c for c in self.components.values() if c.kind == "command"):
             *above, _ = words = c.name.split()

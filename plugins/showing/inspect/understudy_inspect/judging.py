@@ -73,7 +73,7 @@ class Evaluate(Command):
         print(json.dumps(result, indent=1))
         tell(f"Written to {run.path / file}." + (_KEPT if name else ""))
         if not name:
-            reporter.observers = installed().observers()
+            reporter.observers = installed().observers(tell)
             reporter.notify("evaluated", run, tell)
         return 0
 
