@@ -6,7 +6,7 @@ PYTHON ?= python3
 TORCH ?= auto
 CPU_INDEX := https://download.pytorch.org/whl/cpu
 
-.PHONY: demo play docs test test-slow test-gpu check parts-and-tasks bench bench-gpu install
+.PHONY: demo play docs quick test test-slow test-gpu check parts-and-tasks bench bench-gpu install
 
 # What training, reports and the motion page need.
 $(VENV)/.small: pyproject.toml constraints.txt
@@ -44,6 +44,11 @@ play: $(VENV)/.small
 docs: install
 	$(BIN)/python -m mkdocs build --strict
 
+# What most likely breaks by the change at hand, within a minute.
+quick: install
+	$(BIN)/ruff check --quiet kernel plugins tests benchmarks
+	$(BIN)/python tests/quick.py
+
 test: install
 	$(BIN)/python tests/side_by_side.py
 
@@ -57,6 +62,7 @@ check: install
 	$(BIN)/ruff format --check kernel plugins tests benchmarks
 	$(BIN)/ruff check kernel plugins tests benchmarks
 	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/python -m pytest -q tests/plugins/test_every_component.py
 
 # Try every part in every task and write docs/parts-and-tasks.md.
 parts-and-tasks: install

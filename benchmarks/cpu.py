@@ -35,7 +35,7 @@ from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, Rollout, box
-from understudy_basics.policies import MLPPolicy
+from understudy_networks.policies import MLPPolicy
 from understudy_ppo.learner import PPO
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "cpu.jsonl"

@@ -17,7 +17,8 @@ from torch import Tensor, nn
 
 from understudy.command import workflow
 from understudy.random import WorldStreams
-from understudy.running.environment import Environment, Parts, Step
+from understudy.running.environment import Environment, Step
+from understudy.running.promises import Parts
 from understudy.setup import composition
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins, hookimpl, load
@@ -37,7 +38,7 @@ from understudy.task import (
     State,
     box,
 )
-from understudy.task.terms import Bound, Term, make_term, renamed
+from understudy.task.terms import Term, Wired, make_term, renamed
 from understudy.testing import fake
 from understudy_inspect import commands, judging, origins
 from understudy_sweeps import sweep
@@ -286,10 +287,10 @@ def line_plugins(**components: Mapping[str, Any] | Callable[..., Any]) -> Plugin
     return load(only=["sweeps", "inspect"], extra=[("fake", fake), ("line", this), ("mine", mine)])
 
 
-def bound(part: Any, where: str = "part", **names: Mapping[str, str]) -> Bound[Any]:
+def bound(part: Any, where: str = "part", **names: Mapping[str, str]) -> Wired[Any]:
     """`part` with the fields it reads and provides under their own names, or as `names` say."""
     given = getattr(part, "keeps", getattr(part, "provides", {}))
-    return Bound(
+    return Wired(
         where,
         part,
         renamed(where, "reads", part.reads, names.get("reads", {})),

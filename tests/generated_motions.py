@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import layout_of
 from understudy_characters.state import Poses
 from understudy_humanoid.character import BODIES, build_spec
 from understudy_motion.clip import Clip
+from understudy_tensors import rotations
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers import deepmimic
 from understudy_motion.writers.bvh import BvhWriter
 from understudy_motion.writers.table import CsvWriter, NpzWriter
+from understudy_tensors import rotations
 
 SKELETON = Skeleton(
     joint_names=("hips", "chest", "l_thigh", "l_shin", "r_thigh", "r_shin"),
@@ -137,6 +137,13 @@ def write_csv(folder: Path) -> Path:
     return path
 
 
+def write_angles(folder: Path) -> Path:
+    """Of a robot of two hinges, as mjlab has it."""
+    path = folder / "walker.csv"
+    path.write_text("\n".join(f"{0.1 * k},0,0.9,0,0,0,1,{0.01 * k},-0.2" for k in range(6)))
+    return path
+
+
 def write_npz(folder: Path) -> Path:
     path = folder / "walker.npz"
     NpzWriter().write(walker(), path)
@@ -170,6 +177,7 @@ def write_smpl(folder: Path) -> Path:
 #: By the reader's name: writes a valid file into a folder.
 WRITE: Mapping[str, Callable[[Path], Path]] = {
     "amc": write_amc,
+    "angles": write_angles,
     "bvh": write_bvh,
     "csv": write_csv,
     "deepmimic": write_deepmimic,

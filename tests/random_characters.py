@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 SHAPES = ("sphere", "capsule", "cylinder", "box", "ellipsoid")
 
 
-def random_model(seed: int) -> mujoco.MjModel:
-    """A tree of eight bodies, anyhow oriented: balls, welds, and one to three hinges at an anchor."""
+def random_model(seed: int, apart: float = 0.0) -> mujoco.MjModel:
+    """A tree of eight bodies, anyhow oriented: balls, welds, and one to three hinges at an anchor, or up
+    to `apart` m from it along each axis."""
     rng = np.random.default_rng(seed)
     spec = mujoco.MjSpec()
     bodies = [spec.worldbody.add_body(name="trunk", pos=[0, 0, 2], quat=_unit(rng, 4))]
@@ -29,7 +30,8 @@ def random_model(seed: int) -> mujoco.MjModel:
             body.add_joint(type=mujoco.mjtJoint.mjJNT_BALL, pos=anchor)
         frame = Rotation.from_quat(_unit(rng, 4)).as_matrix()
         for axis in frame[: kind % 4]:
-            hinge = body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, pos=anchor, axis=axis)
+            place = anchor + (rng.uniform(-apart, apart, 3) if apart else 0.0)
+            hinge = body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, pos=place, axis=axis)
             if rng.random() < 0.5:
                 low = rng.uniform(-3.0, 0.0)
                 hinge.limited, hinge.range = True, [low, low + rng.uniform(0.2, 3.0)]

@@ -49,7 +49,7 @@ COMMANDS = [
 @pytest.mark.parametrize("overrides", COMMANDS, ids=" ".join)
 def test_commands_compose(overrides: list[str]) -> None:
     if (compose_raw(overrides).get("simulator") or {}).get("name") == "mujoco_warp":
-        pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     load_experiment(overrides, installed())
 
 

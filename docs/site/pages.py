@@ -26,7 +26,7 @@ def _module(path: Path) -> str:
 
 
 def _api() -> Iterator[tuple[str, str]]:
-    """Pages of the kernel's rooms, by their place on the site."""
+    """Pages of the kernel's rooms and of the wings of plugins, by their place on the site."""
     kernel = ROOT / "kernel" / "understudy"
     beside = [p for p in sorted(kernel.glob("*.py")) if p.stem not in ("__init__", "__main__")]
     for name, modules in {
@@ -36,6 +36,15 @@ def _api() -> Iterator[tuple[str, str]]:
         named = [_module(path) for path in modules if path.stem != "__init__"]
         body = "\n\n".join(f"::: {module}" for module in named)
         yield f"api/{name}.md", f"# `understudy.{name}`\n\n{body}\n".replace(".beside`", "`")
+    for wing in sorted(page.parent for page in (ROOT / "plugins").glob("*/README.md")):
+        modules = [
+            path.relative_to(package.parent).with_suffix("")
+            for package in sorted(wing.glob("*/understudy_*"))
+            for path in sorted(package.rglob("*.py"))
+            if path.stem not in ("__init__", "__main__") and "templates" not in path.parts
+        ]
+        body = "\n\n".join(f"::: {'.'.join(module.parts)}" for module in modules)
+        yield f"api/plugins-{wing.name}.md", f"# Plugins: {wing.name}\n\n{body}\n"
 
 
 def _notebook(path: Path) -> str:
@@ -79,7 +88,7 @@ SOURCES = _sources()
 def on_config(config: Any) -> Any:
     config.nav = [
         {"Start": ["index.md", "quick-start.md", "gallery/index.md", "notebook/index.md", "clusters.md"]},
-        {"Guides": ["tour.md", "conventions.md", "motion.md", "plugin-tutorial.md", "other-learners.md", "parts-and-tasks.md"]},
+        {"Guides": ["tour.md", "conventions.md", "choosing.md", "ideas.md", "motion.md", "plugin-tutorial.md", "other-learners.md", "parts-and-tasks.md"]},
         {"Papers": [p for p in sorted(_places("papers"))]},
         {"Plugins": [p for p in SOURCES if p.startswith("plugins/")]},
         {"API": [p for p in SOURCES if p.startswith("api/")]},

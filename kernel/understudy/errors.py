@@ -44,6 +44,15 @@ class PreemptedError(UnderstudyError):
     exit_status = 75  # EX_TEMPFAIL of sysexits.h: "try again later", what cluster requeues look for
 
 
+def said(error: BaseException) -> str:
+    """What a stranger's `error` says, on one line, whatever becomes of asking it."""
+    kind = type(error).__name__
+    try:
+        return " ".join(f"{kind}: {error}".split("\n")[0].split())
+    except BaseException:
+        return f"{kind}, which cannot say what it is"
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """`` Did you mean 'x'?`` for a near miss of known names, or their ends, else all known names; many
     are grouped by what stands before their slash."""

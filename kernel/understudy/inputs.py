@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from understudy.errors import RunError
+from understudy.records.folders import opened
 
 
 @dataclass
@@ -34,7 +35,7 @@ class Inputs:
             path = self.folder / name
             inside = ".." not in Path(name).parts and not Path(name).is_absolute()
             inside &= path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
-            if not inside or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            if not inside or _digest(path) != digest:
                 raise RunError(f"{path} is not what the run was made with: put that back.")
         return self.folder / next(iter(self.kept[asked]))
 
@@ -70,3 +71,11 @@ class Inputs:
             }
         self._read, self._fills, self.folder = {}, {}, folder
         return self.kept
+
+
+def _digest(path: Path) -> str:
+    try:
+        with opened(path, 2**34) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror}.") from error

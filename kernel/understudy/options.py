@@ -5,9 +5,13 @@ One declaration serves the command line, the checks and the error messages.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import inspect
+import io
 import math
+import textwrap
+import tokenize
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -36,9 +40,7 @@ def options_of(factory: Any) -> dict[str, Option]:
     keyword-only parameters.
     """
     function: Any = factory
-    schema: Any = (
-        factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
-    )
+    schema = schema_of(factory)
     if schema is not None:
         hints = typing.get_type_hints(schema)
         result = {}
@@ -56,6 +58,47 @@ def options_of(factory: Any) -> dict[str, Option]:
         for name, parameter in inspect.signature(function).parameters.items()
         if parameter.kind is inspect.Parameter.KEYWORD_ONLY
     }
+
+
+def schema_of(factory: Any) -> Any:
+    """The dataclass that declares a factory's options; None of a function."""
+    return factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
+
+
+def sentences(factory: Any) -> dict[str, str]:
+    """By option of `factory`: its sentence, the comments ``#:`` above it and behind it in the source.
+
+    Those of a dataclass that another one extends count; where there is no source, nothing is found.
+    """
+    found: dict[str, str] = {}
+    schema = schema_of(factory)
+    for thing in reversed(schema.__mro__[:-1]) if schema is not None else [factory]:
+        try:
+            source = textwrap.dedent(inspect.getsource(inspect.unwrap(thing)))
+        except (OSError, TypeError):
+            continue
+        tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+        said = {t.start[0]: t.string[2:].strip() for t in tokens if t.string.startswith("#:")}
+        node, after = ast.parse(source).body[0], 0
+        for name, end in _declared(node):
+            lines = [said[line] for line in range(after + 1, end + 1) if line in said]
+            if lines:
+                found[name] = " ".join(lines)
+            after = end
+    return found
+
+
+def _declared(node: ast.AST) -> list[tuple[str, int]]:
+    """By order: the name, and the last line, of each thing that a class or a signature declares."""
+    if isinstance(node, ast.ClassDef):
+        return [(getattr(getattr(s, "target", s), "id", ""), s.end_lineno or 0) for s in node.body]
+    if not isinstance(node, ast.FunctionDef):
+        return []
+    arguments = node.args
+    found = [(a.arg, a.end_lineno or 0) for a in (*arguments.posonlyargs, *arguments.args)]
+    for argument, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
+        found.append((argument.arg, (default or argument).end_lineno or 0))
+    return found
 
 
 def coerce(value: Any, annotation: Any, where: str) -> Any:
@@ -145,18 +188,28 @@ def check_range(
     most: float | None = None,
 ) -> None:
     """For a dataclass of options, in ``__post_init__``: the values of `names`, unless None, lie
-    above `above`, at `least` or more, and at `most` or less; a ValueError names the one that does not."""
+    above `above`, at `least` or more, and at `most` or less; of tuples, each value. Whole numbers that have
+    a least are sizes or counts, of which :data:`MANY` are the most unless `most` says otherwise. A
+    ValueError names the one that does not."""
     for name in names:
-        value = getattr(options, name)
-        if value is None:
-            continue
-        for bound, holds, how in (
-            (above, above is None or value > above, "greater than"),
-            (least, least is None or value >= least, "at least"),
-            (most, most is None or value <= most, "at most"),
-        ):
-            if not holds:
-                raise ValueError(f"{name}={value!r} is not possible: it must be {how} {bound:g}.")
+        given = getattr(options, name)
+        for value in given if isinstance(given, tuple) else (given,):
+            if value is None:
+                continue
+            end = MANY if most is None and least is not None and type(value) is int else most
+            for bound, holds, how in (
+                (above, above is None or value > above, "greater than"),
+                (least, least is None or value >= least, "at least"),
+                (end, end is None or value <= end, "at most"),
+            ):
+                if not holds:
+                    raise ValueError(
+                        f"{name}={given!r} is not possible: it must be {how} {bound:g}."
+                    )
+
+
+#: The most that an option which is a size or a count can be, where nothing else is said.
+MANY = 10**6
 
 
 def _below(where: str) -> str:

@@ -52,6 +52,12 @@ class StopRequest:
             request.advice = text
 
 
+def is_stop(error: BaseException) -> bool:
+    """Whether a stop signal raised it, not some code by itself."""
+    asked = any(r.received is not None for r in StopRequest._nested) or not StopRequest._nested
+    return isinstance(error, KeyboardInterrupt) and asked
+
+
 def _note(number: int, frame: object = None) -> None:
     for request in StopRequest._nested[-1:]:
         first, request.received = request.received is None, request.received or number

@@ -15,8 +15,8 @@ from understudy.records import checkpoint
 from understudy.running.environment import Fault
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from understudy_basics.nn import RunningNormaliser
 from understudy_inspect.replay import replay_step
+from understudy_networks.nn import RunningNormaliser
 
 
 def test_engine_failure_replays(

@@ -67,6 +67,20 @@ def test_harmless_differences_are_told(plugins: Plugins, run: Path) -> None:
     ), messages
 
 
+def test_another_number_of_threads_is_told(plugins: Plugins, run: Path, two_threads: None) -> None:
+    """It was made at one, before there were two; the run says so, and so do its checkpoints."""
+    told = "Threads differ from the checkpoint: 1 → 2. On a CPU the same bits follow at an equal number"
+    assert runs.open_run(run).info["machine"]["threads"] == 1
+    messages: list[str] = []
+    training = resumed(plugins, run, messages)
+    assert any(m.startswith(told) and "OMP_NUM_THREADS=1" in m for m in messages), messages
+    training.save()
+    assert training.run is not None
+    training.run.unlock()
+    resumed(plugins, run, messages := [])  # made at two by now
+    assert not messages
+
+
 def test_newer_checkpoint_format(
     plugins: Plugins, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

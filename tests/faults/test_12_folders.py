@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -100,3 +101,32 @@ def test_lock_of_a_killed_process_is_free(plugins: Plugins, tmp_path: Path) -> N
     holder.kill()
     holder.wait()
     runs.open_run(tmp_path / "run").lock()
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["removed", "another's"])
+def test_a_folder_that_is_gone_under_a_training(
+    plugins: Plugins, tmp_path: Path, again: bool
+) -> None:
+    """Nothing of it is called intact, and nothing is written into what stands there instead."""
+    path = tmp_path / "run"
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], path)
+    training.save()
+    run = training.run
+    assert run is not None
+    shutil.rmtree(path)
+    if again:
+        make_training(plugins, [*FAKE_TASK, *SMALL], path).save()
+    before = {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
+    row = training.iterate()
+    for write in (
+        lambda: run.append_metrics(row),
+        lambda: run.write_json("evaluation.json", {}),
+        lambda: run.keep_metrics_until(0),
+        training.save,
+    ):
+        with pytest.raises(RunError, match="was removed or replaced while") as caught:
+            write()
+        assert "intact" not in str(caught.value)
+    assert {f: f.read_bytes() for f in path.rglob("*") if f.is_file()} == before
+    with pytest.raises(RunError, match="was removed or replaced while"):
+        training.train()

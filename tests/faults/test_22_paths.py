@@ -141,12 +141,13 @@ def test_includes_within_includes(folder: Path, within: str) -> None:
     "text",
     [
         b"<!DOCTYPE x [<!ENTITY a 'b'><!ENTITY b '&a;&a;'>]><mujoco>&b;</mujoco>",
-        "<mujoco/>".encode("utf-16"),
+        "<!DOCTYPE x [<!ENTITY a 'b'>]><mujoco>&a;</mujoco>".encode("utf-16"),
+        b"<?xml version='1.0' encoding='hex'?><mujoco/>",
         b"<a>" * 100_000 + b"</a>" * 100_000,
         b"\xff\xfe",
         b"",
     ],
-    ids=["entities", "encoding", "depth", "bytes", "empty"],
+    ids=["entities", "utf-16", "encoding", "depth", "bytes", "empty"],
 )
 def test_what_is_no_model(folder: Path, text: bytes) -> None:
     file = folder / "model.xml"

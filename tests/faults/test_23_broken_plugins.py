@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
+import os
+import signal
 import sys
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -12,12 +17,16 @@ import pytest
 from worlds import SMALL
 
 from understudy.command.cli import main
+from understudy.command.command import Command
 from understudy.errors import ConfigError, PluginError
+from understudy.records.observer import RunObserver
 from understudy.setup import plugins as plugins_module
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
+from understudy.setup.config import Root
 from understudy.setup.plugins import Plugins, hookimpl, load
-from understudy.setup.registry import Registrar
+from understudy.setup.registry import KERNEL_KEYS, Registrar
+from understudy.signals import StopRequest
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 
@@ -158,8 +167,13 @@ class Entry(SimpleNamespace):
 
 
 def with_entry(monkeypatch: pytest.MonkeyPatch, *entries: Entry) -> None:
-    real = list(metadata.entry_points(group="understudy"))
-    monkeypatch.setattr(metadata, "entry_points", lambda group: [*real, *entries])
+    real = metadata.entry_points
+
+    def found(**of: Any) -> Any:
+        there = real(**of)
+        return [*there, *entries] if of == {"group": "understudy"} else there
+
+    monkeypatch.setattr(metadata, "entry_points", found)
 
 
 def entry(what: Any, value: str = "stranger", dist: str = "strange") -> Entry:
@@ -248,3 +262,259 @@ def test_a_name_that_is_no_plugin_is_refused(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("UNDERSTUDY_PLUGINS", "moton")
     with pytest.raises(PluginError, match="Did you mean 'motion'"):
         load()
+
+
+def unharmed(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """What the function returns; the interrupt of a plugin would end all tests."""
+    try:
+        return function(*arguments, **named)
+    except BaseException as error:
+        raise AssertionError("it went through") from error
+
+
+class Wordless(Exception):
+    """One that cannot say what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("nothing to say")
+
+
+class Own(BaseException):
+    """One that is no Exception."""
+
+
+ENDINGS = [Own("own"), KeyboardInterrupt("stranger"), GeneratorExit("x"), SystemExit(3), Wordless()]
+
+
+def reason(error: BaseException) -> str:
+    kind = type(error).__name__
+    return "Wordless, which cannot say what it is" if kind == "Wordless" else f"{kind}: {error}"
+
+
+@pytest.mark.parametrize("error", ENDINGS, ids=reason)
+@pytest.mark.parametrize("when", ["import", "register", "directory"])
+def test_whatever_it_raises(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, when: str
+) -> None:
+    """Under the command line's watch for stop signals, of which there is none here."""
+
+    def fail(**_: Any) -> None:
+        raise error
+
+    def register(register: Registrar) -> None:
+        fail()
+
+    what = {
+        "import": error,
+        "register": module(understudy_register=register),
+        "directory": module(understudy_config_directory=lambda: fail()),
+    }[when]
+    with_entry(monkeypatch, entry(what))
+    with StopRequest(at_once=True):
+        assert_isolated(unharmed(load, extra=[("fake", fake)]), reason(error))
+
+
+def test_a_stop_signal_at_an_import_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Signalled(Entry):
+        def load(self) -> ModuleType:
+            os.kill(os.getpid(), signal.SIGTERM)
+            return module()
+
+    with_entry(monkeypatch, Signalled(**vars(entry(None))))
+    with StopRequest(at_once=True) as stop:
+        with pytest.raises(KeyboardInterrupt):
+            load()
+        assert stop.received == signal.SIGTERM
+        stop.received = None  # it goes no further
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["train", "resume", "", " ", "motion", "motion check", "a b c", "plugins", "--help", "-x", "x\ny",
+     "train more", "sweep more", "a  b", None, 5],
+)  # fmt: skip
+def test_commands_that_cannot_be(name: Any) -> None:
+    def register(register: Registrar) -> None:
+        register.component("command", name, object, "a command")
+        register.component("learner", "stranger/learner", object)
+
+    assert_isolated(loaded(module(understudy_register=register)), "the command")
+
+
+@pytest.mark.parametrize("what", ["component", "target", "summary", "task", "section", "kind", "slot",
+                                  "citation", "taken", "taken slot"])  # fmt: skip
+def test_parts_without_a_name(what: str) -> None:
+    def register(register: Registrar) -> None:
+        odd: Any = None
+        register.component("learner", "stranger/learner", object)
+        {
+            "component": lambda: register.component("learner", "", object),
+            "target": lambda: register.component("learner", "stranger/other", odd),
+            "summary": lambda: register.component("learner", "stranger/other", object, odd),
+            "task": lambda: register.task("", "x"),
+            "section": lambda: register.section("", dict, dict),
+            "kind": lambda: register.kind("", "x"),
+            "slot": lambda: register.slot("\n", "learner", "x"),
+            "citation": lambda: register.citation("stranger", odd),
+            "taken": lambda: register.section("seed", dict, dict),
+            "taken slot": lambda: register.slot("budget", "learner", "x"),
+        }[what]()
+
+    assert_isolated(loaded(module(understudy_register=register)), "Plugin 'stranger'")
+
+
+def test_all_keys_of_a_configuration_are_taken() -> None:
+    assert {f.name for f in dataclasses.fields(Root)} <= KERNEL_KEYS
+
+
+@pytest.mark.parametrize("hook", ["understudy_register", "understudy_run_observers"])
+@pytest.mark.parametrize("value", [5, None, lambda register: None], ids=["5", "None", "unmarked"])
+def test_hooks_that_are_none(hook: str, value: Any) -> None:
+    stranger = ModuleType("stranger")
+    setattr(stranger, hook, value)
+    assert_isolated(
+        loaded(stranger), f"its '{hook}' is no function marked with @understudy.hookimpl"
+    )
+
+
+def bomb(levels: int = 9) -> bytes:
+    rows = [b"a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    for k in range(1, levels):
+        rows.append(b"a%d: &a%d [%s]" % (k, k, b", ".join([b"*a%d" % (k - 1)] * 9)))
+    return b"\n".join(rows)
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"name: \xff\xfe", "is not UTF-8"),
+        (b"name: [", "is not YAML"),
+        (b"name: *nobody", "is not YAML"),
+        (bomb(), "has too many values"),
+        (b"a: &a [*a]", "is nested too deep, or in itself"),
+        (b"[" * 5000, "is nested too deep, or in itself"),
+        (None, "cannot be read: Is a directory"),
+        (b"x: " + b"1" * 2**21, "cannot be read: it is larger than 1 MiB"),
+    ],
+    ids=["utf-8", "yaml", "anchor", "bomb", "itself", "deep", "folder", "large"],
+)
+def test_options_that_cannot_be_read(tmp_path: Path, content: bytes | None, why: str) -> None:
+    file = tmp_path / "conf/learner/strange.yaml"
+    file.parent.mkdir(parents=True)
+    if content is None:
+        file.mkdir()
+    else:
+        file.write_bytes(content)
+    stranger = module(understudy_config_directory=lambda: tmp_path / "conf")
+    assert_isolated(loaded(stranger), f"its config option 'learner/strange' {why}")
+
+
+def test_anchors_within_reason_are_read(tmp_path: Path) -> None:
+    (tmp_path / "conf/learner").mkdir(parents=True)
+    (tmp_path / "conf/learner/strange.yaml").write_bytes(bomb(4))
+    assert status(loaded(module(understudy_config_directory=lambda: tmp_path / "conf"))) == "ok"
+
+
+def test_a_plugin_named_like_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bundled one stays, and so does the first of two strangers; neither is to be disabled."""
+
+    def register(register: Registrar) -> None:
+        register.component("learner", f"{register.distribution}/learner", object)
+
+    named = entry(module(understudy_register=register), "elsewhere")
+    named.name = "ppo"
+    first = entry(module(understudy_register=register), "one", "aaa")
+    second = entry(module(understudy_register=register), "two", "bbb")
+    with_entry(monkeypatch, named, second, first)
+    plugins = load()
+    assert status(plugins, "ppo") == status(plugins, "stranger") == "ok"
+    assert "understudy provides a plugin named 'ppo' already" in status(plugins, "ppo of strange")
+    assert "aaa provides a plugin named 'stranger' already" in status(plugins, "stranger of bbb")
+    assert {"ppo", "aaa/learner"} <= set(plugins.registry.names("learner"))
+    assert {"strange/learner", "bbb/learner"}.isdisjoint(plugins.registry.names("learner"))
+
+
+@pytest.fixture
+def with_stranger(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[ModuleType], None]]:
+    """Installs a plugin for the commands."""
+
+    def install(stranger: ModuleType) -> None:
+        with_entry(monkeypatch, entry(stranger))
+        plugins_module.installed.cache_clear()
+
+    yield install
+    plugins_module.installed.cache_clear()
+
+
+@pytest.mark.parametrize("summary", ["100 % sure", "%s", "%(prog)s %", "%(prog)d"])
+def test_a_summary_with_a_per_cent_sign(
+    with_stranger: Callable[[ModuleType], None], capsys: pytest.CaptureFixture[str], summary: str
+) -> None:
+    class Strange(Command):
+        def arguments(self, parser: argparse.ArgumentParser) -> None: ...
+        def run(self, options: argparse.Namespace) -> int:
+            return 0
+
+    def register(register: Registrar) -> None:
+        register.component("command", "strange", Strange, summary)
+        register.component("command", "strangers all", Strange, summary)
+
+    with_stranger(module(understudy_register=register))
+    for words in (
+        ["--help"],
+        ["strange", "--help"],
+        ["strangers", "--help"],
+        ["strangers", "all", "--help"],
+    ):
+        with pytest.raises(SystemExit) as left:
+            main(words)
+        assert left.value.code == 0
+        assert summary in " ".join(capsys.readouterr().out.split())
+    assert main(["strange"]) == 0
+
+
+class Ends(RunObserver):
+    """Raises `error` at `event`."""
+
+    def __init__(self, event: str, error: BaseException) -> None:
+        self._event, self._error = event, error
+
+    def __getattribute__(self, name: str) -> Any:
+        if name == object.__getattribute__(self, "_event"):
+            raise object.__getattribute__(self, "_error")
+        return object.__getattribute__(self, name)
+
+
+GO = (
+    "experiment=miniature/go",
+    "budget.samples=200",
+    "evaluation.criterion=null",
+    "run.video_seconds=0",
+)
+
+
+@pytest.mark.parametrize("event", ["started", "iteration", "finished", "judged"])
+@pytest.mark.parametrize("error", ENDINGS, ids=reason)
+def test_observers_that_end(
+    with_stranger: Callable[[ModuleType], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], event: str,
+    error: BaseException,
+) -> None:  # fmt: skip
+    with_stranger(module(understudy_run_observers=lambda: [Ends(event, error)]))
+    assert unharmed(main, ["train", *GO, f"run.dir={tmp_path / 'run'}"]) == 0
+    assert f"The observer Ends is left out: {reason(error)}" in capsys.readouterr().err
+    assert (tmp_path / "run/evaluation.json").exists()
+
+
+@pytest.mark.parametrize("given", [5, [5], [object()], ["RunObserver"], *ENDINGS], ids=repr)
+def test_observers_that_are_none(
+    with_stranger: Callable[[ModuleType], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], given: Any
+) -> None:  # fmt: skip
+    def observers() -> Any:
+        if isinstance(given, BaseException):
+            raise given
+        return given
+
+    with_stranger(module(understudy_run_observers=observers))
+    assert unharmed(main, ["train", *GO, f"run.dir={tmp_path / 'run'}"]) == 0
+    assert "The observers of plugin 'stranger' are left out: " in capsys.readouterr().err
+    assert (tmp_path / "run/report.html").exists()  # which another's observer makes

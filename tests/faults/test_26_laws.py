@@ -1,5 +1,5 @@
 """Fault 26: laws that hold for every part. Rotations and GAE have property tests of their own
-(``tests/plugins/basics``)."""
+(``tests/plugins/networks``)."""
 
 from __future__ import annotations
 

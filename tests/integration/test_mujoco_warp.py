@@ -20,13 +20,13 @@ from arena import arena, states
 from repeatable import repeatable  # noqa: F401 - a fixture
 
 pytest.importorskip(
-    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from faults_on_gpu import TASK, apart_after_a_second, build, cold_start, dropped
 
 from understudy.errors import ConfigError
-from understudy.running.recorded import Recorded
+from understudy.running.captured import Captured
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
@@ -44,7 +44,7 @@ def on_gpu(*overrides: str, task: Sequence[str] = TASK) -> Training:
     """A training of 64 worlds on the GPU, none of whose steps goes unrecorded silently."""
     fixed = ["simulator=mujoco_warp", "num_worlds=64", "evaluation.episodes=16"]
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        warnings.filterwarnings("error", message="Steps cannot be captured")
         training = Training(load_experiment([*task, *fixed, *overrides])).prepare()
         learning(training).collector.collect(6)
     return training
@@ -160,27 +160,27 @@ def test_without_a_gpu_one_line_says_what_is_missing() -> None:
 def test_nothing_goes_to_the_host_inside_a_rollout(recorded: bool) -> None:
     """torch raises at any operation that waits for the device."""
     job = learning(on_gpu())
-    assert job.environment.recorded_step.recording
+    assert job.environment.captured_step.on
     if not recorded:
-        job.environment.recorded_step = Recorded(job.environment._step, job.environment)
+        job.environment.captured_step = Captured(job.environment._step, job.environment)
     torch.cuda.synchronize()
     torch.cuda.set_sync_debug_mode("error")
     try:
         job.collector.collect(3)  # without a recording: so many steps come before one
     finally:
         torch.cuda.set_sync_debug_mode("default")
-    assert job.environment.recorded_step.recording == recorded
+    assert job.environment.captured_step.on == recorded
 
 
 @pytest.mark.gpu
 @pytest.mark.usefixtures("repeatable")
 @pytest.mark.parametrize("initial_states", ["importance", "evolution"])
-def test_recorded_steps_are_the_same_steps(initial_states: str) -> None:
+def test_captured_steps_are_the_same_steps(initial_states: str) -> None:
     """Where the engine repeats itself, to the last bit, over episodes that end and begin; also after other
     worlds were begun by hand and after the state was restored."""
     chosen = f"initial_states=spacetime/{initial_states}"
     recorded, plain = (learning(on_gpu(chosen)) for _ in range(2))
-    plain.environment.recorded_step._on = False
+    plain.environment.captured_step._on = False
     state = plain.environment.state_dict()
 
     def run(job: Reinforcement) -> list[Rollout]:
@@ -230,7 +230,7 @@ def test_recorded_evaluations_are_the_same_evaluations() -> None:
     job = learning(on_gpu("evaluation.seconds=1"))
     evaluator = job.evaluator
     first = evaluator.run(job.policy, "test", 40)
-    assert evaluator._step.recording
+    assert evaluator._step.on
     assert evaluator.run(job.policy, "test", 40) == first
     evaluator._step._on = False
     assert evaluator.run(job.policy, "test", 40) == first
@@ -249,7 +249,7 @@ def test_garbage_ends_no_recording() -> None:
         del garbage
     gc.set_threshold(1)
     try:
-        assert learning(on_gpu()).environment.recorded_step.recording
+        assert learning(on_gpu()).environment.captured_step.on
     finally:
         gc.set_threshold(*threshold)
 

@@ -15,7 +15,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 pytest.importorskip(
-    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from understudy.running.environment import Environment, Step

@@ -17,10 +17,10 @@ from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Component, Registrar
 from understudy.task import Encoder
 from understudy.testing import (
+    check_capturable,
     check_component,
     check_environment,
     check_plugin,
-    check_recordable,
     check_simulator,
     fake,
 )
@@ -35,7 +35,7 @@ class Documented(Where):
 
     @dataclass(frozen=True)
     class Options:
-        size: int = 3
+        size: int = 3  #: a number
 
 
 class Undocumented(Encoder):
@@ -48,6 +48,11 @@ def untyped(x, *, limit: float = 1.0):
 
 def untyped_option(x: Tensor, *, limit=1.0):
     """Its option has no type."""
+
+
+def unsaid_option(x: Tensor, *, limit: float = 1.0) -> Tensor:
+    """Nothing says what its option is."""
+    return x
 
 
 def undocumented(x: Tensor) -> Tensor: ...
@@ -65,6 +70,7 @@ def test_check_component() -> None:
         (undocumented, "has no docstring"),
         (untyped, "parameter 'x' of encoder 'mine' has no type"),
         (untyped_option, "'limit' of encoder 'mine' has no type"),
+        (unsaid_option, "encoder 'mine': no sentence on 'limit'"),
     ],
 )
 def test_check_component_refuses(target: Any, message: str) -> None:
@@ -132,7 +138,7 @@ def test_check_environment_refuses(parts: Mapping[str, Any], message: str) -> No
         check_environment(line(**parts))
 
 
-def test_check_recordable() -> None:
+def test_check_capturable() -> None:
     far = term(lambda x: x[:, 0].abs() > 0.3, "far")
     rows = torch.tensor([0])
 
@@ -142,7 +148,7 @@ def test_check_recordable() -> None:
         x[:, 0] = 2.0
         return torch.as_tensor(x.masked_fill(x > 1, 1.0)[..., 0])
 
-    check_recordable(line(terminations=[far], rewards=[term(allowed, "allowed")], seconds=3))
+    check_capturable(line(terminations=[far], rewards=[term(allowed, "allowed")], seconds=3))
 
 
 @pytest.mark.parametrize(
@@ -168,10 +174,10 @@ def test_check_recordable() -> None:
         ),
     ],
 )
-def test_check_recordable_refuses(waits: Any, message: str) -> None:
+def test_check_capturable_refuses(waits: Any, message: str) -> None:
     environment = line(rewards=[term(waits, "waits")])
     with pytest.raises(AssertionError, match=f"{message}.* in a step waits for the device"):
-        check_recordable(environment)
+        check_capturable(environment)
     environment.step(torch.zeros(4, 1))  # nothing is left behind
 
 
@@ -182,7 +188,7 @@ def test_a_simulator_may_wait() -> None:
         def failed(self) -> Tensor:
             return torch.tensor([bool(x > 1e9) for x in self.x.flatten().tolist()])
 
-    check_recordable(line(simulator=Waiting(None, SimpleNamespace(num_worlds=4, substeps=1))))
+    check_capturable(line(simulator=Waiting(None, SimpleNamespace(num_worlds=4, substeps=1))))
 
 
 # ---------------------------------------------------------------------- simulators
@@ -289,7 +295,12 @@ def infinite(qpos: Tensor) -> Tensor:
     return qpos[:, 0] / 0.0
 
 
-def odd_default(qpos: Tensor, *, scale: float = None) -> Tensor:  # type: ignore[assignment]  # noqa: RUF013
+def odd_default(
+    qpos: Tensor,
+    *,
+    #: of nothing
+    scale: float = None,  # type: ignore[assignment]  # noqa: RUF013
+) -> Tensor:
     """Has a default that is not of its type."""
     return qpos[:, 0]
 

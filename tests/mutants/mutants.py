@@ -27,23 +27,37 @@ RUNS = f"{KERNEL}/records/runs.py"
 SIGNALS = f"{KERNEL}/signals.py"
 MUJOCO = "plugins/physics/mujoco/understudy_mujoco/simulator.py"
 MJCF = "plugins/physics/mujoco/understudy_mujoco/mjcf.py"
+CLOTH = "plugins/physics/cloth/understudy_cloth"
 PPO = "plugins/learning/ppo/understudy_ppo/learner.py"
-OPTIMISERS = "plugins/learning/basics/understudy_basics/optimisers.py"
+OPTIMISERS = "plugins/learning/networks/understudy_networks/optimisers.py"
 CLIP = "plugins/figures/motion/understudy_motion/clip.py"
 NPZ = "plugins/figures/motion/understudy_motion/readers/npz.py"
 F01, F02, F05 = (f"tests/faults/test_0{n}.py" for n in ("1_nonfinite_state", "2_engine_reset", "5_nonfinite_update"))  # fmt: skip
 POISON = "tests/faults/test_01_poisoned_fields.py"
 F07, F09, F10 = "tests/faults/test_07_killed_while_saving.py", "tests/faults/test_09_damaged_files.py", "tests/faults/test_10_resume.py"  # fmt: skip
 F13 = "tests/faults/test_13_stop_signals.py"
+LINKS, ENDLESS = "tests/faults/test_22_links.py", "tests/faults/test_24_endless_files.py"
+FOLDERS, COMPOSITION = f"{KERNEL}/records/folders.py", f"{KERNEL}/setup/composition.py"
+GUARD, GUARDED = (
+    "plugins/studio/viewer/understudy_viewer/guard.py",
+    "tests/plugins/viewer/test_guard.py",
+)
+SIZES = "tests/faults/test_27_sizes.py"
+UNSOUND, F23 = "tests/faults/test_01_unsound_episodes.py", "tests/faults/test_23_broken_plugins.py"
+STATISTICS, PLUGINS, REGISTRY = (
+    f"{KERNEL}/running/statistics.py",
+    f"{KERNEL}/setup/plugins.py",
+    f"{KERNEL}/setup/registry.py",
+)
 ANY = "tests/faults/test_13_any_moment.py"
 F20, FIELDS = "tests/faults/test_20_payloads.py", "tests/faults/test_20_wrong_fields.py"
 F06, F08 = "tests/faults/test_06_replay.py", "tests/faults/test_08_disk_full.py"
 NN, WARP = (
-    "plugins/learning/basics/understudy_basics/nn.py",
+    "plugins/learning/networks/understudy_networks/nn.py",
     "tests/integration/test_mujoco_warp.py",
 )
 F24 = "tests/faults/test_24_mutated_models.py"
-INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluation.py"
+INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluator.py"
 TRIAL, APART, MODELS = (
     "plugins/physics/mujoco/understudy_mujoco/trial.py",
     "plugins/physics/mujoco/understudy_mujoco/apart.py",
@@ -91,6 +105,19 @@ MUTANTS = (
            "config.logto_file = config.logto_console = False", "pass", f"{F02} -k written_nowhere"),
     Mutant("particles may fly", "plugins/physics/pbd/understudy_pbd/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3",
            "_EXTENT, _SPEED = 1e6, 1e6", "tests/faults/test_04_diverging_particles.py"),
+    Mutant("cloth may fly", f"{CLOTH}/simulator.py", "_EXTENT, _SPEED = 1e3, 1e3", "_EXTENT, _SPEED = 1e6, 1e6",
+           "tests/plugins/cloth/test_cloth_simulator.py -k fails_alone"),
+    Mutant("what was searched is not kept", f"{CLOTH}/simulator.py", '"anchor": (wp.to_torch(c.anchor), (v, 3)),', "",
+           "tests/plugins/cloth/test_cloth_simulator.py -k bit_for_bit"),
+    Mutant("contact shoots cloth off", f"{CLOTH}/solver.py", "return wp.max(before + change - wp.max(before, 0.0), 0.0)",
+           "return 0.0", "tests/plugins/cloth/test_cloth_physics.py -k shot_off"),
+    Mutant("a held corner throws", f"{CLOTH}/solver.py", "w = wp.max(w, 0.5 * most)", "w = wp.max(w, 0.0 * most)",
+           "tests/plugins/cloth/test_cloth_physics.py -k held_corner"),
+    Mutant("a garment's mesh is anywhere", f"{CLOTH}/garments.py",
+           "inside = mesh.resolve().is_relative_to(path.parent.resolve())", "inside = True",
+           "tests/plugins/cloth/test_garments.py -k link or elsewhere or absolute"),
+    Mutant("a garment has holes", f"{CLOTH}/garments.py", "if frozenset(hole.tolist()) not in named:", "if False:",
+           "tests/plugins/cloth/test_garments.py -k hole"),
     Mutant("a bad gradient is taken", PPO, "largest = norm(self._row[LOSSES_AND_NORMS], ord=torch.inf)",
            "largest = norm(self._row[3:5], ord=torch.inf)", f"{F05} -k gradient"),
     Mutant("a bad loss is taken", PPO, "sound = largest < torch.inf",
@@ -107,7 +134,7 @@ MUTANTS = (
     Mutant("a file is not flushed", CHECKPOINT, "            file.flush()\n", "", f"{F07} -k order"),
     Mutant("something partial stays", CHECKPOINT, "temporary.unlink(missing_ok=True)", "pass", f"{F07} -k partial"),
     Mutant("tensors have no digest", CHECKPOINT,
-           'if hashlib.sha256(data).hexdigest() != document.get("sha256"):', "if False:", f"{F09} {F20}"),
+           'if digest != document.get("sha256"):', "if False:", f"{F09} {F20}"),
     Mutant("the rest has no digest", CHECKPOINT,
            'if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:', "if False:", F09),
     Mutant("any format is read", CHECKPOINT, "    if version not in (2, FORMAT):", "    if False:",
@@ -118,6 +145,107 @@ MUTANTS = (
            "for p in newest(folder)[1:] if", f"{F09} -k falls_back"),
     Mutant("two processes in a folder", RUNS, "fcntl.LOCK_EX | fcntl.LOCK_NB", "fcntl.LOCK_SH | fcntl.LOCK_NB",
            "tests/faults/test_12_folders.py"),
+    Mutant("unsound episodes are silent", EVALUATION, 'unsound=float(joined["unsound"].float().mean())', "unsound=0.0",
+           f"{UNSOUND} -k told"),
+    Mutant("a sentence is silent about them", EVALUATION, "        if self.unsound:\n", "        if False:\n", f"{UNSOUND} -k told"),
+    Mutant("rows are silent about them", EVALUATION, 'return found | ({f"{kind}/unsound": self.unsound} if self.unsound else {})',
+           "return found", f"{UNSOUND} -k told"),
+    Mutant("a training of unsound episodes goes on", STATISTICS, "if self._unsound > 0.5 * self._episodes:", "if False:", UNSOUND),
+    Mutant("a training of few unsound episodes stops", STATISTICS, "if self._unsound > 0.5 * self._episodes:",
+           "if self._unsound > 0:", f"{UNSOUND} -k goes_on"),
+    Mutant("few episodes decide", STATISTICS, "if self._episodes >= max(_ENOUGH, self._num_worlds):", "if self._episodes:",
+           "tests/kernel/running/test_environment.py -k hopeless"),
+    Mutant("no term is named", ENVIRONMENT, "return [where for where, value in values.items() if _wrong(value)]", "return []", UNSOUND),
+    Mutant("the page is silent about them", "plugins/showing/report/understudy_report/headline.py",
+           "        meaning += _unsound(evaluation)\n", "", "tests/plugins/report/test_report_page.py -k went_wrong"),
+    Mutant("a sweep is silent about them", "plugins/search/sweeps/understudy_sweeps/tables.py",
+           "figures += [UNSOUND] if UNSOUND in measures_of(results) else []", "pass", f"{SWEEPS}/test_results_page.py -k unsound"),
+    Mutant("an import ends every command", PLUGINS, """        except BaseException as error:  # a stranger's import may raise anything
+            if is_stop(error):
+                raise
+""", """        except Exception as error:
+""", f"{F23} -k whatever"),
+    Mutant("a registration ends every command", PLUGINS, "    except BaseException as error:  # as at import: named, isolated",
+           "    except Exception as error:", f"{F23} -k whatever"),
+    Mutant("a stop signal counts as a plugin's", SIGNALS, "    return isinstance(error, KeyboardInterrupt) and asked", "    return False",
+           f"{F23} -k stop_signal"),
+    Mutant("a plugin's interrupt counts as a stop signal", SIGNALS, "    return isinstance(error, KeyboardInterrupt) and asked",
+           "    return isinstance(error, KeyboardInterrupt)", f"{F23} -k end"),
+    Mutant("an error has to say what it is", f"{KERNEL}/errors.py", """    except BaseException:
+        return f"{kind}, which""", """    except ZeroDivisionError:
+        return f"{kind}, which""", f"{F23} -k whatever"),
+    Mutant("two plugins of a name", PLUGINS, "        if first.value != entry.value:", "        if False:", f"{F23} -k named_like"),
+    Mutant("a command that is another's", REGISTRY, "if not typed or c.name in whole | groups or whole & set(above):", "if not typed:",
+           f"{F23} -k cannot_be"),
+    Mutant("a command that cannot be typed", REGISTRY, "if not typed or c.name in", "if c.name in", f"{F23} -k cannot_be"),
+    Mutant("a part without a name", REGISTRY, "    if not typed or not all(isinstance(text, str) for text in texts):", "    if False:",
+           f"{F23} -k without_a_name"),
+    Mutant("a section that is a key", REGISTRY, "if name in self.registry.slots or name in KERNEL_KEYS:", "if False:",
+           f"{F23} -k without_a_name"),
+    Mutant("a hook that is none", PLUGINS, "if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):", "if False:",
+           f"{F23} -k none"),
+    Mutant("options that cannot be read", PLUGINS, "elif name not in bundled and (why := _unreadable(file)):", "elif (why := ''):",
+           f"{F23} -k cannot_be_read"),
+    Mutant("options of any size", PLUGINS, "if root is not None and count(root) > _VALUES else", "if False else",
+           f"{F23} -k cannot_be_read"),
+    Mutant("a summary is a format", f"{KERNEL}/command/cli.py", 'doubled = text.replace("%", "%%")', "doubled = text", f"{F23} -k per_cent"),
+    Mutant("an observer ends a run", TRAINING, "            except BaseException as error:  # it only watches: the run goes on",
+           "            except ZeroDivisionError as error:", f"{F23} -k observers_that_end"),
+    Mutant("an observer leaves", TRAINING, "            except BaseException as error:  # it only watches: the run goes on",
+           "            except Exception as error:", f"{F23} -k observers_that_end"),
+    Mutant("what is no observer", PLUGINS, "if not all(isinstance(o, RunObserver) for o in own):", "if False:", f"{F23} -k observers_that_are_none"),
+    Mutant("a plugin's observers end a run", PLUGINS, """            except BaseException as error:
+                if is_stop(error):
+                    raise
+                tell(""", """            except Exception as error:
+                tell(""", f"{F23} -k observers_that_are_none"),
+    Mutant("a count has no end", f"{KERNEL}/options.py", "end = MANY if most is None and", "end = MANY if False and", SIZES),
+    Mutant("tuples have no range", f"{KERNEL}/options.py", "given if isinstance(given, tuple) else (given,)", "(given,) if type(given) is not tuple else ()", SIZES),
+    Mutant("a decision has no end", f"{KERNEL}/setup/config.py", "if self.substeps * self.decision > _STEPS:", "if False:", f"{SIZES} -k asks"),
+    Mutant("an evaluation has no end", f"{KERNEL}/setup/config.py", "if decisions > _DECISIONS:", "if False:", f"{SIZES} -k asks"),
+    Mutant("a network of any size", NN, "if sum(a * b for a, b in (*hidden, last)) > LARGEST:", "if False:", f"{SIZES} -k asks"),
+    Mutant("layers of any number", "plugins/learning/basics/understudy_basics/policies.py", " or len(units) > 100:", ":", f"{SIZES} -k asks"),
+    Mutant("memory that there is not is a defect", f"{KERNEL}/setup/building.py", 'and "memory" not in str(error):', "and True:", f"{SIZES} -k memory"),
+    Mutant("particles of any number", "plugins/papers/amorphous/understudy_amorphous/scene.py",
+           "if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:", "if False:", f"{SIZES} -k scene"),
+    Mutant("another number of threads is silent", TRAINING, 'if meta.get("threads", threads()) != threads() and', "if False and",
+           f"{F11} -k threads"),
+    Mutant("a checkpoint does not know its threads", TRAINING, '        meta["threads"] = threads()\n', "", f"{F11} -k threads"),
+    Mutant("a page answers any name", GUARD, "return bool(ipaddress.ip_address(name))", "return True", GUARDED),
+    Mutant("any name is an address", GUARD, "    return False\n\n\n@contextlib", "    return True\n\n\n@contextlib", GUARDED),
+    Mutant("a page answers other pages", GUARD, "or origin.netloc != named[0]", "", GUARDED),
+    Mutant("a page answers files", GUARD, 'origin.scheme not in ("http", "https") or', "", GUARDED),
+    Mutant("two names of a host", GUARD, "if len(named) != 1 or len(origins) > 1:", "if not named:", GUARDED),
+    Mutant("the motion page is open to all", "plugins/studio/viewer/understudy_viewer/page.py", "with guarded(host), contextlib", "with contextlib",
+           "tests/plugins/viewer/test_page.py -k own_address"),
+    Mutant("the page of a skill is open to all", "plugins/studio/play/understudy_play/page.py", "with guarded(host), contextlib", "with contextlib",
+           "tests/plugins/play/test_play.py -k chair"),
+    Mutant("options may be anywhere", COMPOSITION, "        if any(map(_leads_out, (group, *names))):", "        if False:", f"{F21} -k elsewhere"),
+    Mutant("options may stand at a path", COMPOSITION, 'Path(text).is_absolute() or ".." in Path(text).parts or', "", f"{F21} -k elsewhere"),
+    Mutant("options may be resolved", COMPOSITION, ' or "${" in text', "", f"{F21} -k elsewhere"),
+    Mutant("a stranger's overrides are resolved", RUNS, '        refuse_resolvers(words[: len(words) - len(more)], f"{self.path}")\n', "", f"{F21} -k resolvers_of"),
+    Mutant("resolvers within others", COMPOSITION, "[^}]*(:|\\$\\{)", "[^}]*(:)", f"{F21} -k resolvers_of"),
+    Mutant("a journal's overrides are resolved", JOURNAL, '                    refuse_resolvers(event.overrides, "A journal")', "                    pass", f"{F21} -k journal"),
+    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
+    check_within(path)
+""", """        raise RunError(f"{path} is no run folder: it has no run.json.")
+""", LINKS),
+    Mutant("links lead out of a new run", RUNS, "            check_within(self.path)\n", "", f"{LINKS} -k new_runs"),
+    Mutant("links lead out of a reproduction", "plugins/search/reproduce/understudy_reproduce/command.py",
+           "            check_within(folder)\n", "            pass\n", f"{LINKS} -k new_runs"),
+    Mutant("pipes stand in a run", FOLDERS, "elif not stat.S_ISREG(mode):", "elif False:", f"{LINKS} -k pipes"),
+    Mutant("a lock follows links", FOLDERS, " | os.O_NOFOLLOW", "", f"{LINKS} -k lock"),
+    Mutant("a lock empties", FOLDERS, "os.O_RDWR | os.O_CREAT", "os.O_RDWR | os.O_CREAT | os.O_TRUNC", f"{LINKS} -k lock"),
+    Mutant("a folder that is another by now", RUNS, "held = os.path.samestat(", "held = bool(os.lstat(self.path / '.lock')) or (",
+           "tests/faults/test_12_folders.py -k gone"),
+    Mutant("a checkpoint into another's folder", TRAINING, "        run.check_held()\n", "", "tests/faults/test_12_folders.py -k gone"),
+    Mutant("a pipe is waited for", FOLDERS, "        if not stat.S_ISREG(found.st_mode):", "        if False:", ENDLESS),
+    Mutant("a file of nothing is read", FOLDERS, "if found.st_size > most:", "if False:", ENDLESS),
+    Mutant("a row has no end", RUNS, "file.readline(_ROW)", "file.readline()", f"{ENDLESS} -k row"),
+    Mutant("tensors are read before their digest", CHECKPOINT,
+           'hashlib.file_digest(tensor_bytes, "sha256")', 'hashlib.sha256(tensor_bytes.read())', f"{ENDLESS} -k tensors"),
+    Mutant("an input is read before its digest", INPUTS, 'hashlib.file_digest(file, "sha256")', 'hashlib.sha256(file.read())',
+           f"{ENDLESS} -k inputs"),
     Mutant("rows are doubled", RUNS, '<= iteration]', '<= iteration + 5]',
            "tests/faults/test_14_requeued_jobs.py -k anew"),
     Mutant("state of another kind is loaded", TRAINING, '            for misfit in misshapen(own, {**state, "progress": progress}, ""):\n                raise ValueError(misfit)\n', "",
@@ -126,7 +254,7 @@ MUTANTS = (
            "if False:", FIELDS),
     Mutant("any moments are loaded", OPTIMISERS,
            "if value.shape != shape or value.dtype != torch.float32 or not value.isfinite().all():", "if False:",
-           "tests/plugins/basics/test_optimisers.py -k moments"),
+           "tests/plugins/networks/test_optimisers.py -k moments"),
     # Resuming.
     Mutant("streams are not restored", ENVIRONMENT, 'self._streams.load_state_dict(state["streams"])', "pass", F10),
     Mutant("initial states are not restored", ENVIRONMENT,
@@ -178,18 +306,18 @@ MUTANTS = (
     Mutant("arrays may be NaN", NPZ, "finite = np.isfinite(array)\n", "finite = np.ones(array.shape, bool)\n", f"{F25} -k arrays"),
     Mutant("arrays may be of any size", NPZ, "if member.file_size > self._left:", "if False:", f"{F25} -k arrays"),
     Mutant("each array has the limit alone", NPZ, "self._left -= member.file_size", "pass", f"{F25} -k arrays"),
-    Mutant("absolute paths of models", MJCF,
-           'if Path(name).is_absolute() or "\\\\" in name or not path.is_relative_to(self._folder):', "if False:", F22),
+    Mutant("absolute paths of models", MJCF, 'if Path(name).is_absolute() or "\\\\" in name:', "if False:", F22),
+    Mutant("models that leave their folder", MJCF, "if not path.is_relative_to(self._root):", "if False:", F22),
     Mutant("plugins of models", MJCF, "if element.tag in _REFUSED:", "if False:", F22),
     Mutant("models that include themselves", MJCF, "            if path in within:", "            if False:", F22),
-    Mutant("entities of models", MJCF, 'if b"<!DOCTYPE" in text or b"<!ENTITY" in text or b"\\0" in text:',
+    Mutant("entities of models", MJCF, 'if "<!DOCTYPE" in text or "<!ENTITY" in text or "\\0" in text:',
            "if False:", F22),
     Mutant("models of any size", MJCF, "if len(content) > limit:", "if False:", F22),
     Mutant("a broken plugin stays", f"{KERNEL}/setup/plugins.py", "plugins.registry.remove(plugin.name)", "pass",
            "tests/faults/test_23_broken_plugins.py"),
     # What a run carries, and which runs are read.
     Mutant("a carried file is not compared", INPUTS,
-           "if not inside or hashlib.sha256(path.read_bytes()).hexdigest() != digest:", "if not inside:",
+           "if not inside or _digest(path) != digest:", "if not inside:",
            "tests/kernel/test_inputs.py"),
     Mutant("a carried file may be elsewhere", INPUTS,
            "path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()", "path.is_file()",
@@ -216,7 +344,7 @@ MUTANTS = (
     Mutant("the journal is not synced", JOURNAL, "                sync(file.fileno())\n", "", f"{SWEEPS}/test_journal.py"),
     Mutant("a lost row of the journal is none", JOURNAL, "        self.events.append(event)\n", "",
            f"{SWEEPS}/test_journal.py {SWEEPS}/test_sweep.py"),
-    Mutant("a row cut short stays", JOURNAL, "if not path.exists() or path.read_bytes() != rows:", "if not path.exists():",
+    Mutant("a row cut short stays", JOURNAL, "if not path.exists() or read(path, _MOST) != rows:", "if not path.exists():",
            f"{SWEEPS}/test_journal.py {SWEEPS}/test_sweep.py"),
     Mutant("a trial is asked for twice", JOURNAL, "if any(trial.key == other.key for other in self.asked):", "if False:",
            f"{SWEEPS}/test_journal.py"),
@@ -237,7 +365,7 @@ MUTANTS = (
     Mutant("a library keeps a signal", SIGNALS, "if signal.getsignal(number) is not _note:", "if number not in self._previous:",
            F13),
     # Models that compute without end.
-    Mutant("a model is not tried first", MODELS, "        try_out(self._path, self._mjcf)\n", "", f"{F24} -k leaves"),
+    Mutant("a model is not tried first", MODELS, "        try_out(folder / own.name, folder if kept else root, self._mjcf)\n", "", f"{F24} -k leaves"),
     Mutant("a model may compute for ever", APART, "    resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 5))\n", "",
            f"{F24} -k without_end"),
     Mutant("a model may take all memory", APART, "    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))\n", "",
@@ -251,8 +379,8 @@ MUTANTS = (
     Mutant("the working folder is imported", APART, 'sys.executable, "-P", "-m",', 'sys.executable, "-m",',
            f"{F24} -k working_folder"),
     Mutant("models of any depth", MJCF, "        if depth > MAX_DEPTH:", "        if False:", F22),
-    Mutant("includes of any depth", MJCF, "self._include(included, (*within, path), depth + 1)",
-           "self._include(included, (*within, path))", f"{F22} -k within"),
+    Mutant("includes of any depth", MJCF, "self._include(included, (*within, path), path.parent, depth + 1)",
+           "self._include(included, (*within, path), path.parent)", f"{F22} -k within"),
     # What else must hold.
     Mutant("dropped contacts are not counted", "plugins/physics/mujoco_warp/understudy_mujoco_warp/simulator.py",
            "        self._overflows += ((self._overflow & self._dropping) != 0).sum()\n", "", f"{WARP} -m slow -k overflow"),
@@ -272,8 +400,8 @@ MUTANTS = (
            "except ZeroDivisionError as error:  # zipfile raises", "tests/faults/test_24_mutated_clips.py"),
     Mutant("the phase does not wrap", "plugins/figures/characters/understudy_characters/reference.py",
            '(local / self.duration).clamp(0.0, 1.0 - 1e-6)', "local * 2", "tests/faults/test_26_laws.py -k phase"),
-    Mutant("advantages go on over an episode's end", "plugins/learning/basics/understudy_basics/returns.py",
-           "decay = gamma * lam * continues", "decay = gamma * lam + 0 * continues", "tests/plugins/basics/test_returns.py"),
+    Mutant("advantages go on over an episode's end", "plugins/learning/networks/understudy_networks/returns.py",
+           "decay = gamma * lam * continues", "decay = gamma * lam + 0 * continues", "tests/plugins/networks/test_returns.py"),
     Mutant("descriptors leak", RUNS, '            with open(self.metrics_file, "a", encoding="utf-8") as file:\n',
            '            file = open(self.metrics_file, "a", encoding="utf-8", buffering=1)\n            [os.dup(file.fileno()) for _ in range(20)]\n            if True:\n',
            "tests/faults/test_28_soak.py"),

@@ -22,6 +22,10 @@ def test_the_site_builds_strictly_and_loads_nothing_from_the_network(tmp_path: P
     assert 'src="http' not in index
     assert "fonts.googleapis" not in index
     assert "understudy.task.parts.Curriculum" in (tmp_path / "api" / "task.html").read_text("utf-8")
+    shown = "".join(p.read_text("utf-8") for p in (tmp_path / "api").glob("plugins-*.html"))
+    for package in (ROOT / "plugins").glob("*/*/understudy_*"):
+        modules = [p for p in package.rglob("*.py") if p.stem != "__init__"]
+        assert not modules or f'id="{package.name}.' in shown, package.name
     assert (tmp_path / "media" / "walk.mp4").is_file()
 
 

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 from importlib.util import find_spec
 
 from understudy.errors import PluginError
+from understudy.setup.config import Root
 from understudy.setup.plugins import installed
+from understudy.testing import check_component
+from understudy.testing.conformance import unsaid
 
 
-def test_every_component_can_be_imported_and_says_its_options() -> None:
+def test_every_component_can_be_imported_and_every_option_has_a_sentence() -> None:
     broken = {}
     for component in installed().registry.components.values():
-        if component.plugin == "mujoco_warp" and not _has_warp():
+        if component.plugin == "mujoco_warp" and find_spec("mujoco_warp") is None:
             continue
         try:
-            _ = component.factory, component.options
+            check_component(component)
+        except AssertionError as error:
+            broken[f"{component.kind}/{component.name}"] = str(error)
         except PluginError as error:
             missing = getattr(error.__cause__, "name", None) or "understudy"
             if isinstance(error.__cause__, ModuleNotFoundError) and "understudy" not in missing:
@@ -24,8 +28,7 @@ def test_every_component_can_be_imported_and_says_its_options() -> None:
     assert broken == {}
 
 
-def _has_warp() -> bool:
-    """Whether MuJoCo Warp is here; a folder of tests has its name, so the name alone says nothing."""
-    with contextlib.suppress(ImportError):
-        return find_spec("mujoco_warp._src") is not None
-    return False
+def test_so_has_every_option_of_the_kernel_and_of_the_plugins_sections() -> None:
+    sections = installed().registry.sections.values()
+    for schema in (Root, *(section.schema() for section in sections)):
+        assert list(unsaid(schema)) == []

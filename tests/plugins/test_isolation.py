@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from quick import ELSEWHERE
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = {
@@ -24,18 +25,19 @@ WINGS = re.findall(
 
 
 #: Plugins for any figure: what their tests and tasks move is the humanoid, with what that needs.
-FIGURE = {"basics", "humanoid", "characters", "motion", "mujoco"}
+FIGURE = {"networks", "tensors", "humanoid", "characters", "motion", "mujoco"}
 #: Plugins for a training that takes seconds.
-TOYS = {"basics", "miniature", "ppo"}
+TOYS = {"curricula", "miniature", "networks", "ppo", "skills", "tensors", "terms"}
 MATERIAL = {
     "amorphous": {"export", "humanoid"},
-    "basics": TOYS,
     "characters": FIGURE,
     "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
+    "curricula": TOYS,
     "doctor": FIGURE,
     "jumping": {"bayes", "diversity", "export", "play", "sweeps"},
     "export": FIGURE | TOYS | {"report", "spacetime", "viewer"},
     "gym": FIGURE | TOYS | {"report", "spacetime"},
+    "networks": TOYS,
     "play": FIGURE | {"deepmimic", "inspect", "ppo", "sitting", "spacetime", "sweeps"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
@@ -43,9 +45,11 @@ MATERIAL = {
     "reproduce": TOYS
     | FIGURE
     | {"bayes", "cmfbo", "deepmimic", "morphology", "mujoco_warp", "spacetime", "warp_torch"},
+    "skills": TOYS,
     "spacetime": FIGURE | {"deepmimic", "retarget", "styles"},
     "styles": FIGURE | {"ppo", "report"},
     "sweeps": TOYS,
+    "terms": TOYS,
 }
 
 
@@ -110,7 +114,7 @@ def test_declarations_have_no_cycle() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_works_with_only_what_it_declares(name: str) -> None:
     if name == "mujoco_warp":
-        pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     allowed = {name, *requires(name), *MATERIAL.get(name, ())}
     environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join(allowed)}
     code = f"from understudy.testing import check_plugin; check_plugin('{name}')"
@@ -120,7 +124,7 @@ def test_works_with_only_what_it_declares(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_its_own_tests_pass_alone(name: str) -> None:
-    tests = ROOT / "tests" / "plugins" / name
+    tests = ROOT / "tests" / "plugins" / ELSEWHERE.get(name, name)
     if not tests.is_dir():
         pytest.skip("it has no tests of its own")
     allowed = {name, *requires(name), *MATERIAL.get(name, ())}

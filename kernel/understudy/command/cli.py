@@ -21,7 +21,6 @@ from understudy.command.command import Command
 from understudy.errors import (
     ConfigError,
     FileError,
-    PluginError,
     PreemptedError,
     UnderstudyError,
     suggestion,
@@ -121,14 +120,10 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
                 under = [other for other in names if other.split()[0] == first]
                 text = ", ".join(other.removeprefix(f"{first} ") for other in under)
                 text += f": {component.summary}" if len(under) == 1 else ""
-                parser = commands.add_parser(first, help=text, description=text)
+                parser = commands.add_parser(first, **_help(text))
                 groups[first] = parser.add_subparsers(metavar="COMMAND", required=True)
             where = groups[first]
-        if word in where.choices:
-            raise PluginError(
-                f"Plugin '{component.plugin}' registers the command '{name}', which exists already."
-            )
-        parser = where.add_parser(word, help=component.summary, description=component.summary)
+        parser = where.add_parser(word, **_help(component.summary))
         if list(arguments[: len(group) + 1]) != [*group, word]:
             continue
         command = component.factory()
@@ -150,12 +145,18 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
         parser.set_defaults(function=run, overrides_allowed=command.takes_overrides)
 
 
+def _help(text: str) -> dict[str, str]:
+    """`text` as argparse's help and description, both of which it formats."""
+    doubled = text.replace("%", "%%")
+    return {"help": doubled, "description": doubled if "%(prog)" in text else text}
+
+
 def _work(options: argparse.Namespace, overrides: list[str]) -> int:
     from understudy.command import workflow
 
     if options.work == "resume":
         return workflow.resume(options.run, overrides)
-    return workflow.train(overrides) if overrides else main(["experiments"]) or 2
+    return workflow.train(overrides) if overrides else main(["experiments"])
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import device_of
-from understudy.setup.composition import compose_raw, load_experiment, replaced
+from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.config import Experiment, at, validate
 from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
@@ -42,7 +42,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
     """Continue the run at `path` to its criterion or budget."""
     run = runs.open_run(path)
     if overrides:
-        run.info["overrides"] = replaced(run.info["overrides"], overrides)
+        run.info["overrides"] = run.words(overrides)
         experiment = validate(compose_raw(run.info["overrides"]), installed().registry)
         config = experiment.effective()
         config["run"] |= {"dir": at(run.config, "run.dir")}
@@ -94,13 +94,18 @@ def _together(experiment: Experiment) -> Iterator[None]:
 def _carry_out(training: Training) -> int:
     run = training.run
     if run is not None:  # process 0, which alone writes and reports
-        training.reporter = Reporter(tell, installed().observers())
+        training.reporter = Reporter(tell, installed().observers(tell))
     try:
         reason, progress = training.train(), training.progress
         distributed.stop()
         if run is None:
             return 0
         time = f"{progress.seconds / 60:.1f} min of training"
+        if progress.seconds > 61 * (training.experiment.root.budget.minutes or progress.seconds):
+            each = progress.seconds / progress.iteration / 60
+            time += (
+                f", more than budget.minutes, since an iteration takes {each:.1f} and is finished"
+            )
         tell(f"Done ({reason}): {progress.samples:,} samples in {time}.")
         for name, count in training.job.report().items():
             tell(f"The simulator counted {count} × {name.replace('_', ' ')}.")

@@ -26,12 +26,14 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from understudy.errors import RunError
+from understudy.records.folders import opened, read
 
 #: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
 FORMAT = 3
 #: Errors of file systems that have no locks, or cannot be asked to write at once.
 UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.ENOTTY)
 _LEAST, _MOST = 2**20, 2**32  #: bytes of a tensor that is deflated, and of all of them together
+_LARGEST = 2**33  #: bytes of a file of tensors that is read
 _TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.int64)}
 
 
@@ -106,11 +108,14 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             "version of understudy that wrote it, or train anew."
         )
     try:
-        data = tensor_file.read_bytes()
+        with opened(tensor_file, _LARGEST) as tensor_bytes:
+            digest = hashlib.file_digest(tensor_bytes, "sha256").hexdigest()
+            if digest != document.get("sha256"):  # before there is room for all of it
+                raise RunError(f"{tensor_file} is damaged: its digest does not match.")
+            tensor_bytes.seek(0)
+            data = tensor_bytes.read(_LARGEST)
     except OSError as error:
         raise RunError(f"{tensor_file} cannot be read: {error.strerror}.") from error
-    if hashlib.sha256(data).hexdigest() != document.get("sha256"):
-        raise RunError(f"{tensor_file} is damaged: its digest does not match.")
     try:
         tensors = load_tensors(data)
     except SafetensorError as error:
@@ -153,7 +158,7 @@ def _sealed(content: Mapping[str, Any]) -> bytes:
 def read_sealed(path: Path) -> dict[str, Any]:
     """The content of a sealed JSON file, its digest checked."""
     try:
-        outer = json.loads(path.read_bytes())
+        outer = json.loads(read(path))
         body = outer["content"]
         if hashlib.sha256(body.encode()).hexdigest() != outer["digest"]:
             raise RunError(f"{path} is damaged: its digest does not match.")

@@ -29,22 +29,31 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from understudy.errors import RunError
 from understudy.inputs import Inputs
 from understudy.records import checkpoint
 from understudy.records.checkpoint import write_atomically
+from understudy.records.folders import check_within, open_lock, opened, read
 from understudy.setup import plugins
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.registry import Registry
 
 #: Version of the folder's layout.
 LAYOUT = 3
+_METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of a row of it
 VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-warp", "warp-lang")
 
 
 def cores() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def threads() -> int:
+    """Threads of torch, on whose number the last bits of large products on a CPU depend."""
+    return torch.get_num_threads()
 
 
 def versions() -> dict[str, str]:
@@ -95,10 +104,11 @@ class Run:
         """Hold the folder for this process.
 
         Raises:
-            RunError: if another process trains in it.
+            RunError: if another process trains in it, or a part of it leads out of it.
         """
         try:
-            self._lock = open(self.path / ".lock", "w")  # noqa: SIM115 - held until the run ends
+            check_within(self.path)
+            self._lock = open_lock(self.path / ".lock")  # held until the run ends
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise RunError(
@@ -110,13 +120,44 @@ class Run:
             text = f"The file system of {self.path} has no locks: start no second training in it."
             print(text, file=sys.stderr)
 
+    def check_held(self) -> None:
+        """See that the folder is still the one that :meth:`lock` holds, before writing into it.
+
+        Raises:
+            RunError: if it was removed, or is another one by now.
+        """
+        if self._lock is None:
+            return
+        try:
+            held = os.path.samestat(os.fstat(self._lock.fileno()), os.lstat(self.path / ".lock"))
+        except OSError:
+            held = False
+        if not held:
+            raise RunError(
+                f"{self.path} was removed or replaced while a process trained in it, so nothing more is "
+                "written there. Put the folder back and resume it, or train anew."
+            )
+
     def unlock(self) -> None:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
 
     def write_json(self, name: str, value: Any) -> None:
+        self.check_held()
         write_atomically(self.path / name, (json.dumps(value, indent=1) + "\n").encode())
+
+    def words(self, more: Sequence[str]) -> list[str]:
+        """The overrides that made it, then `more`, to be composed.
+
+        Raises:
+            ConfigError: if one of its own would be filled in from this machine.
+        """
+        from understudy.setup.composition import refuse_resolvers, replaced  # Hydra takes its time
+
+        words = replaced(self.info["overrides"], more)
+        refuse_resolvers(words[: len(words) - len(more)], f"{self.path}")
+        return words
 
     def judged(self) -> int | None:
         """After how many samples it was judged and its pictures were made; None before that."""
@@ -139,21 +180,31 @@ class Run:
         return state, meta
 
     def metrics(self) -> list[dict[str, Any]]:
-        """The rows of the metrics file; a row cut short by a crash is left out."""
-        if not self.metrics_file.exists():
-            return []
+        """The rows of the metrics file; a row cut short by a crash is left out.
+
+        Raises:
+            RunError: if it is no file, or larger than any training's.
+        """
         rows = []
-        for line in self.metrics_file.read_text(encoding="utf-8", errors="replace").splitlines():
-            with contextlib.suppress(ValueError, RecursionError):
-                rows.append(json.loads(line))
+        try:
+            with opened(self.metrics_file, _METRICS) as file:
+                while line := file.readline(_ROW):
+                    with contextlib.suppress(ValueError, RecursionError):
+                        rows.append(json.loads(line.decode(errors="replace")))
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise RunError(f"{self.metrics_file} cannot be read: {error.strerror}.") from error
         return [row for row in rows if isinstance(row, dict)]
 
     def keep_metrics_until(self, iteration: int) -> None:
         """Drop rows after `iteration`: the resumed training writes them again."""
+        self.check_held()
         rows = [row for row in self.metrics() if _iteration(row) <= iteration]
         write_atomically(self.metrics_file, "".join(json.dumps(r) + "\n" for r in rows).encode())
 
     def append_metrics(self, row: Mapping[str, Any]) -> None:
+        self.check_held()
         try:
             with open(self.metrics_file, "a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
@@ -196,7 +247,7 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         "overrides": list(overrides),
         "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "versions": versions(),
-        "machine": {"system": platform.platform(), "cores": cores()},
+        "machine": {"system": platform.platform(), "cores": cores(), "threads": threads()},
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "components": [{f: getattr(c, f) for f in facts} for _, c in sorted(used.items())],
         "sources": dict(sources),
@@ -248,14 +299,16 @@ def open_run(path: str | Path) -> Run:
     """Open an existing run folder.
 
     Raises:
-        RunError: if there is none, it is damaged, or a newer understudy wrote it.
+        RunError: if there is none, it is damaged, a part of it leads out of it, or a newer understudy
+            wrote it.
     """
     path = Path(path)
     file = path / "run.json"
-    if not file.is_file():
+    if not os.path.lexists(file):
         raise RunError(f"{path} is no run folder: it has no run.json.")
+    check_within(path)
     try:
-        info = json.loads(file.read_text(encoding="utf-8"))
+        info = json.loads(read(file))
         layout = info["layout"]
         config = info["config"]
         refuse_code(config)
@@ -269,7 +322,9 @@ def open_run(path: str | Path) -> Run:
         for names in info.get("inputs", {}).values():
             if not names or not all(isinstance(n, str) for n in (*names, *names.values())):
                 raise ValueError("its inputs are no names and digests")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except OSError as error:
+        raise RunError(f"{file} cannot be read: {error.strerror}.") from error
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
     if layout != LAYOUT:
         who, what = "a newer understudy", "Install that version or a newer one."

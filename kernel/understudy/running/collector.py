@@ -13,13 +13,19 @@ from understudy.task import Policy, Rollout
 
 
 class Collector:
-    """Steps an environment with a policy, and records what a learner needs and the fields `records`."""
+    """Steps an environment with a policy, and records what a learner needs, the fields `records` before
+    each action, and `reaches` of the states that it led to."""
 
     def __init__(
-        self, environment: Environment, policy: Policy, seed: int, records: Sequence[str] = ()
+        self,
+        environment: Environment,
+        policy: Policy,
+        seed: int,
+        records: Sequence[str] = (),
+        reaches: Sequence[str] = (),
     ) -> None:
         self.environment, self.policy = environment, policy
-        self._records = tuple(dict.fromkeys(records))
+        self._records, self._reaches = tuple(dict.fromkeys(records)), tuple(reaches)
         self.streams = WorldStreams(seed, "actions", environment.num_worlds, environment.device)
 
     @torch.no_grad()
@@ -43,7 +49,9 @@ class Collector:
             final_values=empty().zero_(),
             episode_returns=empty(),
             records={name: empty(environment.table[name]) for name in self._records},
+            reached={name: empty(environment.table[name]) for name in self._reaches},
         )
+        environment.reaches = self._reaches
         for t in range(steps):
             observations = environment.observations
             for name, value in observations.items():
@@ -60,6 +68,8 @@ class Collector:
             rollout.truncated[t] = step.truncated
             rollout.failed[t] = step.failed
             rollout.episode_returns[t] = step.returns
+            for name, value in step.reached.items():
+                rollout.reached[name][t] = value
             if step.final_observations is not None and (
                 device.type != "cpu" or bool(step.truncated.any())
             ):

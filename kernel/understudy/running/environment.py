@@ -2,38 +2,35 @@
 
 Everything is masked tensor arithmetic over all worlds; there is no Python loop over worlds and, on
 an accelerator, nothing is fetched to the host inside :meth:`Environment.step`. Tensors that live
-longer than a step are changed in place, so that a step can be recorded and replayed.
+longer than a step are changed in place, so that a step can be captured and replayed.
 """
 
 from __future__ import annotations
 
 import functools
 import operator
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, TrainingError
 from understudy.random import WorldStreams
-from understudy.running.recorded import Recorded
+from understudy.running import promises
+from understudy.running.captured import Captured
+from understudy.running.promises import Parts
 from understudy.running.statistics import EpisodeStatistics
 from understudy.running.table import FieldTable
 from understudy.task import (
-    Actuation,
     Context,
-    Curriculum,
-    Encoder,
-    Fields,
-    InitialStates,
     Memory,
     Shape,
-    Simulator,
     State,
 )
-from understudy.task.terms import Bound, Term
+from understudy.task.terms import Term, Wired
 
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
@@ -46,25 +43,11 @@ OWN_FIELDS: dict[str, Shape] = dict.fromkeys(
 )  # fmt: skip
 _PREVIOUS = "previous_"
 
+# A forked process has none of the threads that OpenMP would wait for, so it must ask for none.
+os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
+
 #: Numbers of this size and beyond count as non-finite, as they do for MuJoCo.
 LARGEST = 1e10
-
-
-@dataclass
-class Parts:
-    """The built parts of a task, each with the fields that it reads."""
-
-    simulator: Simulator
-    actuation: Bound[Actuation]
-    initial_states: InitialStates
-    encoders: Mapping[str, Bound[Encoder]]
-    rewards: Sequence[Term]
-    terminations: Sequence[Term] = ()
-    measures: Sequence[Term] = ()
-    fields: Sequence[Bound[Fields]] = ()
-    memories: Mapping[str, Bound[Memory]] = field(default_factory=dict)
-    curriculum: Curriculum | None = None
-    combine: Literal["sum", "product"] = "product"
 
 
 @dataclass
@@ -80,6 +63,7 @@ class Step:
     unsound: Tensor  #: (N,) bool: failed because numbers went wrong
     returns: Tensor  #: (N,) the episodes' returns up to and with this step
     endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
+    reached: dict[str, Tensor]  #: the fields that :attr:`Environment.reaches` names
     #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
     final_observations: dict[str, Tensor] | None = None
 
@@ -195,6 +179,8 @@ class Environment:
             if memory.part.uniforms
         }
         self.observations: dict[str, Tensor] = {}
+        #: Fields of the states reached that a step is to bring, (N, …).
+        self.reaches: Sequence[str] = ()
         self.statistics = EpisodeStatistics(parts.terminations, num_worlds, device)
         #: Worlds quarantined since the start because their numbers went wrong.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
@@ -209,7 +195,7 @@ class Environment:
             for term in parts.rewards
             if parts.combine == "product" and term.weight != 1.0
         }
-        self.recorded_step = Recorded(self._step, self)
+        self.captured_step = Captured(self._step, self)
 
     @property
     def action_size(self) -> int:
@@ -291,14 +277,14 @@ class Environment:
                 streams.restart(seed, f"memory/{name}{end}")
         everywhere = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
         self._begin(everywhere)
-        self._check_shapes()
+        promises.check_shapes(self.parts, self.table, self.action)
         self.statistics.forget(everywhere)
         self.observations = self._first()
         return self.observations
 
     def step(self, action: Tensor) -> Step:
         """Apply `action` (N, A) for one decision, judge, and begin ended worlds anew."""
-        return self.recorded_step(action)
+        return self.captured_step(action)
 
     def _step(self, action: Tensor) -> Step:
         step = self.advance(action)
@@ -360,7 +346,10 @@ class Environment:
         self._quarantine(unsound, before)
         self.observations = reached
         returns = self.statistics.returns.clone()
-        return Step(reached, rewards, terminated, failed, truncated, unsound, returns, endings)
+        kept = {name: without_unsound(table[name]).clone() for name in self.reaches}
+        return Step(
+            reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
+        )
 
     @_as_physics
     def begin(self, worlds: Tensor) -> dict[str, Tensor]:
@@ -408,7 +397,7 @@ class Environment:
             self._keep(bound, bound.part.advance(self.action, **table.pick(bound.reads)))
         return bound.part.control(self.action, **table.pick(bound.reads))
 
-    def _taken(self, name: str, memory: Bound[Memory]) -> dict[str, Tensor]:
+    def _taken(self, name: str, memory: Wired[Memory]) -> dict[str, Tensor]:
         """What a memory is called with: fields, and random numbers."""
         given = self.table.pick(memory.reads)
         if memory.part.uniforms:
@@ -416,10 +405,10 @@ class Environment:
         return given
 
     def _keep(
-        self, part: Bound[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
+        self, part: Wired[Any], values: Mapping[str, Tensor], worlds: Tensor | None = None
     ) -> None:
         """Keep `values`, by the part's own names, in all worlds or where `worlds` (N,) is true."""
-        self._promised(part.where, part.part.keeps, values)
+        promises.returned(self.num_worlds, part.where, part.part.keeps, values)
         for name, field_name in part.provides.items():
             kept, value = self._kept[field_name], values[name]
             kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
@@ -455,6 +444,18 @@ class Environment:
             return functools.reduce(operator.add, [v * weight for v, weight in values])
         return functools.reduce(operator.mul, [v if w == 1.0 else v**w for v, w in values])
 
+    def unsound_parts(self) -> list[str]:
+        """Whose numbers went wrong in the states reached by :meth:`advance`, before :meth:`begin`."""
+        if bool(self._unsound.any()):
+            return ["the actuation or the simulator"]
+        powers = self.parts.combine == "product"
+        values = {
+            t.where: self._evaluate(t) ** (t.weight if powers else 1) for t in self.parts.rewards
+        }
+        values |= {self.parts.encoders[n].where: value for n, value in self._encode().items()}
+        values = values if any(map(_wrong, values.values())) else {"reward": self._reward()}
+        return [where for where, value in values.items() if _wrong(value)]
+
     def refuse_negative(self) -> None:
         """Raise :class:`TrainingError` if a reward that has an exponent has been negative."""
         for where, least in self._least.items():
@@ -485,7 +486,12 @@ class Environment:
         )
         self._streams.give_back(~worlds, before)  # what a world draws depends on no other world
         given |= initial
-        self._check_initial(given)
+        promises.check_initial(
+            parts,
+            self.num_worlds,
+            [n for n in self._varied if n not in self._model or n in parts.initial_states.varies],
+            given,
+        )
         self._hold(worlds, initial)
         simulator, given = parts.simulator, {**self._model, **given}
         simulator.set_state(worlds, {n: given[n] for n in (*simulator.state_fields, *self._varied)})
@@ -543,58 +549,6 @@ class Environment:
             self.on_quarantine(Fault(before, controls, 1 if every == "substep" else None, unsound))
             self.on_quarantine = None
 
-    def _check(self, who: str, value: Tensor, shape: Shape) -> None:
-        if tuple(value.shape) != (self.num_worlds, *shape):
-            raise ConfigError(
-                f"{who} has shape {tuple(value.shape)}; it must be {(self.num_worlds, *shape)}, "
-                "one row per world."
-            )
-
-    def _promised(
-        self, where: str, shapes: Mapping[str, Shape], given: Mapping[str, Tensor], what: str = ""
-    ) -> None:
-        for name, shape in shapes.items():
-            if name not in given:
-                raise ConfigError(f"{where} promises {what}'{name}' and does not return it.")
-            self._check(f"{what}'{name}' of {where}", given[name], shape)
-
-    def _check_initial(self, given: Mapping[str, Tensor]) -> None:
-        """What initial states and curriculum return: all that was promised, and nothing else."""
-        parts, simulator = self.parts, self.parts.simulator
-        varied = [
-            n for n in self._varied if n not in self._model or n in parts.initial_states.varies
-        ]
-        promised = {
-            **{name: simulator.fields[name] for name in simulator.state_fields},
-            **{name: simulator.parameters[name] for name in varied},
-            **parts.initial_states.episode_fields,
-            **(parts.curriculum.provides if parts.curriculum else {}),
-        }
-        self._promised("initial_states", promised, given)
-        for name in given.keys() - promised.keys():
-            raise ConfigError(
-                f"initial_states returns '{name}', which is no state of this simulator and not "
-                f"among its episode_fields. It takes: {', '.join(sorted(promised))}."
-            )
-
-    def _check_shapes(self) -> None:
-        """Every field's and term's shape, once."""
-        parts, table = self.parts, self.table
-        for provider in parts.fields:
-            given = provider.part.compute(**table.pick(provider.reads))
-            self._promised(provider.where, provider.part.provides, given, "the field ")
-        actuation = parts.actuation
-        control = actuation.part.control(self.action, **table.pick(actuation.reads))
-        self._check("the control of actuation", control, (parts.simulator.control_size,))
-        for encoder in parts.encoders.values():
-            value = encoder.part.encode(**table.pick(encoder.reads))
-            self._check(encoder.where, value, encoder.part.shape)
-        for term in (*parts.rewards, *parts.terminations, *parts.measures):
-            value = self._evaluate(term)
-            self._check(term.where, value, ())
-            if term in parts.terminations and value.dtype != torch.bool:
-                raise ConfigError(f"{term.where} returns {value.dtype}; it must return bool.")
-
     def state_dict(self) -> State:
         """Everything that decides the future of the worlds, exactly."""
         parts = self.parts
@@ -649,6 +603,10 @@ def sound(value: Tensor) -> Tensor:
     """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
     size = value.abs()[:, None].flatten(1)  # amax is NaN where a number is; it takes no empty rows
     return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
+
+
+def _wrong(value: Tensor) -> bool:
+    return not bool(sound(value).all())
 
 
 def without_unsound(value: Tensor) -> Tensor:

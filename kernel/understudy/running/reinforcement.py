@@ -13,9 +13,11 @@ from understudy import distributed
 from understudy.records.recording import Recording
 from understudy.running.collector import Collector
 from understudy.running.environment import Environment, Fault
-from understudy.running.evaluation import Evaluation, Evaluator, success_of
+from understudy.running.evaluation import Evaluation
+from understudy.running.evaluator import Evaluator
 from understudy.running.jobs import Job
-from understudy.running.statistics import refuse_hopeless
+from understudy.running.statistics import Hopeless
+from understudy.running.success import success_of
 from understudy.running.warm_start import misshapen, take_over
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
@@ -23,6 +25,8 @@ from understudy.task import Learner, Policy, State
 
 #: The world that is recorded and drawn.
 _SHOWN = 0
+#: Decisions for which is looked for the part whose numbers go wrong.
+_SOUGHT = 1000
 
 
 class Reinforcement(Job):
@@ -54,10 +58,12 @@ class Reinforcement(Job):
         self.environment.reset()  # which also checks every term
         self.policy = build_policy(experiment, built.context)
         self.learner = experiment.need("learner").build(built.context, self.policy)
+        self._hopeless = Hopeless(self.environment.num_worlds)
         initial, curriculum = self._adapting()
-        records = (*initial.records, *(curriculum.records if curriculum else ()))
+        learner = self.learner
+        records = (*initial.records, *(curriculum.records if curriculum else ()), *learner.records)
         seed = experiment.root.seed
-        self.collector = Collector(self.environment, self.policy, seed, records)
+        self.collector = Collector(self.environment, self.policy, seed, records, learner.reaches)
         if experiment.root.start is not None:
             self._started = take_over(experiment.root.start, self.policy, initial, curriculum)
             self.environment.reset(seed)  # episodes begin as what was taken over says
@@ -135,7 +141,7 @@ class Reinforcement(Job):
         self._failing = float(rollout.failed.float().mean())
         episodes = self.environment.statistics.collect()
         self.environment.refuse_negative()
-        refuse_hopeless(episodes["unsound"], rollout.rewards.shape[0], self.environment.num_worlds)
+        self._hopeless.refuse(episodes, rollout.rewards.shape[0], self._unsound_parts)
         collecting = (collected - began) / (time.perf_counter() - began)
         return {
             "collect_share": collecting,
@@ -145,6 +151,19 @@ class Reinforcement(Job):
             **{f"simulator/{k}": v for k, v in self.report().items()},
             **metrics,
         }
+
+    def _unsound_parts(self) -> str:
+        """Whose numbers go wrong, found by going on for a while; the training ends with this."""
+        environment, found = self.environment, list[str]()
+        with torch.no_grad():
+            for _ in range(_SOUGHT):
+                action = self.policy.distribution(environment.observations).mode()
+                ended = environment.advance(action).ended
+                found = environment.unsound_parts()
+                if found:
+                    break
+                environment.begin(ended)
+        return " and ".join(found) or "a part that did not show itself again"
 
     def _ripe(self) -> bool:
         """Whether the difficulty has come to where physics sharpens."""

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Fields, Shape, Simulator
-from understudy.task.terms import Bound
+from understudy.task.terms import Wired
 
 
 class FieldTable:
@@ -24,10 +24,10 @@ class FieldTable:
     """
 
     def __init__(
-        self, simulator: Simulator, providers: Sequence[Bound[Fields]], own: Mapping[str, Shape]
+        self, simulator: Simulator, providers: Sequence[Wired[Fields]], own: Mapping[str, Shape]
     ) -> None:
         self._simulator = simulator
-        self._provider: dict[str, Bound[Fields]] = {}
+        self._provider: dict[str, Wired[Fields]] = {}
         self.values: dict[str, Tensor] = {}  #: what is known of the present state
         self.shapes: dict[str, Shape] = {}
         self.source: dict[str, str] = {}

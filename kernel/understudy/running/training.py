@@ -17,17 +17,17 @@ from pathlib import Path
 from typing import Any
 
 from understudy import distributed
-from understudy.errors import PreemptedError, RunError
+from understudy.errors import PreemptedError, RunError, said
 from understudy.records import checkpoint
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
-from understudy.records.runs import Run, differences, versions
+from understudy.records.runs import Run, differences, threads, versions
 from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.warm_start import misshapen
 from understudy.setup.config import Experiment
-from understudy.signals import StopRequest
+from understudy.signals import StopRequest, is_stop
 from understudy.task import State
 
 
@@ -60,11 +60,11 @@ class Reporter:
         for observer in tuple(self.observers):
             try:
                 getattr(observer, event)(*arguments)
-            except Exception as error:  # it only watches: the run goes on
+            except BaseException as error:  # it only watches: the run goes on
+                if is_stop(error):
+                    raise
                 self.observers = [o for o in self.observers if o is not observer]
-                self.message(
-                    f"The observer {type(observer).__name__} is left out: {type(error).__name__}: {error}"
-                )
+                self.message(f"The observer {type(observer).__name__} is left out: {said(error)}")
 
 
 class Training:
@@ -122,8 +122,10 @@ class Training:
     def save(self) -> Path:
         run = self.run
         assert run is not None
+        run.check_held()
         path = run.checkpoints / f"{self.progress.iteration:08d}"
         meta = {"config": run.config, "versions": versions(), "sources": run.info["sources"]}
+        meta["threads"] = threads()
         checkpoint.save(path, self.state_dict(), meta)
         checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep, path)
         return path
@@ -139,6 +141,11 @@ class Training:
             self.reporter.message(f"Differs from the checkpoint: {change}")
         for change in differences(meta.get("versions"), versions()):
             self.reporter.message(f"Version differs from the checkpoint: {change}")
+        if meta.get("threads", threads()) != threads() and self.job.device.type == "cpu":
+            self.reporter.message(
+                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU the same bits follow "
+                f"at an equal number alone: OMP_NUM_THREADS={meta['threads']}."
+            )
         self.load_state_dict(state)
         if distributed.rank() > 0:  # the checkpoint's worlds are process 0's
             self.job.forget_worlds()
@@ -234,9 +241,11 @@ class Training:
     def ended(self) -> bool:
         """Whether there is nothing more to iterate; sets the outcome. Process 0 decides."""
         reasons = ("", "criterion", "budget", "finished")
-        own = (
-            1 if self.progress.met else 2 if self._spent() >= 1 else 3 if self.job.finished() else 0
-        )
+        progress, minutes = self.progress, self.experiment.root.budget.minutes or math.inf
+        # Not begun is what, as long as those before it, would end after the time.
+        late = progress.seconds * (1 + 1 / max(progress.iteration, 1)) > 60 * minutes
+        spent = self._spent() >= 1 or late
+        own = 1 if progress.met else 2 if spent else 3 if self.job.finished() else 0
         choice = distributed.decided(own, self.job.device)
         self.outcome = reasons[choice] or self.outcome
         return choice > 0
@@ -257,15 +266,22 @@ class Training:
         if not distributed.decided(int(ripe), self.job.device):
             return {}
         self._rehearsed = False
+        if (every := self._every()) < math.inf:  # what was learned mostly holds: look soon
+            soon = self.progress.samples - round(every / 2)
+            self.progress.evaluated_at = min(self.progress.evaluated_at, soon)
         return {f"mark/{self.job.sharpen()}": 1.0}
 
     def _due(self) -> bool:
         """Whether it is time for an evaluation, and one may be worth its while."""
-        options, progress = self.experiment.root.evaluation, self.progress
-        every = options.every_samples
-        if every is None:
-            every = math.inf if options.criterion is None else 100_000
-        return progress.samples - progress.evaluated_at >= max(every, 1) and self.job.promising()
+        waited = self.progress.samples - self.progress.evaluated_at
+        return waited >= self._every() and self.job.promising()
+
+    def _every(self) -> float:
+        """After how many samples evaluations follow one another."""
+        options = self.experiment.root.evaluation
+        if options.every_samples is None:
+            return math.inf if options.criterion is None else 100_000
+        return max(options.every_samples, 1)
 
     def _evaluate_if_due(self) -> dict[str, float]:
         """Evaluate now and then; the criterion is met when it holds on one draw of starts and then on

@@ -11,11 +11,12 @@ import torch
 
 from understudy.errors import ConfigError, PluginError
 from understudy.random import private_rng
-from understudy.running.environment import Environment, Parts
+from understudy.running.environment import Environment
+from understudy.running.promises import Parts
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context, Policy, Scene
-from understudy.task.terms import Bound, Term, make_term, renamed
+from understudy.task.terms import Term, Wired, make_term, renamed
 
 
 @dataclass
@@ -48,6 +49,19 @@ def build_sections(experiment: Experiment) -> dict[str, Any]:
         name: registry.sections[name].make(options, registry, experiment.inputs)
         for name, options in experiment.sections.items()
     }
+
+
+@contextlib.contextmanager
+def enough_memory(what: str) -> Iterator[None]:
+    """Inside, what asks for more memory than there is becomes a :class:`ConfigError`."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and "memory" not in str(error):
+            raise
+        raise ConfigError(
+            f"The {what} asks for more memory than there is. Ask for less: fewer worlds, smaller sizes."
+        ) from error
 
 
 def build_environment(
@@ -83,10 +97,10 @@ def build_environment(
     context.scene = scene or experiment.need("scene").build(context)
     simulator = context.simulator = experiment.need("simulator").build(context)
 
-    def bound(chosen: Chosen) -> Bound[Any]:
+    def bound(chosen: Chosen) -> Wired[Any]:
         part = chosen.build(context)
         given = getattr(part, "keeps" if chosen.component.kind != "fields" else "provides", {})
-        return Bound(
+        return Wired(
             chosen.where,
             part,
             renamed(chosen.where, "reads", part.reads, chosen.extras["reads"]),
@@ -127,6 +141,7 @@ def build_environment(
     )
     context.action_space = parts.actuation.part.action_space
     context.observation_shapes = environment.observation_shapes
+    context.parts = parts
     assert context.scene is not None
     return Built(environment, context, context.scene)
 
@@ -164,5 +179,5 @@ def providers_of(field: str, registry: Registry) -> Iterator[str]:
 
 def build_policy(experiment: Experiment, context: Context) -> Policy:
     """The policy, its weights drawn from the seed alone."""
-    with private_rng(context.seed, "policy"):
+    with private_rng(context.seed, "policy"), enough_memory("policy"):
         return experiment.need("policy").build(context).to(context.device)

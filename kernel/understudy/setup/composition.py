@@ -40,7 +40,8 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
             yield
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise ConfigError(_plain(error, plugins) + plugins.registry.absent()) from error
+        text = _plain(error, plugins, overrides)
+        raise ConfigError(text + plugins.registry.absent()) from error
     finally:
         GlobalHydra.instance().clear()
 
@@ -52,7 +53,7 @@ _STRUCTURE = re.compile(r"[^\[\],]+")
 def readable(override: str) -> str:
     """`override` with its value quoted where it is outside Hydra's grammar, as names of files may be."""
     key, equals, value = override.partition("=")
-    if not equals or _PLAIN.fullmatch(override):
+    if not equals or _PLAIN.fullmatch(override) or key != key.strip():
         return override
     parser = OverridesParser.create()
 
@@ -65,6 +66,11 @@ def readable(override: str) -> str:
     def quoted(text: str) -> str:
         return QuotedString(text, Quote.single).with_quotes()
 
+    if value != value.strip():
+        if not value.lstrip().startswith(("[", "{", "'", '"')):
+            return f"{key}={quoted(value)}"  # which Hydra would strip
+        value = value.strip()
+        override = f"{key}={value}"
     if reads(value) or (value.count(",") and not _is_file(value) and not value.startswith("[")):
         return override
     if value.startswith("[") and not _is_file(value):
@@ -89,18 +95,52 @@ def _check(override: str, plugins: Plugins) -> None:
         known = options(plugins, "experiment")
         form = f"experiment={key}" if key in known else "KEY=VALUE, without spaces"
         raise ConfigError(f"'{override}' sets nothing. Write {form}.")
+    if key != key.strip():
+        raise ConfigError(f"'{override}' has blanks around its key. Write {key.strip()}={value}.")
     try:
-        several = OverridesParser.create().parse_override(override).is_sweep_override()
+        parsed = OverridesParser.create().parse_override(override)
+        several = parsed.is_sweep_override()
+        chosen = parsed.value() if equals and not several and not parsed.is_delete() else None
     except HydraException as error:
         raise ConfigError(f"{override} cannot be read. Check brackets and quotes.") from error
+    group = parsed.key_or_group
+    if group not in _VALUES and ("/" in group or "." not in group):  # its value names a file
+        names = chosen if isinstance(chosen, list) else [chosen]
+        if any(map(_leads_out, (group, *names))):
+            raise ConfigError(
+                f"{override} names no option: those are files in the folders of options."
+            )
     if several:
         form = f" A list is written [{value}]; runs and seeds are compared by `understudy sweep`."
         raise ConfigError(f"{override} has several values and a run takes one.{form}")
 
 
-def _plain(error: Exception, plugins: Plugins) -> str:
+def _leads_out(name: Any) -> bool:
+    """Whether a group or an option is named by a path out of the folders of options, or by what is
+    still to be resolved."""
+    text = str(name) if isinstance(name, (str, QuotedString)) else ""
+    return Path(text).is_absolute() or ".." in Path(text).parts or "${" in text
+
+
+_RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
+
+
+def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
+    """Raise :class:`ConfigError` for overrides of a stranger's, of what is named `of`, that would be
+    filled in from this machine (``${oc.env:NAME}``)."""
+    for override in overrides:
+        if _RESOLVER.search(override):
+            raise ConfigError(
+                f"{of} sets {override}, which would be read from this machine. Give it a value anew."
+            )
+
+
+def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     """Hydra's error in one line, with a suggestion where an option was not found."""
     text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    unset = re.search(r"Missing mandatory value: ([\w.]+)", text)
+    if unset:
+        return _not_set(unset[1], overrides, plugins)
     missing = re.search(r"Could not find '([^/']+)/([^']*)'", text)
     if missing:
         group, name = missing.groups()
@@ -116,6 +156,20 @@ def _plain(error: Exception, plugins: Plugins) -> str:
     return text or type(error).__name__
 
 
+def _not_set(path: str, overrides: Sequence[str], plugins: Plugins) -> str:
+    """That `path` needs a value, and which: what the files that `overrides` choose, or those that these
+    build on, say of it in a comment ``# needs PATH: …``."""
+    choices = [tuple(o.lstrip("+").partition("=")[::2]) for o in overrides]
+    for group, name in choices:  # grows
+        file = options(plugins, group).get(name) if group.isidentifier() else None
+        text = file.read_text(encoding="utf-8") if file else ""
+        said = re.search(rf"^# needs {re.escape(path)}: (.*(?:\n#   .*)*)", text, re.MULTILINE)
+        if said:
+            return f"{path} is not set. It takes {' '.join(said[1].replace('#', '').split())}."
+        choices += re.findall(r"^ +- (?:override )?/(\w+)(?:/|: )([\w/]+)", text, re.MULTILINE)
+    return f"{path} is not set. Give it a value."
+
+
 def option_directories(plugins: Plugins) -> list[Path]:
     """The directories of config options: the kernel's, then each plugin's."""
     return [kernel_conf(), *(directory for _, directory in plugins.config_directories())]
@@ -126,7 +180,9 @@ def options(plugins: Plugins, group: str) -> dict[str, Path]:
     return {
         file.relative_to(folder / group).with_suffix("").as_posix(): file
         for folder in option_directories(plugins)
-        for file in sorted((folder / group).rglob("*.yaml"))
+        for file in sorted(
+            (folder / group).rglob("[!_]*.yaml")
+        )  # _NAME: for other files to build on
     }
 
 
@@ -221,11 +277,21 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     refuse_code(raw)
     given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
     for path in sorted(OmegaConf.missing_keys(OmegaConf.create(given))):
-        raise ConfigError(f"{path} is not set. Give it a value.")
+        raise ConfigError(_not_set(path, overrides, plugins))
     return given
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
     """Compose `overrides` and validate the result."""
     plugins = plugins or installed()
-    return validate(compose_raw(overrides, plugins), plugins.registry)
+    try:
+        return validate(compose_raw(overrides, plugins), plugins.registry)
+    except ConfigError as error:
+        loops = [o for o in overrides if o.startswith(("search=", "ablation="))]
+        other = [o for o in overrides if o.startswith("experiment=")]
+        if not loops or not other:
+            raise
+        raise ConfigError(
+            f"{error} {loops[-1]} chooses an experiment of its own and sets options of that, which "
+            f"{other[-1]} may not have."
+        ) from error

@@ -19,6 +19,9 @@ from understudy.options import Option, check_range, checked_options, make_option
 from understudy.setup.registry import Component, Registry, Slot
 from understudy.task.terms import Outcome, Reduction
 
+#: The most steps of physics in a decision, and decisions in an episode of an evaluation.
+_STEPS, _DECISIONS = 100_000, 1_000_000
+
 
 @dataclass(frozen=True)
 class ControlOptions:
@@ -30,8 +33,13 @@ class ControlOptions:
 
     def __post_init__(self) -> None:
         check_range(self, "frequency", above=0, most=1e5)
-        check_range(self, "substeps", least=1, most=100_000)
+        check_range(self, "substeps", least=1, most=10_000)
         check_range(self, "decision", least=1, most=10_000)
+        if self.substeps * self.decision > _STEPS:
+            raise ValueError(
+                f"decision={self.decision} is not possible: with substeps={self.substeps} a decision would be "
+                f"more than {_STEPS} steps of physics."
+            )
 
 
 @dataclass(frozen=True)
@@ -77,9 +85,9 @@ class BudgetOptions:
 class MeasureThreshold:
     """Success by a measure: its value over the episode lies within these limits."""
 
-    measure: str
-    at_least: float | None = None
-    at_most: float | None = None
+    measure: str  #: name of the measure
+    at_least: float | None = None  #: in the measure's unit
+    at_most: float | None = None  #: in the measure's unit
 
     def __post_init__(self) -> None:
         if self.at_least is None and self.at_most is None:
@@ -112,11 +120,11 @@ class EvaluationOptions:
     every_samples: int | None = None
 
     def __post_init__(self) -> None:
-        check_range(self, "episodes", "final_episodes", least=1, most=10**7)
+        check_range(self, "episodes", "final_episodes", least=1)
         check_range(self, "seconds", above=0, most=1e7)
         check_range(self, "criterion", above=0, most=1)
         check_range(self, "gate", least=0, most=1)
-        check_range(self, "every_samples", least=0)
+        check_range(self, "every_samples", least=0, most=2**63 - 1)
 
 
 @dataclass(frozen=True)
@@ -132,12 +140,13 @@ class CheckpointOptions:
 @dataclass(frozen=True)
 class RunOptions:
     dir: str | None = None  #: run folder; null makes ``runs/<experiment>-<n>``
-    video_seconds: float = 8.0
+    video_seconds: float = 8.0  #: of the film when a training ends; 0 makes none
     video_size: tuple[int, int] | None = None  #: width and height in pixels; null is the report's
     video_camera: float | None = None  #: degrees about the vertical; 0 is from behind, 90 the right
 
     def __post_init__(self) -> None:
-        check_range(self, "video_seconds", least=0)
+        check_range(self, "video_seconds", least=0, most=3600)
+        check_range(self, "video_size", least=1, most=8192)
 
 
 #: What a run can take over from another one.
@@ -149,7 +158,7 @@ class StartOptions:
     """Begin with parts of another run's newest checkpoint."""
 
     run: str  #: its folder
-    parts: tuple[Part, ...] = ("actor", "critic", "normaliser")
+    parts: tuple[Part, ...] = ("actor", "critic", "normaliser")  #: what is taken over
 
 
 @dataclass(frozen=True)
@@ -162,33 +171,47 @@ class RewardOptions:
 
 @dataclass(frozen=True)
 class TerminationOptions:
-    terms: Mapping[str, Any] = field(default_factory=dict)
+    terms: Mapping[str, Any] = field(default_factory=dict)  #: by name: {name: COMPONENT}
 
 
 @dataclass(frozen=True)
 class Root:
     """The top level of a configuration, beside the slots and plugins' sections."""
 
-    seed: int = 0
-    device: str = "cpu"
-    num_worlds: int = 256
+    seed: int = 0  #: of all random streams, from 0
+    device: str = "cpu"  #: torch's name of it
+    num_worlds: int = 256  #: trained in at once, from 1
     difficulty: float = 1.0  #: in [0, 1]: what evaluations run at, and trainings lead to
-    task: str | None = None
-    control: ControlOptions = field(default_factory=ControlOptions)
-    resolution: ResolutionOptions = field(default_factory=ResolutionOptions)
-    episode: EpisodeOptions = field(default_factory=EpisodeOptions)
-    budget: BudgetOptions = field(default_factory=BudgetOptions)
-    evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
-    checkpoint: CheckpointOptions = field(default_factory=CheckpointOptions)
-    run: RunOptions = field(default_factory=RunOptions)
-    start: StartOptions | None = None
-    reward: RewardOptions = field(default_factory=RewardOptions)
-    termination: TerminationOptions = field(default_factory=TerminationOptions)
+    task: str | None = None  #: its name, where one was chosen
+    control: ControlOptions = field(default_factory=ControlOptions)  #: how often the policy decides
+    resolution: ResolutionOptions = field(
+        default_factory=ResolutionOptions
+    )  #: how coarse physics begins
+    episode: EpisodeOptions = field(default_factory=EpisodeOptions)  #: of training
+    budget: BudgetOptions = field(default_factory=BudgetOptions)  #: when a training ends
+    evaluation: EvaluationOptions = field(
+        default_factory=EvaluationOptions
+    )  #: how a policy is judged
+    checkpoint: CheckpointOptions = field(
+        default_factory=CheckpointOptions
+    )  #: what is saved, and how often
+    run: RunOptions = field(default_factory=RunOptions)  #: where it goes, and its film
+    start: StartOptions | None = None  #: what is taken over from another run
+    reward: RewardOptions = field(default_factory=RewardOptions)  #: what is rewarded
+    termination: TerminationOptions = field(
+        default_factory=TerminationOptions
+    )  #: what ends an episode
 
     def __post_init__(self) -> None:
-        check_range(self, "num_worlds", least=1, most=10**7)
+        check_range(self, "num_worlds", least=1)
         check_range(self, "seed", least=0, most=2**63 - 1)
         check_range(self, "difficulty", least=0, most=1)
+        decisions = self.evaluation.seconds * self.control.frequency / self.control.decision
+        if decisions > _DECISIONS:
+            raise ValueError(
+                f"evaluation.seconds={self.evaluation.seconds:g} is not possible: an episode would be more than "
+                f"{_DECISIONS} decisions."
+            )
         coarse, own = self.resolution.substeps, self.control.substeps
         if coarse is not None and coarse > own:
             raise ValueError(

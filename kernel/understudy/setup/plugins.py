@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import pluggy
 
-from understudy.errors import PluginError, suggestion
+from understudy.errors import PluginError, RunError, said, suggestion
+from understudy.records.folders import read
 from understudy.setup.registry import Registrar, Registry
+from understudy.signals import is_stop
 
 if TYPE_CHECKING:
     from understudy.records.observer import RunObserver
@@ -67,60 +69,86 @@ class Plugins:
     def config_directories(self) -> list[tuple[str, Path]]:
         return [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
 
-    def observers(self) -> list[RunObserver]:
-        """Fresh observers from every plugin."""
-        return [o for group in self.manager.hook.understudy_run_observers() for o in group]
+    def observers(self, tell: Callable[[str], None]) -> list[RunObserver]:
+        """Fresh observers from every plugin; `tell` is told of plugins that fail to give theirs."""
+        from understudy.records.observer import RunObserver
+
+        found: list[RunObserver] = []
+        for name, _ in self.manager.list_name_plugin():
+            try:
+                for group in _hook(self.manager, "understudy_run_observers", name)():
+                    own = list(group)
+                    if not all(isinstance(o, RunObserver) for o in own):
+                        raise TypeError(f"{own!r} are not all run observers")
+                    found += own
+            except BaseException as error:
+                if is_stop(error):
+                    raise
+                tell(f"The observers of plugin '{name}' are left out: {said(error)}")
+        return found
 
 
 def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] = ()) -> Plugins:
     """Load all installed plugins, or just those named in `only`, plus `extra` (name, module) pairs.
 
     ``UNDERSTUDY_PLUGINS=a,b`` allows only the named plugins and ``UNDERSTUDY_DISABLE_PLUGINS=c``
-    leaves some out. A plugin that fails to import, misspells a hook, or provides what an earlier
-    one provides already is recorded in ``registry.broken``, with nothing of it kept; the others
-    still load. The bundled plugins come first, then the others by name.
+    leaves some out. A plugin that fails to import, misspells a hook, has options that cannot be read, or
+    provides what an earlier one provides already is recorded in ``registry.broken``, with nothing of it
+    kept; the others still load. The bundled plugins come first, then the others by name.
 
     Raises
     ------
     PluginError
-        if two distributions provide a plugin of the same name, or a variable names none.
+        if a variable names no plugin.
     """
     manager = pluggy.PluginManager(GROUP)
     manager.add_hookspecs(Hooks)
     result = Plugins(manager, Registry())
     found = sorted(
         metadata.entry_points(group=GROUP),
-        key=lambda e: (e.dist is None or e.dist.name != "understudy", e.name),
+        key=lambda e: (_distribution(e) != "understudy", e.name, _distribution(e)),
     )
     there = {entry.name for entry in found}
     allowed = (_names("UNDERSTUDY_PLUGINS", there) or None) if only is None else set(only)
     disabled = _names("UNDERSTUDY_DISABLE_PLUGINS", there)
-    seen: dict[str, str] = {}
+    seen: dict[str, Any] = {}
     for entry in found:
         if (allowed is not None and entry.name not in allowed) or entry.name in disabled:
             continue
-        distribution = entry.dist.name if entry.dist else ""
+        distribution = _distribution(entry)
         version = entry.dist.version if entry.dist else ""
-        if seen.setdefault(entry.name, entry.value) != entry.value:
-            raise PluginError(
-                f"Two distributions provide a plugin named '{entry.name}'. Uninstall one of them, "
-                f"or set UNDERSTUDY_DISABLE_PLUGINS={entry.name}."
+        first = seen.setdefault(entry.name, entry)
+        if first.value != entry.value:
+            other = _distribution(first) or "another distribution"
+            error = PluginError(
+                f"{other} provides a plugin named '{entry.name}' already. Uninstall {distribution or entry.value}, "
+                "or rename its plugin."
             )
-        if manager.has_plugin(entry.name):
+            name = f"{entry.name} of {distribution or entry.value}"
+            _isolate(result, LoadedPlugin(name, distribution, version, ""), error)
+            continue
+        if first is not entry:
             continue  # the same distribution seen twice on the path
         try:
             module = entry.load()
-        except (Exception, SystemExit) as error:  # a stranger's import may raise anything
+        except BaseException as error:  # a stranger's import may raise anything
+            if is_stop(error):
+                raise
             _isolate(result, LoadedPlugin(entry.name, distribution, version, ""), error)
             continue
         _add(result, entry.name, module, distribution, version)
     for name, module in extra:
         _add(result, name, module, "", "")
-    faults = _shadowed_options(result) | result.registry.unknown_kinds()
+    registry = result.registry
+    faults = _broken_options(result) | registry.unknown_kinds() | registry.clashing_commands()
     for plugin in [p for p in result.loaded if p.name in faults]:
         result.loaded.remove(plugin)
         _isolate(result, plugin, faults[plugin.name])
     return result
+
+
+def _distribution(entry: metadata.EntryPoint) -> str:
+    return (entry.dist.name if entry.dist else "") or ""  # None where its metadata are damaged
 
 
 def _names(variable: str, there: set[str]) -> set[str]:
@@ -133,7 +161,7 @@ def _names(variable: str, there: set[str]) -> set[str]:
 
 def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> None:
     """Keep nothing of `plugin` but its name and why it did not load."""
-    reason = f"{type(error).__name__}: {error}".splitlines()[0]
+    reason = said(error)
     if plugins.manager.has_plugin(plugin.name):
         plugins.manager.unregister(name=plugin.name)
     plugins.registry.remove(plugin.name)
@@ -145,28 +173,33 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
     manager = plugins.manager
     plugin = LoadedPlugin(name, distribution, version, "ok")
     try:
-        for item in dir(module):
-            if (
-                item.startswith("understudy_")
-                and not hasattr(Hooks, item)
-                and callable(getattr(module, item))
-            ):
-                hooks = ", ".join(h for h in vars(Hooks) if h.startswith("understudy_"))
+        hooks = ", ".join(h for h in vars(Hooks) if h.startswith("understudy_"))
+        for item in (item for item in dir(module) if item.startswith("understudy_")):
+            if item not in vars(Hooks) and callable(getattr(module, item)):
                 raise PluginError(f"it defines '{item}', which is no hook. The hooks are: {hooks}.")
+            if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):
+                raise PluginError(f"its '{item}' is no function marked with @understudy.hookimpl.")
         manager.register(module, name)
         manager.check_pending()
-        others = [p for p in manager.get_plugins() if p is not module]
         register = Registrar(plugins.registry, name, distribution, version)
-        manager.subset_hook_caller("understudy_register", others)(register=register)
-        given = manager.subset_hook_caller("understudy_config_directory", others)()
+        _hook(manager, "understudy_register", name)(register=register)
+        given = _hook(manager, "understudy_config_directory", name)()
         if given:
             plugin = replace(plugin, config_directory=Path(given[0]))
             if not Path(given[0]).is_dir():
                 raise PluginError(f"its config directory {given[0]} does not exist.")
-    except (Exception, SystemExit) as error:  # as at import: named, isolated
+    except BaseException as error:  # as at import: named, isolated
+        if is_stop(error):
+            raise
         _isolate(plugins, plugin, error)
         return
     plugins.loaded.append(plugin)
+
+
+def _hook(manager: pluggy.PluginManager, hook: str, plugin: str) -> Any:
+    """The hook as the one plugin implements it."""
+    others = [p for name, p in manager.list_name_plugin() if name != plugin and p is not None]
+    return manager.subset_hook_caller(hook, others)
 
 
 def kernel_conf() -> Path:
@@ -176,11 +209,13 @@ def kernel_conf() -> Path:
     return packaged if packaged.is_dir() else here.parents[3] / "conf"
 
 
-def _shadowed_options(plugins: Plugins) -> dict[str, PluginError]:
-    """By plugin: a config option that the kernel or an earlier plugin provides already."""
+def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
+    """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot
+    be read."""
     own = {file.relative_to(kernel_conf()) for file in kernel_conf().rglob("*.yaml")}
     owner = dict.fromkeys(own, "")  # the kernel's come first
-    faults: dict[str, PluginError] = {}
+    faults: dict[str, BaseException] = {}
+    bundled = {p.name for p in plugins.loaded if p.distribution == "understudy"}
     for name, directory in plugins.config_directories():
         for file in sorted(directory.rglob("*.yaml")):
             option = file.relative_to(directory)
@@ -190,7 +225,40 @@ def _shadowed_options(plugins: Plugins) -> dict[str, PluginError]:
                     f"it provides the config option '{option.with_suffix('')}', which {other} "
                     "provides already. Rename one of them."
                 )
+            elif name not in bundled and (why := _unreadable(file)):
+                faults[name] = PluginError(f"its config option '{option.with_suffix('')}' {why}.")
     return faults
+
+
+#: Most bytes of a stranger's file of options, and most values once what it repeats is written out.
+_BYTES, _VALUES = 2**20, 10**5
+
+
+def _unreadable(file: Path) -> str:
+    """Why a file of options cannot be read, if so. What repeats itself by anchors is not written out."""
+    import yaml
+
+    values: dict[int, int] = {}
+
+    def count(node: Any) -> int:
+        """Of the node's values; raises a RecursionError for one that contains itself."""
+        if id(node) not in values:
+            inside = node.value if isinstance(node, yaml.CollectionNode) else ()
+            flat = (n for item in inside for n in (item if isinstance(item, tuple) else (item,)))
+            values[id(node)] = 1 + sum(map(count, flat))
+        return values[id(node)]
+
+    try:
+        root = yaml.compose(read(file, _BYTES).decode(), Loader=yaml.SafeLoader)
+        return "has too many values" if root is not None and count(root) > _VALUES else ""
+    except (OSError, RunError) as error:
+        return f"cannot be read: {getattr(error, 'strerror', None) or error}"
+    except UnicodeDecodeError:
+        return "is not UTF-8"
+    except (yaml.YAMLError, ValueError) as error:
+        return f"is not YAML: {' '.join(str(error).split())[:200]}"
+    except RecursionError:
+        return "is nested too deep, or in itself"
 
 
 @functools.cache

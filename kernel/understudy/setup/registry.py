@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import functools
 import importlib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.errors import ConfigError, PluginError, suggestion
+from understudy.errors import ConfigError, PluginError, said, suggestion
 from understudy.inputs import Inputs
 from understudy.options import Option, options_of
+from understudy.signals import is_stop
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,15 @@ KERNEL_KINDS: dict[str, str] = {
 }
 
 
+#: Commands of the kernel's own, and keys of a configuration that are neither slot nor section.
+KERNEL_COMMANDS = ("train", "resume")
+KERNEL_KEYS = frozenset((
+    "ablation", "budget", "checkpoint", "control", "defaults", "device", "difficulty", "episode",
+    "evaluation", "experiment", "hydra", "num_worlds", "resolution", "reward",
+    "run", "search", "seed", "start", "task", "termination",
+))  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Component:
     """A registered part: where it comes from, how it is made, which options it takes.
@@ -76,9 +87,11 @@ class Component:
         module, _, attribute = self.target.partition(":")
         try:
             loaded = importlib.import_module(module)
-        except Exception as error:  # whatever a library raises where it cannot run
+        except BaseException as error:  # whatever a library raises where it cannot run
+            if is_stop(error):
+                raise
             raise PluginError(
-                f"{self.kind} '{self.name}' of plugin '{self.plugin}' cannot be used: {error}. "
+                f"{self.kind} '{self.name}' of plugin '{self.plugin}' cannot be used: {said(error)}. "
                 "Install what it is missing, or choose another one."
             ) from error
         if not hasattr(loaded, attribute):
@@ -125,6 +138,15 @@ class TaskEntry:
     plugin: str
 
 
+def _check_texts(plugin: str, what: str, name: Any, *texts: Any) -> None:
+    """Raise :class:`PluginError` unless `name` can be typed, and `texts` are text."""
+    typed = isinstance(name, str) and name.isprintable() and name == " ".join(name.split()) != ""
+    if not typed or not all(isinstance(text, str) for text in texts):
+        raise PluginError(
+            f"Plugin '{plugin}' registers the {what} {name!r}, whose name or summary is no text."
+        )
+
+
 def _refuse_twice(other: Component | TaskEntry | Section | None, plugin: str, what: str) -> None:
     """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already, or
     under a name that is not as it is typed."""
@@ -153,6 +175,21 @@ class Registry:
     citations: dict[tuple[str, str], str] = field(default_factory=dict)
     #: What could not be loaded, by plugin name: the reason, raised when it is asked for.
     broken: dict[str, str] = field(default_factory=dict)
+
+    def clashing_commands(self) -> dict[str, PluginError]:
+        """Once all plugins are loaded: by plugin, a command that cannot be typed, or is another's by then."""
+        whole, groups = set(KERNEL_COMMANDS), set[str]()
+        faults: dict[str, PluginError] = {}
+        for c in (c for c in self.components.values() if c.kind == "command"):
+            *above, _ = words = c.name.split()
+            typed = len(words) <= 2 and all(re.fullmatch(r"[^\W_][\w-]*", word) for word in words)
+            if not typed or c.name in whole | groups or whole & set(above):
+                why = "exists already" if typed else "cannot be typed"
+                faults[c.plugin] = PluginError(f"it registers the command '{c.name}', which {why}.")
+            else:
+                whole.add(c.name)
+                groups.update(above)
+        return faults
 
     def unknown_kinds(self) -> dict[str, PluginError]:
         """Once all plugins are loaded: by plugin, a component of a kind that is nobody's."""
@@ -216,22 +253,32 @@ class Registrar:
         self, kind: str, name: str, target: Callable[..., Any] | str, summary: str = ""
     ) -> None:
         """Register a component. `target` is a class, a term function, or ``"module:name"``."""
+        _check_texts(self.plugin, f"{kind}", name, kind, summary)
+        if not (callable(target) or isinstance(target, str)):
+            raise PluginError(
+                f"Plugin '{self.plugin}' registers {target!r} as the {kind} '{name}'."
+            )
         self.registry.add(
             Component(kind, name, target, self.plugin, self.distribution, self.version, summary)
         )
 
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""
+        _check_texts(self.plugin, "task", name, summary)
         _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
         self.registry.tasks[name] = TaskEntry(name, summary, self.plugin)
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""
+        _check_texts(self.plugin, "section", name)
         _refuse_twice(self.registry.sections.get(name), self.plugin, f"section '{name}'")
+        if name in self.registry.slots or name in KERNEL_KEYS:
+            raise PluginError(f"Plugin '{self.plugin}' adds the section '{name}', which is taken.")
         self.registry.sections[name] = Section(name, options, build, self.plugin)
 
     def kind(self, name: str, summary: str) -> None:
         """Add a kind of component of the plugin's own (for example ``clip_reader``)."""
+        _check_texts(self.plugin, "kind", name, summary)
         if name in self.registry.kinds:
             raise PluginError(f"Plugin '{self.plugin}' adds the kind '{name}', which there is.")
         self.registry.kinds[name] = summary
@@ -240,7 +287,9 @@ class Registrar:
     def slot(self, name: str, kind: str, summary: str, *, many: bool = False) -> None:
         """Add a top-level slot `name` of the plugin's own, filled by components of `kind`; jobs
         build what fills it (``experiment.need(name).build(…)``)."""
-        if name in self.registry.slots or "." in name:
+        _check_texts(self.plugin, "slot", name, kind, summary)
+        taken = {*self.registry.slots, *self.registry.sections, *KERNEL_KEYS}
+        if name in taken or "." in name:
             raise PluginError(
                 f"Plugin '{self.plugin}' adds the slot '{name}', which exists already or has a dot."
             )
@@ -249,4 +298,5 @@ class Registrar:
 
     def citation(self, key: str, text: str) -> None:
         """Record how to cite what the plugin implements; kept with every run that uses the plugin."""
+        _check_texts(self.plugin, "citation", key, text)
         self.registry.citations[self.plugin, key] = text

@@ -12,6 +12,7 @@ from understudy.errors import ConfigError
 from understudy.inputs import Inputs
 
 if TYPE_CHECKING:
+    from understudy.running.environment import Parts
     from understudy.setup.registry import Registry
     from understudy.task.actions import ActionSpace
     from understudy.task.physics import Scene, Simulator
@@ -30,7 +31,7 @@ class Context:
     """What a component can know of the task it is built for.
 
     Filled in the order of building: sections, scene, simulator, then everything else. The action
-    space and ``observation_shapes`` are known when policy and learner are built.
+    space, ``observation_shapes`` and ``parts`` are known when policy and learner are built.
     """
 
     seed: int
@@ -50,6 +51,7 @@ class Context:
     simulator: Simulator | None = None
     action_space: ActionSpace | None = None
     observation_shapes: Mapping[str, Shape] = field(default_factory=dict)
+    parts: Parts | None = None  #: of the task, for learners that evaluate its terms themselves
 
     _shared: dict[str, Any] = field(default_factory=dict, repr=False)
 

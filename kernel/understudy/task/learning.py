@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from torch import Tensor
 
@@ -28,6 +28,13 @@ class Rollout:
     records: dict[str, Tensor]  #: fields that were asked for, before the action, (T, N, …)
     values: Tensor | None = None  #: (T, N)
     returns: Tensor | None = None  #: (T, N)
+    #: Fields that were asked for of the states reached, before what ended begins anew, (T, N, …).
+    reached: dict[str, Tensor] = field(default_factory=dict)
+
+    @property
+    def ended(self) -> Tensor:
+        """(T, N) bool: terminated or truncated."""
+        return self.terminated | self.truncated
 
 
 class Learner(ABC):
@@ -35,6 +42,10 @@ class Learner(ABC):
 
     #: T, the decisions per world and iteration.
     rollout_steps: int
+    #: Fields of the states, each (T, N, …), that rollouts are to bring beside the observations:
+    #: before the action, and as it left them, before the next episode begins.
+    records: tuple[str, ...] = ()
+    reaches: tuple[str, ...] = ()
     #: Called once with what led to the first non-finite step, so that it can be replayed.
     on_fault: Callable[[Mapping[str, Tensor]], None] | None = None
 

@@ -2,7 +2,7 @@
 and where episodes begin.
 
 All but initial states and curricula are pure: what they keep, the environment keeps for them. Fields
-come in by keyword, under the names in ``reads``. On an accelerator a step is recorded once and
+come in by keyword, under the names in ``reads``. On an accelerator a step is captured once and
 replayed, so tensors that a part uses in a step are changed in place, never replaced, and nothing in a
 step waits for the device.
 """
@@ -108,7 +108,7 @@ class InitialStates(ABC):
     episode_fields: Mapping[str, Shape] = {}
     #: Simulator parameters that :meth:`sample` returns too: those in which worlds then differ.
     varies: tuple[str, ...] = ()
-    #: Fields to be recorded at every step of a rollout for :meth:`update`.
+    #: Fields to be kept at every step of a rollout for :meth:`update`.
     records: tuple[str, ...] = ()
     #: Control periods that a beginning simulates without control before the episode starts, for
     #: what must come to rest first. Costs that many steps of all worlds whenever one begins.
@@ -141,7 +141,7 @@ class Curriculum(ABC):
     """
 
     provides: Mapping[str, Shape]
-    #: Fields to be recorded at every step of a rollout for :meth:`update`.
+    #: Fields to be kept at every step of a rollout for :meth:`update`.
     records: tuple[str, ...] = ()
 
     @abstractmethod

@@ -45,7 +45,7 @@ class Scene(ABC):
 class Simulator(ABC):
     """Owns the physics state of N worlds and advances all of them at once.
 
-    On a GPU :meth:`read`, :meth:`set_state`, :meth:`step` and :meth:`restore` may be recorded in a
+    On a GPU :meth:`read`, :meth:`set_state`, :meth:`step` and :meth:`restore` may be captured in a
     CUDA graph of the caller's, once each was called before in the same way.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
@@ -21,13 +22,23 @@ Reduction = Literal["last", "min", "max", "mean", "sum", "any"]
 
 
 @dataclass(frozen=True)
-class Bound(Generic[T]):
+class Wired(Generic[T]):
     """A part of a task, and which fields it reads and provides under which of its own names."""
 
     where: str  #: its key path in the configuration, for errors
     part: T
     reads: Mapping[str, str] = field(default_factory=dict)  #: its own name → the field's
     provides: Mapping[str, str] = field(default_factory=dict)  #: its own name → the field's
+
+
+class Margin(ABC):
+    """A termination that knows how near it is, for learners that use derivatives. Implemented by a
+    term's class beside ``__call__``, which takes the same fields."""
+
+    @abstractmethod
+    def used(self, *args: Any, **fields: Any) -> Tensor:
+        """(N, K): how much of the way to its end each of K things has gone, differentiable in the
+        fields: 0 where none of it, 1 where the term begins to hold."""
 
 
 def renamed(

@@ -4,6 +4,7 @@ A third party's test is one line: ``check_plugin("my_plugin")`` builds and check
 registers.
 """
 
+from understudy.testing.capture import check_capturable
 from understudy.testing.conformance import (
     check_component,
     check_environment,
@@ -11,15 +12,14 @@ from understudy.testing.conformance import (
     check_simulator,
 )
 from understudy.testing.fake import FakeScene, FakeSimulator, fake_plugins
-from understudy.testing.recording import check_recordable
 
 __all__ = [
     "FakeScene",
     "FakeSimulator",
+    "check_capturable",
     "check_component",
     "check_environment",
     "check_plugin",
-    "check_recordable",
     "check_simulator",
     "fake_plugins",
 ]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
-from collections.abc import Mapping, Sequence
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
+from understudy.options import options_of, sentences
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -16,11 +20,11 @@ from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins, installed
 from understudy.setup.registry import Component
 from understudy.task import Simulator
-from understudy.testing.recording import check_recordable
+from understudy.testing.capture import check_capturable
 
 
 def check_component(component: Component) -> None:
-    """It imports, says what it is, and its options have types."""
+    """It imports, says what it is, and its options have types and a sentence each."""
     factory = component.factory  # imports it
     assert (factory.__doc__ or "").strip(), f"{component.kind} '{component.name}' has no docstring"
     if not inspect.isclass(factory):
@@ -32,6 +36,22 @@ def check_component(component: Component) -> None:
         assert option.annotation is not inspect.Parameter.empty, (
             f"option '{option.name}' of {component.kind} '{component.name}' has no type"
         )
+    missing = ", ".join(f"'{name}'" for name in unsaid(factory))
+    assert not missing, (
+        f"{component.kind} '{component.name}': no sentence on {missing}. Write '#: ' and what it is, with "
+        "unit, range and where the default is from, above it or behind it."
+    )
+
+
+def unsaid(factory: Any) -> Iterator[str]:
+    """The options without a sentence, those within options too."""
+    said = sentences(factory)
+    for name, option in options_of(factory).items():
+        if not said.get(name):
+            yield name
+        for item in (option.annotation, *typing.get_args(option.annotation)):
+            if dataclasses.is_dataclass(item):
+                yield from (f"{name}.{inner}" for inner in unsaid(item))
 
 
 def check_simulator(simulator: Simulator, num_worlds: int, vary: Sequence[str] = ()) -> None:
@@ -170,6 +190,6 @@ def check_plugin(name: str, plugins: Plugins | None = None, num_worlds: int = 4)
             built = build_environment(experiment)
             try:
                 check_environment(built.environment)
-                check_recordable(built.environment)
+                check_capturable(built.environment)
             finally:
                 built.environment.close()

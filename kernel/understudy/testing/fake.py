@@ -134,7 +134,7 @@ class Somewhere(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        spread: float = 1.0
+        spread: float = 1.0  #: m
 
     def __init__(self, options: Options, context: Context) -> None:
         self._spread = options.spread
@@ -144,12 +144,20 @@ class Somewhere(InitialStates):
         return {"qpos": qpos, "qvel": torch.zeros_like(qpos)}
 
 
-def near_origin(qpos: Tensor, *, scale: float = 1.0) -> Tensor:
+def near_origin(
+    qpos: Tensor,
+    *,
+    scale: float = 1.0,  #: m
+) -> Tensor:
     """exp(-|x| / scale)."""
     return torch.exp(-qpos.abs().squeeze(1) / scale)
 
 
-def far_away(qpos: Tensor, *, limit: float = 3.0) -> Tensor:
+def far_away(
+    qpos: Tensor,
+    *,
+    limit: float = 3.0,  #: m
+) -> Tensor:
     """Further than `limit` metres from the origin."""
     return qpos.abs().squeeze(1) > limit
 

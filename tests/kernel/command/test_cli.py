@@ -168,7 +168,14 @@ def test_a_run_from_beginning_to_end(capsys: pytest.CaptureFixture[str], tmp_pat
     assert main(["evaluate", str(run), *words]) == 0
     assert json.loads((run / "evaluation-episodes-1-seconds-0.1.json").read_text())["episodes"] == 1
     capsys.readouterr()
-    assert "checkpoint=7" in complaint(capsys, "evaluate", str(run), "checkpoint=7")
+    line = complaint(capsys, "evaluate", str(run), "checkpoint=7")
+    kept = sorted(int(p.stem) for p in (run / "checkpoints").glob("*.json"))
+    assert f"keeps no checkpoint=7: there is {', '.join(map(str, kept))}; or write last" in line
+    for word in ("last", "best", "0.9", "100%"):
+        assert main(["evaluate", str(run), *words, f"checkpoint={word}", "half_step=false"]) == 0
+        assert json.loads(capsys.readouterr().out)["samples"] == 64
+    for word in ("1.5", "worst", "200%"):
+        assert f"checkpoint={word}" in complaint(capsys, "evaluate", str(run), f"checkpoint={word}")
     assert "WIDTHxHEIGHT" in complaint(capsys, "render", str(run), "size=big")
     slower = "episode.seconds=0.4"
     assert main(["evaluate", str(run), "episodes=1", slower, "num_worlds=2"]) == 0
@@ -233,7 +240,7 @@ def test_lists(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 @pytest.mark.parametrize(
-    "command", ["--help", "experiments", "describe learner/ppo", "motion check walk"]
+    "command", ["--help", "experiments", "train", "describe learner/ppo", "motion check walk"]
 )
 def test_terminals_without_utf_8(command: str, encoding: str) -> None:
     """What they cannot show is replaced; the rest is printed."""

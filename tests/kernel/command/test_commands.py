@@ -82,15 +82,13 @@ def test_a_command_that_cannot_be_imported_says_so(capsys: pytest.CaptureFixture
     assert "cannot be used" in capsys.readouterr().err
 
 
-def test_a_command_of_the_kernels_name_is_refused(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_of_the_kernels_name_is_refused() -> None:
     class Taker:
         @plugins.hookimpl
         def understudy_register(self, register: Registrar) -> None:
             register.component("command", "train", Greet, "take over")
 
     loaded = plugins.load(only=[], extra=[("taker", Taker())])
-    monkeypatch.setattr(plugins, "installed", lambda: loaded)
-    assert cli.main(["tasks"]) == 2
-    assert "Plugin 'taker' registers the command 'train', which exists" in capsys.readouterr().err
+    why = "PluginError: it registers the command 'train', which exists already."
+    assert loaded.registry.broken == {"taker": why}
+    assert not loaded.registry.names("command")

@@ -16,7 +16,7 @@ from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.running.evaluation import Evaluator
+from understudy.running.evaluator import Evaluator
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, Curriculum, Rollout, State
 

@@ -13,7 +13,7 @@ from worlds import PADDLE_TASK, assert_same_state
 
 from understudy.errors import ConfigError, TrainingError
 from understudy.running.environment import Environment, Step
-from understudy.running.statistics import refuse_hopeless
+from understudy.running.statistics import Hopeless
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -50,6 +50,23 @@ def test_conformance(plugins: Plugins, task: tuple[str, ...]) -> None:
     built = build_environment(load_experiment([*task], plugins))
     check_environment(built.environment)
     check_simulator(built.environment.parts.simulator, 4)
+
+
+def test_a_step_brings_the_states_that_it_reached(plugins: Plugins) -> None:
+    """Of worlds that ended where they ended, not where they began anew; of unsound ones nothing."""
+    env = made(plugins)
+    env.reset()
+    assert still(env).reached == {}
+    env.reaches = ("qpos", "episode_time")
+    place(env, [0.5, 9.0, torch.nan, -0.5])
+    step = still(env)
+    assert step.ended.tolist() == [False, True, True, False]
+    assert step.reached["qpos"].flatten().tolist() == pytest.approx([0.5, 9.0, 0.0, -0.5], abs=0.1)
+    assert float(env.table["qpos"].abs().max()) < 5.0
+    assert (step.reached["episode_time"] > 0).all()
+    kept = step.reached["qpos"].clone()
+    still(env)
+    assert torch.equal(step.reached["qpos"], kept)
 
 
 def test_only_ended_worlds_begin_anew(plugins: Plugins) -> None:
@@ -204,9 +221,20 @@ def test_wrong_shapes(plugins: Plugins, kind: str, result: torch.Tensor, message
 
 
 def test_refuse_hopeless() -> None:
-    refuse_hopeless(25, 10, 10)
-    with pytest.raises(TrainingError, match=r"^26% of all steps"):
-        refuse_hopeless(26, 10, 10)
+    def after(*iterations: tuple[float, float], worlds: int = 10) -> None:
+        hopeless = Hopeless(worlds)
+        for unsound, episodes in iterations:
+            hopeless.refuse({"unsound": unsound, "episodes": episodes}, 10, lambda: "x")
+
+    after((25, 100))
+    with pytest.raises(TrainingError, match=r"^26% of all steps .* by the numbers of x\."):
+        after((26, 100))
+    after((16, 32), (5, 5), (5, 5), (5, 5), (5, 5), (5, 5), (5, 5))  # of 30, which are few
+    with pytest.raises(TrainingError, match=r"^53% of all episodes"):
+        after((17, 32))
+    with pytest.raises(TrainingError, match=r"^100% of all episodes"):
+        after(*[(8, 8)] * 4)
+    after(*[(8, 8)] * 4, worlds=50)
 
 
 def test_physics_is_computed_in_full_precision(

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
-from understudy.running.evaluation import Evaluation, Evaluator
+from understudy.running.evaluation import Evaluation
+from understudy.running.evaluator import Evaluator
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, InitialStates
 

@@ -16,15 +16,9 @@ from worlds import make_training
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
-from understudy.running.evaluation import (
-    Evaluation,
-    Evaluator,
-    Measured,
-    Reducer,
-    Success,
-    success_of,
-    wilson_interval,
-)
+from understudy.running.evaluation import Evaluation, Measured, wilson_interval
+from understudy.running.evaluator import Evaluator, Reducer
+from understudy.running.success import Success, success_of
 from understudy.setup.composition import load_experiment
 from understudy.task.terms import Reduction
 

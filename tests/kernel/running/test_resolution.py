@@ -118,6 +118,20 @@ def test_physics_cannot_begin_finer_than_it_ends() -> None:
         load_experiment([*COARSE, "resolution.substeps=8"], line_plugins())
 
 
+def test_after_sharpening_an_evaluation_comes_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After half as many samples as else, and none too late."""
+    training = made(None, "evaluation.criterion=0.9", "evaluation.every_samples=320", "evaluation.gate=0", "budget.samples=1280")  # fmt: skip
+    looked: list[tuple[str, int]] = []
+
+    def evaluate(kind: str, episodes: int, criterion: float | None) -> Evaluation:
+        looked.append((kind, training.progress.samples))
+        return Evaluation(episodes, "", 1.0 if kind == "rehearsal" else 0.0)
+
+    monkeypatch.setattr(training, "_evaluate", evaluate)
+    training.train()
+    assert looked == [("rehearsal", 320), ("evaluation", 480), ("evaluation", 800), ("evaluation", 1120)]  # fmt: skip
+
+
 def test_a_result_is_tried_at_half_the_time_step() -> None:
     """On the same starts, whatever physics a training began with."""
     training = made(None)

@@ -22,7 +22,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Actuation, Context, Curriculum, Encoder, Rollout, State, box
 from understudy.testing import FakeScene
-from understudy_basics.controller import Controller
+from understudy_skills.controller import Controller
 
 
 class Learned(Starts):

@@ -267,7 +267,7 @@ def test_the_origin_of_a_part_that_a_word_chose() -> None:
     overrides = ["experiment=miniature/chopsticks", "policy=mlp", "policy.hidden=[8]"]
     origin = {k: v for k, v in origins(overrides).items() if k.startswith("policy.")}
     assert origin == {
-        "policy.name": "policy/mlp.yaml [basics]",
+        "policy.name": "policy/mlp.yaml [networks]",
         "policy.hidden": "command line: policy.hidden=[8]",
     }
 

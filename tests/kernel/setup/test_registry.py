@@ -7,7 +7,7 @@ from typing import Any, Literal
 import pytest
 
 from understudy.errors import ConfigError, PluginError
-from understudy.options import REQUIRED, check_range, coerce, make_options, options_of
+from understudy.options import REQUIRED, check_range, coerce, make_options, options_of, sentences
 from understudy.setup.registry import Component, Registrar, Registry
 
 
@@ -29,6 +29,51 @@ class Outer:
 
 class Part:
     Options = Outer
+
+
+@dataclass(frozen=True)
+class Said:
+    """Options with their sentences where people and formatters put them."""
+
+    #: above it,
+    #: on two lines
+    above: int = 3
+    behind: int = 4  #: behind it
+    long: dict[str, int] = field(default_factory=dict)  #: behind what the formatter wrapped
+    both: float = 1.0  #: within its brackets
+    unsaid: int = 5  # a comment for the reader of the source
+    #: of the one that follows
+    last: str = ""
+
+
+@dataclass(frozen=True)
+class More(Said):
+    behind: int = 5  #: said anew
+    more: int = 6  #: its own
+
+
+def said(
+    qpos: Any,  #: no option
+    *,
+    scale: float = 2.0,  #: m
+    #: above it
+    limit: float,
+    unsaid: int = 1,
+) -> Any: ...
+
+
+def test_sentences_of_options() -> None:
+    expected = {
+        "above": "above it, on two lines", "behind": "behind it", "last": "of the one that follows",
+        "long": "behind what the formatter wrapped", "both": "within its brackets",
+    }  # fmt: skip
+    assert sentences(Said) == expected
+    assert sentences(More) == {**expected, "behind": "said anew", "more": "its own"}
+    assert {k: v for k, v in sentences(said).items() if k != "qpos"} == {
+        "scale": "m",
+        "limit": "above it",
+    }
+    assert sentences(max) == {}, "there is no source"
 
 
 def term(qpos: Any, qvel: Any, *, scale: float = 2.0, limit: float) -> Any: ...

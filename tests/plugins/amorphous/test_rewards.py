@@ -12,7 +12,7 @@ from understudy.errors import ConfigError
 from understudy.task import Context
 from understudy_amorphous import flipping, gathering, spreading
 from understudy_amorphous.scene import AmorphousScene
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 STILL = torch.tensor([[[1.0, 0.0, 0.1], [2.0, 0.0, 0.3]]])
 ALL = torch.ones(1, 2)

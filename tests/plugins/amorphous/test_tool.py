@@ -17,7 +17,7 @@ from understudy_amorphous.tool import (
     integrate,
     orientation,
 )
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 DT = 1 / 30
 
@@ -53,7 +53,7 @@ def test_eq_5_by_hand() -> None:
     torch.testing.assert_close(after[1], torch.full((1, 6), 0.5 + 0.1 * (4.0 - 5.0)))
 
 
-def test_angles_and_orientations_agree_with_the_rotations_of_basics() -> None:
+def test_angles_and_orientations_agree_with_those_of_tensors() -> None:
     angles = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) * 2.8 - 1.4
     axes = torch.eye(3)
     one_by_one = rotations.multiply(

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_characters import random_model, random_poses
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.kinematics import Kinematics, Poses
+from understudy_tensors import rotations
 
 
 @settings(max_examples=30, deadline=None)
@@ -34,9 +35,30 @@ def test_positions_and_rotations_are_mujocos(seed: int) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_step_turns_everything_below_about_its_axis(seed: int) -> None:
-    """Each degree of freedom by itself moves exactly what hangs on it, as its axis says."""
-    character = Character("random", random_model(seed))
+def test_hinges_of_one_body_apart(seed: int) -> None:
+    """Bodies are where MuJoCo has them, and a pose survives the clip, whose joint is at the first hinge."""
+    model = random_model(seed, apart=0.05)
+    character, data = Character("random", model), mujoco.MjData(model)
+    qpos = random_poses(model, seed)
+    poses = Kinematics(character).forward(qpos)
+    for frame, row in enumerate(qpos.numpy()):
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        for index, joint in enumerate(character.joints[1:], start=1):
+            first = model.jnt_pos[model.body_jntadr[joint.body]]
+            point = data.xpos[joint.body] + data.xmat[joint.body].reshape(3, 3) @ first
+            np.testing.assert_allclose(poses.positions[frame, index], point, atol=1e-9)
+    clip = character.clip(qpos, torch.arange(len(qpos)).double(), name="apart")
+    again = character.clip(character.qpos(clip), clip.times, name="again")
+    assert rotations.angle_between(again.rotations, clip.rotations).max() < 1e-6
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.05])
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_a_step_turns_everything_below_about_its_axis(apart: float, seed: int) -> None:
+    """Each degree of freedom by itself moves exactly what hangs on it, as its axis and pivot say."""
+    character = Character("random", random_model(seed, apart))
     kinematics = Kinematics(character)
     qpos = random_poses(character.model, seed, count=1)
     here, tiny = kinematics.forward(qpos), 1e-6
@@ -45,7 +67,7 @@ def test_a_step_turns_everything_below_about_its_axis(seed: int) -> None:
         step[0, 3 + dof] = tiny
         there = kinematics.forward(_without_limits(kinematics, qpos, here, step))
         moved = (there.positions - here.positions)[0] / tiny
-        arm = here.positions[0] - here.positions[0, owner]
+        arm = here.positions[0] - here.pivots[0, dof]
         expected = torch.linalg.cross(here.axes[0, dof].expand_as(arm), arm)
         expected[~kinematics.hangs_on[:, owner]] = 0.0
         torch.testing.assert_close(moved, expected, atol=1e-5, rtol=0)

@@ -53,6 +53,21 @@ def test_what_the_reference_brings_to_the_floor_may_touch_it(context: Context) -
     assert fall(xpos, xmat, others).tolist() == [False, True]
 
 
+def test_how_near_a_fall_is_is_the_share_of_the_height_that_is_lost(context: Context) -> None:
+    fall = Fall(Fall.Options(bodies=("root",)), context)
+    links = SCENE.layout.link_names
+    row = links.index("root")
+    height = SCENE.poses.state(torch.tensor(SCENE.model.qpos0)[None])["link_clearances"][0, row]
+    reference = torch.full((2, len(links)), float(height))
+    for lost in (0.0, 0.5, 0.99, 1.01):
+        used = fall.used(*standing(-lost * float(height)), reference)
+        assert used[1].tolist() == pytest.approx([lost], abs=1e-4)
+        assert fall(*standing(-lost * float(height)), reference).tolist() == [False, lost > 1]
+    assert fall.used(*standing(1.0), reference)[1].tolist() == [0.0]  # higher than it
+    meant = torch.full((2, len(links)), 0.1)  # where the motion has it near the floor
+    assert fall.used(*standing(-0.9), meant).tolist() == [[0.0], [0.0]]
+
+
 def test_no_body_of_another_name(context: Context) -> None:
     with pytest.raises(ConfigError, match=r"characters/fall: no body 'nek'\. Did you mean 'neck'"):
         Fall(Fall.Options(bodies=("nek",)), context)

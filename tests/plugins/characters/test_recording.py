@@ -14,8 +14,8 @@ from recorded_runs import NQ, croucher_plugins, make_run, record, track
 from understudy.errors import ConfigError, FileError, RunError
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.registry import Component
-from understudy_basics import rotations
 from understudy_characters.recording import recorded_clips, recorded_surroundings, run_character
+from understudy_tensors import rotations
 
 
 @pytest.fixture(autouse=True)

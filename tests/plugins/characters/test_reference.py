@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.initial_states import reference_states
 from understudy_characters.layout import Layout, layout_of
@@ -22,6 +21,7 @@ from understudy_humanoid.clips import generated_walk
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
+from understudy_tensors import rotations
 
 DT = 1 / 30
 

@@ -11,13 +11,13 @@ import torch
 from random_characters import random_model, random_poses
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout, layout_of
 from understudy_characters.reference import difference_qvel
 from understudy_characters.state import Poses, character_state
 from understudy_characters.surface import FAR, lowest_points, surface_of
 from understudy_humanoid.character import build_spec
+from understudy_tensors import rotations
 
 WORLDS = 6
 NAMES = ("qpos", "xpos", "xmat", "xipos", "cvel", "subtree_com")

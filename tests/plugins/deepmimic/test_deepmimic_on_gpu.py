@@ -8,7 +8,7 @@ import pytest
 import torch
 
 pytest.importorskip(
-    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from understudy.running.reinforcement import Reinforcement
@@ -27,7 +27,7 @@ SMALL = (
 @pytest.mark.parametrize("more", [(), ("learner.epochs=3",), ("curriculum=deepmimic/annealed",)])
 def test_trains_and_evaluates_recorded(more: tuple[str, ...]) -> None:
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        warnings.filterwarnings("error", message="Steps cannot be captured")
         training = Training(load_experiment([*SMALL, *more])).prepare()
         for _ in range(8):
             row = training.iterate()

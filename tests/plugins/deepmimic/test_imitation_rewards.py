@@ -13,10 +13,10 @@ from torch import Tensor
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_deepmimic import rewards
 from understudy_deepmimic.rewards import Velocity
+from understudy_tensors import rotations
 
 CONTEXT = Context(
     0,

@@ -10,17 +10,18 @@ import torch
 from torch import Tensor
 from worlds import make_training
 
-from understudy.running.evaluation import Evaluation, Evaluator
+from understudy.running.evaluation import Evaluation
+from understudy.running.evaluator import Evaluator
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Context, Policy
 from understudy.testing import check_environment, check_plugin
-from understudy_basics import rotations
-from understudy_basics.nn import DiagonalGaussian
 from understudy_deepmimic.encoders import StateEncoder
 from understudy_deepmimic.horizon import Horizon, NormalisedReturn, horizon
+from understudy_networks.nn import DiagonalGaussian
 from understudy_ppo.learner import PPO
+from understudy_tensors import rotations
 
 WALK = ("experiment=deepmimic/walk", "num_worlds=4")
 
@@ -178,7 +179,7 @@ def test_the_settings_of_the_tables() -> None:
 
 @pytest.mark.parametrize("name", ["released", "optimised_walk", "optimised_backflip"])
 def test_on_a_gpu_all_is_four_times_the_samples(name: str) -> None:
-    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+    pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     small, large = learner(name), learner(f"{name}_gpu")
     assert small.batch_size is not None
     assert large == replace(small, batch_size=4 * small.batch_size, rollout_steps=4)
@@ -188,7 +189,7 @@ def test_on_a_gpu_all_is_four_times_the_samples(name: str) -> None:
 
 
 def test_the_sweep_of_settings_composes() -> None:
-    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+    pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     experiment = load_experiment(["ablation=deepmimic/settings"])
     for overrides in experiment.need("outer_loop").options.variants.values():
         load_experiment(["experiment=deepmimic/walk_gpu", *overrides])

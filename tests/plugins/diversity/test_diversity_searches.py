@@ -19,7 +19,6 @@ from understudy.errors import ConfigError
 from understudy.options import make_options
 from understudy.running.trials import Report, Trial
 from understudy.task import Context
-from understudy_basics import rotations
 from understudy_bayes.space import Parameter
 from understudy_diversity.acquisition import by_direct, by_gradient, expected_novelty, uncertainty
 from understudy_diversity.map_elites import MapElites
@@ -29,6 +28,7 @@ from understudy_diversity.search import DiversitySearch, RandomDiversity
 from understudy_diversity.strategies import Feature, alike, distances, feature_of
 from understudy_diversity.surrogate import Surrogate
 from understudy_sweeps.journal import Journal
+from understudy_tensors import rotations
 
 LOOPS: list[Any] = [DiversitySearch, RandomDiversity, MapElites]
 

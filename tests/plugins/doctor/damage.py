@@ -8,9 +8,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, sample
 from understudy_motion.editing import reach, shift
+from understudy_tensors import rotations
 
 
 def walking(clip: Clip, cycles: int = 3) -> Clip:

@@ -144,7 +144,7 @@ def test_another_skeleton(tmp_path: Path, walk: Clip, capsys: pytest.CaptureFixt
     assert cli.main([*arguments, "--character", "humanoid"]) == 1
     shown = capsys.readouterr().out
     assert "major: mapping right_knee, left_knee at" in shown
-    assert "understudy motion retarget CLIP humanoid OUT" in shown
+    assert "humanoid OUT.npz` makes it fit" in shown
 
 
 def test_extra_joints_are_told_and_kept(

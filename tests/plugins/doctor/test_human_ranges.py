@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.ranges import MARGIN, beyond, range_of
+from understudy_tensors import rotations
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 

@@ -15,6 +15,7 @@ from understudy.setup.plugins import installed
 from understudy_characters.character import Character, load_character
 from understudy_export.columns import joint_columns
 from understudy_motion.clip import Clip, resample
+from understudy_motion.reading import read_clip
 from understudy_motion.writers.table import NpzWriter
 
 
@@ -62,6 +63,30 @@ def test_the_motion_comes_back(trainer: str, read: object, tmp_path: Path) -> No
     dot = (again.rotations * clip.rotations).sum(-1).abs()
     assert dot.min() > 1.0 - 1e-6
     torch.testing.assert_close(again.root_position, clip.root_position, atol=1e-5, rtol=0.0)
+
+
+@pytest.mark.parametrize("trainer", ["mjlab", "protomotions"])
+@pytest.mark.parametrize("before", [True, False])
+def test_what_is_written_is_read_back(trainer: str, before: bool, tmp_path: Path) -> None:
+    """Also where a free ball stands before or behind the robot in its file."""
+    robot = robot_file(tmp_path)
+    ball = '<body name="ball" pos="2 0 1"><freejoint/><geom size=".1"/></body>'
+    where = (
+        ("<worldbody>", "<worldbody>" + ball) if before else ("</worldbody>", ball + "</worldbody>")
+    )
+    plain = load_character(str(robot), installed().registry)
+    clip = moving(plain)
+    robot.write_text(robot.read_text().replace(*where, 1))
+    character = load_character(str(robot), installed().registry)
+    NpzWriter().write(clip, tmp_path / "moving.npz")
+    out = tmp_path / "out.csv"
+    arguments = ["motion", "export", str(tmp_path / "moving.npz"), str(robot), str(out)]
+    assert main([*arguments, "--for", trainer]) == 0
+    again = character.posed(read_clip(out, installed().registry))
+    torch.testing.assert_close(again.times, clip.times)
+    torch.testing.assert_close(again.root_position, clip.root_position, atol=1e-5, rtol=0.0)
+    assert (again.rotations * clip.rotations).sum(-1).abs().min() > 1.0 - 1e-6
+    torch.testing.assert_close(character.qpos(again), character.qpos(clip), atol=1e-5, rtol=0.0)
 
 
 def test_columns_are_named_in_the_order_of_the_model(tmp_path: Path) -> None:

@@ -17,12 +17,12 @@ from moving_figures import angle_error, boxes, clips, position_error
 from scipy.spatial import cKDTree
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_export.gltf import GlbWriter, GltfWriter
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics
 from understudy_motion.writers.bvh import BvhWriter
 from understudy_motion.writing import Shape, Shown
+from understudy_tensors import rotations
 
 WRITERS = pytest.mark.parametrize("writer", [GlbWriter(), GltfWriter()], ids=lambda w: w.suffix)
 SLOWLY = settings(max_examples=30, deadline=None)

@@ -16,9 +16,9 @@ from understudy.command.cli import main
 from understudy.setup.building import Built, build_environment, build_policy
 from understudy.setup.composition import load_experiment
 from understudy.task import Policy
-from understudy_basics.policies import MLPPolicy
-from understudy_basics.skill import Skill, open_skill
 from understudy_export.policy import Acting, write_model, write_policy
+from understudy_networks.policies import MLPPolicy
+from understudy_skills.skill import Skill, open_skill
 
 for needed in ("onnx", "onnxscript", "onnxruntime"):
     pytest.importorskip(needed, reason=f"{needed} is not installed (the extras onnx and dev)")

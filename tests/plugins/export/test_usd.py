@@ -18,12 +18,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_export.gltf import GlbWriter
 from understudy_export.usd import UsdaWriter, UsdcWriter, UsdWriter
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics
 from understudy_motion.writing import Shape
+from understudy_tensors import rotations
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import functools
+import pickle
 import subprocess
 import sys
 from typing import Any
@@ -301,3 +303,62 @@ def test_actions_of_numbers_and_choices(monkeypatch: pytest.MonkeyPatch) -> None
     np.testing.assert_array_equal(taken[:, 0], sample["side"])
     # Two and five of float32 nearly cancel where the step is near -0.4.
     np.testing.assert_allclose(taken[:, 1:], 2 + 5 * sample["step"], rtol=1e-6, atol=1e-6)
+
+
+# ---------------------------------------------------------------- processes and copies
+
+FORKED = """
+import gymnasium, torch
+import understudy_gym.envs
+
+torch.set_num_threads(4)
+one = gymnasium.make("{task}")
+one.reset(seed=0)
+one.step(one.action_space.sample())  # torch's threads are there before the fork
+(torch.rand(2000, 2000) @ torch.rand(2000, 2000)).exp()
+envs = gymnasium.make_vec("{task}", num_envs=2, vectorization_mode="async")
+envs.reset(seed=0)
+print(envs.step(envs.action_space.sample())[1].shape)
+envs.close()
+"""
+
+
+@pytest.mark.parametrize("task", [WALK, "deepmimic/walk"])
+def test_forked_environments_step(task: str) -> None:
+    """Gymnasium's ``async`` forks by default; a child that waited for torch's threads would hang."""
+    code = FORKED.format(task=task)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=240
+    )
+    assert (done.stdout, done.returncode) == ("(2,)\n", 0), done.stderr
+
+
+COPIES = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.dumps(env))}
+
+
+@pytest.mark.parametrize("how", COPIES)
+@pytest.mark.parametrize("make", [gymnasium.make, many], ids=["one", "many"])
+def test_copies_go_on_alike(make: Any, how: str) -> None:
+    original = make(WALK, flat=True)
+    unbegun = COPIES[how](original)
+    seen, same = original.reset(seed=3)[0], unbegun.reset(seed=3)[0]
+    np.testing.assert_array_equal(seen, same)
+    action = 0.2 * np.ones(original.action_space.shape, np.float32)
+    original.step(action)
+    begun = COPIES[how](original)
+    for _ in range(12):  # over the end of an episode
+        for mine, its in zip(original.step(action)[:4], begun.step(action)[:4], strict=True):
+            np.testing.assert_array_equal(mine, its)
+    assert begun.unwrapped.worlds is not original.unwrapped.worlds
+
+
+def test_a_copy_keeps_what_it_was_made_with() -> None:
+    original = gymnasium.make(
+        WALK, overrides=["episode.seconds=0.5"], action_scale=0.1, width=32, height=16,
+        render_mode="rgb_array",
+    )  # fmt: skip
+    other = copy.deepcopy(original)
+    assert other.unwrapped.worlds.episode_steps == original.unwrapped.worlds.episode_steps
+    assert float(other.unwrapped.worlds.scale.reach[0]) == pytest.approx(0.1)
+    other.reset(seed=0)
+    assert other.render().shape == (16, 32, 3)

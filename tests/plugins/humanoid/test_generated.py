@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from understudy.errors import ConfigError
 from understudy.options import checked_options
 from understudy.setup.plugins import Plugins
-from understudy_basics import rotations
 from understudy_humanoid import clips as generated
 from understudy_motion.clip import Clip, cycle_transform, velocities
 from understudy_motion.library import load
+from understudy_tensors import rotations
 
 GRAVITY = 9.81
 #: By name: what makes the clip, and the largest joint speed it may have, rad/s.

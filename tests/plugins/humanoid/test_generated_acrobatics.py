@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from generated_motions import MODEL, Played
 
-from understudy_basics import rotations
 from understudy_humanoid.clips import generated_backflip, generated_cartwheel
 from understudy_humanoid.clips.backflip import OFF, ON
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.mirror import mirrored
+from understudy_tensors import rotations
 
 
 def turned(clip: Clip, axis: int) -> np.ndarray:

@@ -11,10 +11,10 @@ import torch
 from generated_motions import Played, resting
 
 from understudy.errors import ConfigError
-from understudy_basics import rotations
 from understudy_humanoid.clips import generated_hop, generated_run
 from understudy_motion.clip import cycle_transform, sample
 from understudy_motion.mirror import mirrored
+from understudy_tensors import rotations
 
 GRAVITY = 9.81
 

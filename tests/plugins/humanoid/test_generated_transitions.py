@@ -11,7 +11,6 @@ import torch
 from generated_motions import MODEL, Played
 
 from understudy.errors import ConfigError
-from understudy_basics import rotations
 from understudy_humanoid.character import BODIES
 from understudy_humanoid.clips import (
     generated_backflip,
@@ -23,6 +22,7 @@ from understudy_humanoid.clips import (
 )
 from understudy_humanoid.clips.sit import OVERLAP
 from understudy_motion.clip import Clip, cycle_transform
+from understudy_tensors import rotations
 
 SEATS = [0.35, 0.4, 0.45, 0.5, 0.55]
 THIGH = next(row for row in BODIES if row.name == "left_hip")

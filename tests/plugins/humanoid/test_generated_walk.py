@@ -10,11 +10,11 @@ import torch
 from generated_motions import Played, resting
 
 from understudy.errors import ConfigError
-from understudy_basics import rotations
 from understudy_humanoid.clips import generated_walk
 from understudy_humanoid.clips.walk import TOE_OFF
 from understudy_motion.clip import Clip, cycle_transform, sample
 from understudy_motion.mirror import mirrored
+from understudy_tensors import rotations
 
 WALKS = [(1.2, 1.05), (0.8, 1.2), (1.5, 0.95)]
 

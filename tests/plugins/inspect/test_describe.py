@@ -16,7 +16,7 @@ def test_a_learner() -> None:
     text = describe("learner/ppo", installed())
     assert text.startswith("learner/ppo: PPO: clipped, KL penalty, or both\n")
     assert "plugin ppo (understudy " in text
-    assert re.search(r"^  gamma=0\.95 +number$", text, re.M)
+    assert re.search(r"^  gamma=0\.95 +number; discount of a decision", text, re.M)
     assert re.search(
         r"^  rollout_steps=16 +whole number; T, steps per world and iteration$", text, re.M
     )
@@ -30,7 +30,7 @@ def test_a_learner() -> None:
 
 def test_a_term() -> None:
     text = describe("termination/beyond", installed())
-    assert re.search(r"^  limit=… +number$", text, re.M), "it has to be given"
+    assert re.search(r"^  limit=… +number; in the field's unit$", text, re.M), "it has to be given"
     assert re.search(r'^  outcome="failure" +failure or ', text, re.M)
     assert "Reads: value." in text
 

@@ -21,10 +21,10 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing import check_plugin
-from understudy_basics import bank
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import Arena
 from understudy_jumping.curriculum import Accumulated
+from understudy_skills import bank
 
 #: f_control = 10 + 20 ρ Hz where ρ is 0, 0.5 and 1: bars of 0.5, 0.75 and 1 m, boxes of 0, 0.5 and 1 m.
 RATES = {0.0: 10.0, 0.5: 20.0, 1.0: 30.0}

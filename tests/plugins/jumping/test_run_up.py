@@ -13,9 +13,9 @@ from understudy.errors import FileError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
-from understudy_basics import rotations
 from understudy_jumping.join import _frames, joined
 from understudy_motion.clip import Clip
+from understudy_tensors import rotations
 
 
 def test_it_ends_at_the_take_off(plugins: Plugins) -> None:

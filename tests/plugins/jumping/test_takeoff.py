@@ -14,10 +14,10 @@ from arena_worlds import arena_context
 
 import understudy_jumping
 from understudy.errors import ConfigError
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.run_up import Arrival, match, takeoff_features
 from understudy_jumping.takeoff import POSES, Pose, Takeoff, takeoff_states
+from understudy_tensors import rotations
 
 OPTIONS = Path(understudy_jumping.__file__).parent / "conf" / "initial_states" / "jumping"
 

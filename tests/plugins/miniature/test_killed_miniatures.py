@@ -18,7 +18,7 @@ from worlds import assert_same_state
 
 from understudy.command.cli import main
 from understudy.records import checkpoint, runs
-from understudy_basics import bank
+from understudy_skills import bank
 
 #: Budgets that leave some iterations before and after the kill at the third.
 BUDGET = {"sleeve_bank": ("job.count=300", "job.decisions=8"), "poses": ("budget.samples=4096",)}

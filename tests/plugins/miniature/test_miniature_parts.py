@@ -17,10 +17,10 @@ from understudy.running.training import Training
 from understudy.running.trials import Report
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy_basics import bank
-from understudy_basics.controller import Controller
-from understudy_basics.harvest import Harvest
 from understudy_miniature.cmfbo import RandomFidelity
+from understudy_skills import bank
+from understudy_skills.controller import Controller
+from understudy_skills.harvest import Harvest
 
 
 def prepared(*overrides: str) -> Training:

@@ -104,12 +104,12 @@ def test_learns(name: str, built_on: Path) -> None:
 def test_trains_on_a_gpu_without_waiting(name: str, built_on: Path) -> None:
     """Steps are recorded, and torch raises at any operation in a rollout that waits."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        warnings.filterwarnings("error", message="Steps cannot be captured")
         training = made(name, built_on, "device=cuda")
         job = learning(training)
         for _ in range(3):
             row = training.iterate()
-        assert job.environment.recorded_step.recording
+        assert job.environment.captured_step.on
         assert all(value == value for value in row.values()), row
         torch.cuda.synchronize()
         torch.cuda.set_sync_debug_mode("error")

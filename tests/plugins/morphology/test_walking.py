@@ -199,7 +199,7 @@ def test_both_simulators_agree(plugins: Plugins, scales: tuple[str, ...]) -> Non
     """Ten decisions with full help, in float64 and in float32."""
     if "mujoco_warp" not in plugins.registry.names("simulator"):
         pytest.skip("the plugin mujoco_warp is not among those in use")
-    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+    pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     seen = []
     for simulator in ("mujoco", "mujoco_warp"):
         env = environment(
@@ -283,7 +283,7 @@ def test_the_step_is_recorded_and_goes_on(plugins: Plugins) -> None:
     for _ in range(8):
         training.iterate()
     env = training.job.environment  # type: ignore[attr-defined]
-    assert env.recorded_step.recording
+    assert env.captured_step.on
     env.parts.curriculum._move(0.75)
     worlds = torch.ones(256, dtype=torch.bool, device=env.device)
     env.begin(worlds)

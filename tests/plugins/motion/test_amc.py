@@ -13,12 +13,12 @@ from motion_files import ASF, amc_text, write_amc
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import ConfigError, FileError
-from understudy_basics import rotations
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers.amc import AmcReader
 from understudy_motion.reading import ReadOptions
+from understudy_tensors import rotations
 
 INCH = 0.0254
 TO_WORLD = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # (x, y, z) -> (z, x, y)

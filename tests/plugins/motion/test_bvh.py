@@ -14,11 +14,11 @@ from motion_files import walker, write_bvh
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import ConfigError, FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.bvh import BvhReader
 from understudy_motion.reading import Axis, ReadOptions, Unit
 from understudy_motion.writers.bvh import BvhWriter
+from understudy_tensors import rotations
 
 TO_WORLD = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])  # (x, y, z) -> (z, x, y)
 CASES = settings(

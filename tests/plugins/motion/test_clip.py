@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import (
     Clip,
     CycleTransform,
@@ -21,6 +20,7 @@ from understudy_motion.clip import (
     sample,
     velocities,
 )
+from understudy_tensors import rotations
 
 CASES = settings(max_examples=30, deadline=None)
 F64 = torch.float64

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 
 from understudy.errors import FileError
 from understudy.setup.plugins import installed
-from understudy_basics import rotations
 from understudy_motion import library
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers import deepmimic
+from understudy_tensors import rotations
 
 HALF = math.sqrt(0.5)
 FUZZ = settings(

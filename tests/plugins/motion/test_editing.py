@@ -13,10 +13,10 @@ from motion_files import SKELETON, walker
 from torch import Tensor
 
 from understudy.errors import ConfigError, FileError
-from understudy_basics import rotations
 from understudy_motion import editing
 from understudy_motion.clip import Clip, cycle_transform, sample, velocities
 from understudy_motion.kinematics import forward_kinematics
+from understudy_tensors import rotations
 
 RATE = 30.0
 J = len(SKELETON.joint_names)

@@ -10,9 +10,9 @@ import torch
 from motion_files import SKELETON, walker
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Skeleton
 from understudy_motion.kinematics import forward_kinematics, tip_positions
+from understudy_tensors import rotations
 
 
 def test_positions_and_tips_are_products_of_matrices() -> None:

@@ -8,10 +8,10 @@ from motion_files import walker
 
 from understudy.errors import ConfigError
 from understudy.options import make_options
-from understudy_basics.rotations import angle_between, slerp
 from understudy_motion.clip import sample
 from understudy_motion.keyframes import keyframed
 from understudy_motion.section import MotionOptions
+from understudy_tensors.rotations import angle_between, slerp
 
 
 def test_key_frames_are_poses_of_the_clip_and_straight_in_between() -> None:

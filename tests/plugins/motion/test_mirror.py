@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_humanoid.clips import generated_turn_left, generated_turn_right, generated_walk
 from understudy_motion.clip import Clip, Skeleton, cycle_transform, sample
 from understudy_motion.mirror import mirrored
+from understudy_tensors import rotations
 
 NAMES = ("hips", "spine", "left_arm", "right_arm", "LeftLeg", "RightLeg", "lfoot", "rfoot")
 PARENTS = (-1, 0, 1, 1, 0, 0, 4, 5)

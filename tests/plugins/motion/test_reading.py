@@ -54,7 +54,9 @@ def test_other_content_is_nobodys(tmp_path: Path, registry: Registry, content: b
     for name in ("clip.bvh", "clip.json", "clip.npz", "clip.csv", "clip.amc"):
         path = tmp_path / name
         path.write_bytes(content)
-        with pytest.raises(UnknownFormatError, match=r"not a format that is read here \(amc, bvh"):
+        with pytest.raises(
+            UnknownFormatError, match=r"not a format that is read here \(amc, angles, bvh"
+        ):
             read_clip(path, registry)
 
 

@@ -16,11 +16,11 @@ from motion_files import smpl_arrays, write_smpl
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers.smpl import SmplReader
 from understudy_motion.reading import UNSAID, ReadOptions
+from understudy_tensors import rotations
 
 
 def read(folder: Path, arrays: Mapping[str, Any], options: ReadOptions = UNSAID) -> Clip:

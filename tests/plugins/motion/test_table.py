@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from motion_files import walker, write_csv, write_npz
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.table import CsvReader, NpzReader
 from understudy_motion.reading import UNSAID, ReadOptions
 from understudy_motion.writers.table import CsvWriter, NpzWriter
+from understudy_tensors import rotations
 
 CASES = settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

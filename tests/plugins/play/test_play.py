@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from page_requests import check_page
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
@@ -18,11 +19,11 @@ from understudy.records import checkpoint
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
-from understudy_basics import skill as skills
-from understudy_basics.skill import open_skill, pack
 from understudy_motion.library import data_folder
 from understudy_play.command import clip_of, record
 from understudy_play.player import Player
+from understudy_skills import skill as skills
+from understudy_skills.skill import open_skill, pack
 
 
 def file_of(name: str) -> Path:
@@ -149,6 +150,7 @@ def test_the_page_shows_the_chair_where_the_episode_has_it() -> None:
         page._again = True
         page.advance()
         assert np.allclose(page._things[0].position, page._player.shown()["chair_position"])
+        check_page(page.url)  # which answers its own address alone
     finally:
         page.close()
 

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
-from understudy_basics import rotations
 from understudy_characters.character import Character, load_character
 from understudy_characters.scene import CharacterScene
 from understudy_humanoid.clips import generated_walk
 from understudy_pose_vae.features import PoseFeatures, joint_rotations
 from understudy_pose_vae.targets import ServoTargets
+from understudy_tensors import rotations
 
 CPU = torch.device("cpu")
 

@@ -19,11 +19,11 @@ from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment, replaced
 from understudy.testing import check_environment
-from understudy_basics import rotations
 from understudy_motion.readers import npz
 from understudy_pose_vae.job import LearnPoses, PoseVAE, explained, needed
 from understudy_pose_vae.report import PosesSection
 from understudy_pose_vae.terms import learned_poses, naturalness
+from understudy_tensors import rotations
 
 SMALL = (
     "experiment=pose_vae/generated",

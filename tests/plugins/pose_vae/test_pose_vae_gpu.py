@@ -9,7 +9,7 @@ import pytest
 import torch
 
 pytest.importorskip(
-    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from understudy.command.cli import main
@@ -48,7 +48,7 @@ def test_trains_and_evaluates_recorded(poses: Path) -> None:
     chosen = [f"actuation.run={poses}", "simulator=mujoco_warp", "device=cuda"]
     chosen += [f"+measure.unusual={{name: pose_vae/distance, run: '{poses}', reduce: mean}}"]
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        warnings.filterwarnings("error", message="Steps cannot be captured")
         training = Training(load_experiment([*SMALL, *chosen])).prepare()
         for _ in range(6):
             row = training.iterate()

@@ -11,8 +11,8 @@ from line_task import STEP, Line, line_context, make_policy
 from torch import Tensor
 
 from understudy.task import Rollout
-from understudy_basics.nn import Schedule
-from understudy_basics.policies import MLPPolicy
+from understudy_networks.nn import Schedule
+from understudy_networks.policies import MLPPolicy
 from understudy_ppo.graphs import Captured
 from understudy_ppo.learner import PPO
 from understudy_ppo.losses import KLPenalty
@@ -55,7 +55,7 @@ def weights_after(options: dict[str, Any], rollouts: list[Rollout]) -> dict[str,
     ],
 )
 @pytest.mark.parametrize("kind", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
-def test_recorded_steps_are_the_same_steps(
+def test_captured_steps_are_the_same_steps(
     kind: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if kind == "cuda" and not torch.cuda.is_available():

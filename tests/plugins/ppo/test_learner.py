@@ -17,8 +17,8 @@ from understudy.options import make_options
 from understudy.setup.plugins import Plugins
 from understudy.task import ActionSpace
 from understudy.testing import check_plugin
-from understudy_basics.nn import Schedule
-from understudy_basics.policies import MLPPolicy
+from understudy_networks.nn import Schedule
+from understudy_networks.policies import MLPPolicy
 from understudy_ppo.learner import PPO, RATE_STEP
 from understudy_ppo.losses import KLPenalty, clipped_surrogate
 

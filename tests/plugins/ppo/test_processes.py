@@ -15,8 +15,8 @@ from torch import Tensor
 from worlds import child_environment
 
 from understudy.task import Rollout
-from understudy_basics.nn import Schedule
-from understudy_basics.policies import MLPPolicy
+from understudy_networks.nn import Schedule
+from understudy_networks.policies import MLPPolicy
 from understudy_ppo.learner import PPO
 from understudy_ppo.losses import KLPenalty
 

@@ -210,6 +210,16 @@ def test_says_that_episodes_were_over_early(tmp_path: Path) -> None:
     assert ended in page.text
 
 
+@pytest.mark.parametrize("share", [0.0, 0.25])
+def test_says_in_how_many_episodes_numbers_went_wrong(tmp_path: Path, share: float) -> None:
+    run = make_run(tmp_path)
+    add_evaluation(run, unsound=share)
+    page, _ = report(run)
+    sentence = "In 25 % of the episodes numbers went wrong, which is never a success."
+    assert (sentence in page.text) is bool(share)
+    assert ("Numbers went wrong in25 %" in page.text) is bool(share)
+
+
 def test_measures_of_the_task(tmp_path: Path) -> None:
     run = make_run(tmp_path)
     add_evaluation(run, objective={"name": "height", "value": 1.234})

@@ -98,7 +98,7 @@ def test_a_card_needs_nothing_that_trains(
 def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> None:
     """Nothing else says so before a GPU is waiting."""
     if "figure" in name:
-        pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+        pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     comparison = Comparison(name, load_table(name, installed()), tmp_path, [])
     loops = {}
     for row, column in comparison._cells():
@@ -117,7 +117,7 @@ def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> N
 
 
 def test_the_table_of_deepmimics_settings_composes() -> None:
-    pytest.importorskip("mujoco_warp._src", reason="MuJoCo Warp is not installed")
+    pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
     table = load_table("deepmimic/figure_6_7", installed())
     found = {k: load_experiment(v).need("learner").options for k, v in table.variants().items()}
     for skill in ("walk", "run", "cartwheel"):
@@ -186,10 +186,10 @@ def test_values_are_compared_at_equal_samples(tmp_path: Path) -> None:
     ((_, shown),) = list(comparison.tables())
     assert shown.heads[1] == "best value after 30 samples"
     a, b = shown.rows
-    assert a[1].startswith("2.5 [")
-    assert b[1].startswith("1 [")
-    assert b[2].startswith("-1.5")
-    assert a[3].startswith("9.5 [")
+    assert a[1] == "2.5 (2)"
+    assert b[1] == "1 (2)"
+    assert b[2] == "-1.5 (2 seeds)"
+    assert a[3].startswith("9.5 (2)")
     assert (a[4], a[5], b[5]) == ("90", "3 (3), 3 (3)", "2 (1), 2 (1)")
     comparison.found["r", "b"] = [Found(0, lower, 1, True), Found(1, lower[:1])]
     _, b = next(comparison.tables())[1].rows

@@ -86,7 +86,7 @@ def test_one_command_runs_the_table_and_leaves_its_card(
     of_seeds = [reports[f"calm/small/seed{s}"].measures["distance"] for s in (0, 1)]
     cell = found["calm", "small", "distance"]
     assert float(cell["mean"]) == pytest.approx(sum(of_seeds) / 2)
-    assert float(cell["low"]) < float(cell["mean"]) < float(cell["high"])
+    assert (cell["low"], cell["high"]) == ("", ""), "two seeds have no interval"
     assert (cell["paper"], cell["seeds"]) == ("0.5", "2")
     assert found["calm", "large", "distance"]["paper"] == "much nearer"
     assert found["calm", "small", "return"]["paper"] == ""
@@ -116,8 +116,7 @@ def test_samples_of_what_did_not_get_there_are_not_averaged() -> None:
     cell = Cell([result(2e6), result(4e6), result(8e6, "budget"), result(1.0, "", "failed: why")])
     assert cell.values("samples") == [2e6, 4e6]
     text = cell.text(Figure("samples"))
-    assert text.startswith("3M [0, ")
-    assert text.endswith("(2); 1 not within 8M; 1 failed")
+    assert text == "3M (2); 1 not within 8M; 1 failed"
     assert Cell([result(8e6, "budget")]).text(Figure("samples")) == "1 not within 8M"
     assert cell.text(Figure("success_from_here")).startswith("50 %")
     assert Cell([]).text(Figure("samples")) == "–"
@@ -126,11 +125,11 @@ def test_samples_of_what_did_not_get_there_are_not_averaged() -> None:
 def test_a_share_of_episodes_is_in_per_cent_and_within_them() -> None:
     reports = [
         Report("x", "ok", 1.0, {"fell": share, "energy": share}, 1e6, "", "budget")
-        for share in (0.0, 0.2)
+        for share in (0.0, 0.1, 0.2)
     ]
     cell = Cell([Result(Trial("x", variant="a/b", seed=0), r, Path("nowhere")) for r in reports])
-    assert cell.text(Figure("fell", share=True)) == "10 % [0, 100] (2)"
-    assert cell.text(Figure("energy")).startswith("0.1 [-1.17, ")
+    assert cell.text(Figure("fell", share=True)) == "10 % [0, 34.8] (3)"
+    assert cell.text(Figure("energy")).startswith("0.1 [-0.148, ")
 
 
 def test_an_unfinished_table_has_a_card(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy_basics import rotations
 from understudy_retarget.feet import (
     EASE,
     Contacts,
@@ -20,6 +19,7 @@ from understudy_retarget.feet import (
     find_floor,
     planted,
 )
+from understudy_tensors import rotations
 
 HEIGHT, LENGTH = 0.05, 0.18
 _CORNERS = torch.tensor(

@@ -17,7 +17,6 @@ from motion_files import walker
 from worlds import all_plugins
 
 from understudy.errors import ConfigError, FileError
-from understudy_basics import rotations
 from understudy_characters.character import Character, load_character
 from understudy_humanoid.character import build_spec
 from understudy_motion.clip import Clip, Skeleton, cycle_transform
@@ -27,6 +26,7 @@ from understudy_motion.reading import ReadOptions, read_clip
 from understudy_motion.writers.bvh import BvhWriter
 from understudy_retarget.anatomy import path_up
 from understudy_retarget.retarget import Options, retarget
+from understudy_tensors import rotations
 
 REGISTRY = all_plugins().registry
 DATA = Path(os.environ.get("UNDERSTUDY_DATA", "nowhere")) / "motions"

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_characters import random_model, random_poses
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.kinematics import Kinematics
 from understudy_humanoid.character import build_spec
 from understudy_retarget.solver import CHUNK, PointGoals, RotationGoals, solve
+from understudy_tensors import rotations
 
 
 def goals_at(

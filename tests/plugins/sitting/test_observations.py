@@ -9,9 +9,9 @@ import torch
 from sitting_tasks import build, follow_clip
 
 from understudy.setup.building import Built
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_sitting.state import Seat, chair_of, pitch_yaw_roll
+from understudy_tensors import rotations
 
 
 def test_sizes_of_section_4(sit: Built) -> None:

@@ -11,14 +11,13 @@ from sitting_tasks import build
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
-from understudy.running.trials import Report, Trial
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_basics import bank, rotations
-from understudy_sitting.chain import Chain
 from understudy_sitting.initial_states import PLACE, TURN
 from understudy_sitting.targets import TargetAhead, TargetByChair
+from understudy_skills import bank
+from understudy_tensors import rotations
 
 
 def test_targets_are_drawn_in_front_and_drawn_again() -> None:
@@ -250,36 +249,6 @@ def test_some_training_episodes_begin_before_the_chair(states: Path) -> None:
     assert set(judged["zone"].tolist()) == {1.0}
 
 
-def test_a_chain_trains_what_others_build_on_first() -> None:
-    stages = {"a": ("x=1",), "b": ("x=2",), "c": ("run='{a}'", "runs=['{a}','{b}']")}
-    chain = Chain(Chain.Options(stages), seed=0)
-    first, second = chain.ask(0), chain.ask(1)
-    assert first is not None
-    assert (first, second) == (Trial("a", ("x=1",), variant="a"), Trial("b", ("x=2",), variant="b"))
-    assert chain.ask(2) is None
-    chain.tell(Report("a", "ok", run="runs/a"))
-    assert chain.ask(2) is None
-    chain.tell(Report("b", "ok", run="runs/b"))
-    third = chain.ask(2)
-    assert third is not None
-    assert third.overrides == ("run='runs/a'", "runs=['runs/a','runs/b']")
-    assert chain.ask(3) is None
-    again = Chain(Chain.Options(stages), seed=0)  # replayed after a kill
-    assert again.recall(first)
-    again.tell(Report("a", "failed: no reason", run="runs/a"))
-    assert again.recall(Trial("b", ("x=2",), variant="b"))
-    again.tell(Report("b", "ok", run="runs/b"))
-    assert again.ask(2) == Trial("a~2", ("x=1",), variant="a")  # nothing to build on yet
-    assert again.ask(2) is None, "once for each call of the sweep"
-    again.tell(Report("a~2", "ok", run="runs/a~2"))
-    third = again.ask(3)
-    assert third is not None
-    assert third.overrides == ("run='runs/a~2'", "runs=['runs/a~2','runs/b']")
-    assert [row["status"] for row in again.summary()] == ["ok", "ok", "not begun"]
-    with pytest.raises(ConfigError, match="had other overrides"):
-        Chain(Chain.Options({"a": ("x=3",)}), seed=0).recall(first)
-
-
 def test_evaluations_draw_all_zones_alike() -> None:
     """Whatever share of the training repeats earlier ones."""
     for keep in (0.0, 0.9):
@@ -295,11 +264,6 @@ def test_evaluations_draw_all_zones_alike() -> None:
         )["zone"]
         for zone in (1.0, 2.0, 3.0):
             assert float((zones == zone).float().mean()) == pytest.approx(1 / 3, abs=0.04)
-
-
-def test_a_chain_names_only_stages_before() -> None:
-    with pytest.raises(ValueError, match="'walk', which is no stage before it"):
-        Chain.Options({"sit": ("start.run={walk}",), "walk": ("x=1",)})
 
 
 @pytest.mark.parametrize("search", ["all", "small"])

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import zipfile
 from pathlib import Path
 
 import mujoco
-import numpy as np
 import pytest
 import torch
 import trimesh
 from sitting_tasks import build, follow_clip
 
-from understudy.errors import ConfigError, FileError
+from understudy.errors import ConfigError
 from understudy.inputs import Inputs
 from understudy.setup.building import Built
 from understudy.setup.composition import load_experiment
@@ -22,11 +19,8 @@ from understudy_characters.character import load_character
 from understudy_characters.scene import CharacterScene
 from understudy_humanoid.clips import generated_turn_left, generated_turn_right
 from understudy_motion.mirror import mirrored
-from understudy_mujoco.apart import Bounds
-from understudy_sitting import meshes
 from understudy_sitting.chair import SEAT, Chair, ChairOptions, slabs
 from understudy_sitting.figure import BODIES
-from understudy_sitting.meshes import convex_parts
 
 
 def test_the_figure_has_21_degrees_of_freedom() -> None:
@@ -96,87 +90,21 @@ def test_a_chair_adds_no_mass_and_touches_the_figure_alone(sit: Built) -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", ["obj", "STL", "ply", "glb"])
-def test_a_mesh_becomes_the_hulls_of_its_parts(tmp_path: Path, suffix: str) -> None:
+def test_a_chair_may_be_a_mesh(tmp_path: Path) -> None:
+    path = tmp_path / "chair.obj"
     seat = trimesh.creation.box((40, 40, 5))
     back = trimesh.creation.box((5, 40, 50))
     back.apply_translation((-40.0, 0, 30))
-    path = tmp_path / f"chair.{suffix}"
-    trimesh.util.concatenate([seat, back]).export(path, file_type=suffix.lower())
-    parts = convex_parts(path, scale=0.01)
-    assert len(parts) == 2
-    sizes = sorted(tuple(np.ptp(part, axis=0).round(4)) for part in parts)
-    assert sizes == [(0.05, 0.4, 0.5), (0.4, 0.4, 0.05)]
+    trimesh.util.concatenate([seat, back]).export(path)
     spec = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
     spec.worldbody.add_body(name="root").add_geom(size=[0.1, 0, 0])
     Chair(ChairOptions(mesh=str(path), mesh_scale=0.01), installed().registry, Inputs()).add(spec)
-    model = spec.compile()
-    assert model.nmesh == 2
+    assert spec.compile().nmesh == 2
 
 
-def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="There is no mesh"):
-        convex_parts(tmp_path / "nothing.obj")
-    broken = tmp_path / "broken.obj"
-    broken.write_text("v 1 2\nf 1 2 99\n")
-    with pytest.raises(FileError, match=r"broken\.obj"):
-        convex_parts(broken)
+def test_an_impossible_chair_is_refused() -> None:
     with pytest.raises(ConfigError, match="seat_height"):
         load_experiment(["experiment=sitting/sit", "chair.seat_height=0"])
-
-
-def endless(folder: Path, count: int) -> Path:
-    """A glTF of some hundred bytes, whose accessors without data stand for `count` zeros."""
-    zeros = {"componentType": 5126, "count": count, "type": "VEC3"}
-    content = {
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "accessors": [zeros], "bufferViews": [],
-    }  # fmt: skip
-    path = folder / "chair.gltf"
-    path.write_text(json.dumps(content))
-    return path
-
-
-@pytest.mark.parametrize(
-    ("count", "why"),
-    [
-        (300_000, "cannot be read within 3 s of processor time; make it smaller"),
-        (3_000_000, "has more than 300000 faces or vertices; make it coarser"),
-        (2_000_000_000, "cannot be read within 4 GiB; make it smaller"),
-    ],
-)
-def test_a_mesh_that_takes_too_much_costs_its_reader_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, why: str
-) -> None:
-    monkeypatch.setattr(meshes, "BOUNDS", Bounds(cpu=3, wall=300))
-    path = endless(tmp_path, count)
-    with pytest.raises(FileError, match=rf"chair\.gltf {why}\.$"):
-        convex_parts(path)
-
-
-def test_archives_are_no_meshes(tmp_path: Path) -> None:
-    """Which trimesh would unpack, to any size."""
-    trimesh.creation.box().export(tmp_path / "chair.ply")
-    with zipfile.ZipFile(tmp_path / "chair.zip", "w") as archive:
-        archive.write(tmp_path / "chair.ply", "chair.ply")
-    with pytest.raises(FileError, match=r"no format that is read; export it as \.obj"):
-        convex_parts(tmp_path / "chair.zip")
-
-
-@pytest.mark.parametrize(
-    ("bound", "most", "why"),
-    [("MOST_BYTES", 200, "more than 0 MiB"), ("MOST_FACES", 11, "more than 11 faces or vertices")],
-)
-def test_large_meshes_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bound: str, most: int, why: str
-) -> None:
-    path = tmp_path / "chair.ply"
-    trimesh.creation.box().export(path)
-    monkeypatch.setattr(meshes, bound, most)
-    monkeypatch.setattr(meshes, "_read_apart", meshes._hulls)  # where the bounds are the test's
-    monkeypatch.setattr(meshes, "_known", {})
-    with pytest.raises(FileError, match=why):
-        convex_parts(path)
 
 
 def test_by_one_word_the_figure_has_34_degrees_of_freedom() -> None:

@@ -7,15 +7,15 @@ import math
 import torch
 
 from understudy.task import Context
-from understudy_basics.rotations import (
+from understudy_characters.scene import CharacterScene
+from understudy_spacetime.alignment import Alignment
+from understudy_tensors.rotations import (
     from_axis_angle,
     from_heading,
     heading,
     inverse_rotate,
     multiply,
 )
-from understudy_characters.scene import CharacterScene
-from understudy_spacetime.alignment import Alignment
 
 CONTEXT = Context(
     0,
@@ -45,7 +45,7 @@ def compute(root: torch.Tensor, reference: torch.Tensor) -> dict[str, torch.Tens
 
 
 def _rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-    from understudy_basics.rotations import rotate
+    from understudy_tensors.rotations import rotate
 
     return rotate(q.expand(len(v), 4), v)
 

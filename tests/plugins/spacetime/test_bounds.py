@@ -10,7 +10,6 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context
-from understudy_basics import rotations
 from understudy_spacetime.bounds import (
     BoundSize,
     ComBound,
@@ -19,6 +18,7 @@ from understudy_spacetime.bounds import (
     RootBound,
     Size,
 )
+from understudy_tensors import rotations
 
 CPU = torch.device("cpu")
 PHASE = torch.tensor([0.0, 0.5])
@@ -85,6 +85,42 @@ def test_every_end_effector_is_bounded_by_half_a_metre(context: Context) -> None
         direction = torch.tensor([2.0, -1.0, 2.0]) / 3.0
         moved[:, effector] += torch.tensor([[0.499], [0.501]]) * direction
         assert bound(moved, reference, PHASE).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("bound", [ComBound, RootBound, JointBound, EndEffectorBound])
+def test_a_bound_is_left_where_all_of_it_is_used(context: Context, bound: Any) -> None:
+    """From nothing in the middle to 1 where it begins to hold, growing all the way."""
+    term = bound(bound.Options(size=0.4), context)
+    share = torch.tensor([0.0, 0.5, 0.99, 1.01, 2.0])
+    many, phase = len(share), torch.zeros(len(share))
+    turn = turned(0.4 * share, (0.0, 1.0, 0.0))
+    places = torch.zeros(many, 3)
+    places[:, 1] = -0.4 * share
+    value, reference = {
+        ComBound: (places, torch.zeros(many, 3)),
+        RootBound: (turn, turned(torch.zeros(many))),
+        JointBound: (turn[:, None].repeat(1, 12, 1), turned(torch.zeros(many, 12))),
+        EndEffectorBound: (places[:, None].repeat(1, 4, 1), torch.zeros(many, 4, 3)),
+    }[bound]
+    used = term.used(value, reference, phase)
+    assert used.dim() == 2
+    torch.testing.assert_close(used.amax(1), share, rtol=1e-4, atol=1e-4)
+    assert term(value, reference, phase).tolist() == [False, False, False, True, True]
+    scales = torch.full((many, 1), 2.0)  # twice as wide a bound
+    torch.testing.assert_close(
+        term.used(value, reference, phase, scales).amax(1), share / 2, rtol=1e-4, atol=1e-4
+    )
+
+
+def test_a_bound_of_no_size_is_used_up_at_once(context: Context) -> None:
+    bound = ComBound(ComBound.Options(size=0.0), context)
+    com = torch.tensor([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]], requires_grad=True)
+    used = bound.used(com, torch.zeros(2, 3), PHASE)
+    assert used[0].tolist() == [0.0, 0.0, 0.0]
+    assert used[1].amax() > 1
+    used.sum().backward()
+    assert com.grad is not None
+    assert com.grad.isfinite().all()
 
 
 def size_at(size: Size, phase: Tensor) -> Tensor:

@@ -217,7 +217,7 @@ def test_draws_go_by_their_weights_and_repeat_exactly() -> None:
 
 
 @pytest.mark.parametrize("kind", [Importance, Evolution])
-def test_what_a_recorded_step_reads_stays_where_it_is(
+def test_what_a_captured_step_reads_stays_where_it_is(
     kind: type[Importance] | type[Evolution], context: Context, make_rollout: MakeRollout
 ) -> None:
     """Learning and loading change the tensors that draws are made from in place."""

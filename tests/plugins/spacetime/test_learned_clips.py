@@ -15,13 +15,13 @@ from understudy.records.runs import Run
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
-from understudy_basics.rotations import from_heading, multiply
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.scene import CharacterScene
 from understudy_motion.clip import Clip, cycle_transform, velocities
 from understudy_report.markup import check_markup
 from understudy_spacetime.learned import cycle_starts, learned_clip
 from understudy_spacetime.section import EvolvedSection, evolution_of
+from understudy_tensors.rotations import from_heading, multiply
 
 WALK = ("experiment=spacetime/walk", "num_worlds=4", "learner.rollout_steps=64")
 

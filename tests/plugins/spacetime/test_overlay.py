@@ -13,9 +13,9 @@ from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, installed
-from understudy_basics import rotations
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_spacetime.overlay import BoundsOverlay
+from understudy_tensors import rotations
 
 WORLDS, STEPS = 6, 45
 SIZES = {"com": 0.12, "root": 0.4, "joints": [[0.0, 0.5], [1.0, 0.9]], "end_effectors": 0.3}

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context, box
-from understudy_basics.policies import MLPPolicy
+from understudy_networks.policies import MLPPolicy
 from understudy_spacetime.policy import FeedforwardFeedback
 
 OPTIONS = FeedforwardFeedback.Options(feedback=MLPPolicy.Options(hidden=(16,)))

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 pytest.importorskip(
-    "mujoco_warp._src", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
 from understudy.inputs import Inputs
@@ -50,13 +50,13 @@ SMALL = (
 )
 def test_trains_and_evaluates_recorded(more: tuple[str, ...]) -> None:
     with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="Steps cannot be recorded")
+        warnings.filterwarnings("error", message="Steps cannot be captured")
         training = Training(load_experiment([*SMALL, *more])).prepare()
         for _ in range(6):
             row = training.iterate()
             assert row["skipped_steps"] == 0
         assert isinstance(training.job, Reinforcement)
-        assert training.job.environment.recorded_step.recording
+        assert training.job.environment.captured_step.on
         first, again = (training.job.evaluate("test", 16) for _ in range(2))
     training.close()
     for name in ("success_from_clip_start", "success_from_any_phase"):

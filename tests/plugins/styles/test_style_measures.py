@@ -17,12 +17,12 @@ from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Context
-from understudy_basics.rotations import from_heading, rotate
 from understudy_characters.scene import CharacterScene
 from understudy_styles import rewards
 from understudy_styles.energy import KineticEnergy
 from understudy_styles.regularity import Regularity
 from understudy_styles.volume import HullVolume, hull_volume, triples
+from understudy_tensors.rotations import from_heading, rotate
 
 SCENE = CharacterScene(CharacterScene.Options("humanoid"))
 CONTEXT = Context(0, torch.device("cpu"), 1, control_dt=1 / 30, substeps=20, scene=SCENE)

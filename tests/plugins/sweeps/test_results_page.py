@@ -89,14 +89,14 @@ def test_the_table_of_variants(ablation: tuple[Path, Journal]) -> None:
     ]  # fmt: skip
     assert column(table, "variant") == ["full", EVIL]
     assert column(table, "seeds") == ["3", "2 (1 failed)"]
-    # Means 0.8 and 0.6; s = 0.1 and 0.1414; reaches 4.3027 · 0.1 / √3 and 12.706 · 0.1.
-    assert column(table, "reach") == ["0.8 [0.552, 1.05]", "0.6 [-0.671, 1.87]"]
+    # Means 0.8 and 0.6; s = 0.1, reach 4.3027 · 0.1 / √3; two have no interval.
+    assert column(table, "reach") == ["0.8 [0.552, 1.05]", "0.6 (2 seeds)"]
     assert column(table, "paper") == ["0.9", "–"]
     assert column(table, "reached the criterion") == ["3 of 3", "0 of 2"]
-    assert column(table, "samples")[1] == "100 [94.1, 107]"
+    assert column(table, "samples")[1] == "100 (2 seeds)"
     # Differences -0.3 and -0.2 of the seeds that both have.
-    assert column(table, "against full") == ["–", "-0.25 [-0.885, +0.385]"]
-    assert column(table, "success") == ["25 % [25, 25]", "25 % [25, 25]"]
+    assert column(table, "against full") == ["–", "-0.25 (2 seeds)"]
+    assert column(table, "success") == ["25 % [25, 25]", "25 % (2 seeds)"]
 
 
 def test_one_seed_has_no_interval(tmp_path: Path) -> None:
@@ -353,3 +353,23 @@ def test_the_film_is_drawn_once(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(command) == 0
     assert (tmp_path / "film.mp4").stat().st_mtime_ns == film
     assert "data:video/mp4" in (tmp_path / "page.html").read_text()
+
+
+def test_unsound_episodes_have_a_column_where_there_are_some(tmp_path: Path) -> None:
+    """In every table; a trial without any has 0 %."""
+    journal = Journal(tmp_path / "journal.jsonl")
+    for seed in (0, 1):
+        add(tmp_path, journal, Trial(f"full-{seed}", variant="full", seed=seed), 0.5)
+        wrong = Trial(f"wrong-{seed}", variant="wrong", seed=seed)
+        add(tmp_path, journal, wrong, 0.5, unsound=0.25)
+    results = Results(tmp_path).of(journal)
+    compared = tables.compared(variants_of(results), None)
+    at = list(compared.heads).index("unsound")
+    assert [row[at].split(" [")[0] for row in compared.rows] == ["0 %", "25 %"]
+    trials = tables.trials(results)
+    at = list(trials.heads).index("unsound")
+    assert [row[at] for row in trials.rows] == ["0 %", "25 %"] * 2
+    assert "unsound" in tables.compared_csv(variants_of(results), None).splitlines()[0]
+    sound = [r for r in results if r.trial.variant == "full"]
+    assert "unsound" not in tables.compared(variants_of(sound), None).heads
+    assert "unsound" not in tables.trials(sound).heads

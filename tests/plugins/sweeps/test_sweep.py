@@ -23,7 +23,7 @@ from understudy.random import WorldStreams
 from understudy.running.training import Training
 from understudy.running.trials import OuterLoop, Report, Trial
 from understudy.task import Context
-from understudy_basics import bank
+from understudy_skills import bank
 from understudy_sweeps import in_process
 from understudy_sweeps import sweep as module
 from understudy_sweeps.journal import Journal

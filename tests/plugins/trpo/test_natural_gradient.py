@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector
 
 from understudy.task import ActionSpace, Box, Choice, Distribution
-from understudy_basics.nn import action_distribution, box_columns, head_size, mlp
+from understudy_networks.nn import action_distribution, box_columns, head_size, mlp
 from understudy_trpo.natural_gradient import (
     conjugate_gradient,
     gradient,

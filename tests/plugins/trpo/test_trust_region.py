@@ -13,8 +13,8 @@ from understudy.errors import ConfigError, TrainingError
 from understudy.setup.plugins import Plugins
 from understudy.task import ActionSpace
 from understudy.testing import check_plugin
-from understudy_basics.nn import Schedule
-from understudy_basics.policies import MLPPolicy
+from understudy_networks.nn import Schedule
+from understudy_networks.policies import MLPPolicy
 from understudy_trpo.learner import TRPO
 
 STEPS = 16

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_requests import check_page
 
 from understudy.errors import ConfigError
 from understudy.setup import plugins
@@ -34,7 +35,7 @@ pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
 from understudy_viewer.page import Page, free_port
 
 HOST = "127.0.0.1"
-PLUGINS = "basics,characters,doctor,humanoid,motion,mujoco,report,viewer"
+PLUGINS = "tensors,characters,doctor,humanoid,motion,mujoco,report,viewer"
 EVIL = "<img src=x onerror=document.title='taken'>"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 SOFTWARE_OPENGL = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader")
@@ -265,3 +266,7 @@ def test_a_browser_shows_the_figures_and_moves_them_with_the_slider(
 
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == 0
+
+
+def test_answers_its_own_address_alone(page: Page) -> None:
+    check_page(page.url)

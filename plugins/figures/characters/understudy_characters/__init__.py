@@ -7,7 +7,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "mujoco", "motion")
+REQUIRES = ("tensors", "mujoco", "motion")
 
 _HERE = "understudy_characters"
 

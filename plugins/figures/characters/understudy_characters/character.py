@@ -3,7 +3,7 @@
 A :class:`Clip` of a character has one joint for each body that can move against its parent, named
 after the body. In the *zero pose* (``qpos0``) every joint's frame is parallel to the root's, so all
 rotations are then the identity; offsets are those of the zero pose. Several hinges of one body are
-one joint. Bodies without joints belong to the body they are welded to.
+one joint, which is where the first of them is. Bodies without joints belong to the body they are welded to.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from shlex import quote
 
 import mujoco
 import numpy as np
@@ -21,15 +22,17 @@ from torch import Tensor
 from understudy.errors import ConfigError, FileError, suggestion
 from understudy.setup.registry import Registry
 from understudy.task import Context
-from understudy_basics import rotations
-from understudy_motion.clip import Clip, Skeleton, sample
+from understudy_motion.clip import Clip, Skeleton, angle_names, sample
 from understudy_mujoco.scene import MjcfFile
+from understudy_tensors import rotations
 
 _FREE, _BALL, _HINGE = (
     int(mujoco.mjtJoint.mjJNT_FREE),
     int(mujoco.mjtJoint.mjJNT_BALL),
     int(mujoco.mjtJoint.mjJNT_HINGE),
 )
+#: Of names that can only be those of a model's file, in lower case.
+_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
 def load_character(named: str, registry: Registry) -> Character:
@@ -41,7 +44,7 @@ def load_character(named: str, registry: Registry) -> Character:
     """
     name, spec = character_spec(named, registry)
     try:
-        return Character(name, spec.compile())
+        return Character(name, spec.compile(), named)
     except (ValueError, mujoco.FatalError) as error:
         reason = str(error).strip().splitlines()[0]
         raise FileError(f"The model {named} does not compile: {reason}") from error
@@ -59,12 +62,18 @@ def character_spec(
     """
     if named in registry.names("character"):
         return named, registry.find("character", named).factory()
-    if Path(named).suffix == ".xml":
-        return Path(named).stem, MjcfFile(MjcfFile.Options(named), context).spec()
     known = registry.names("character")
+    # A kept model's own file may be gone: it is told from a misspelt name by its spelling then.
+    path = Path(named)
+    if (
+        path.is_file()
+        or path.suffix.lower() in _SUFFIXES
+        or (context and f"mjcf {path}" in context.inputs.kept)
+    ):
+        return path.stem, MjcfFile(MjcfFile.Options(named), context).spec()
     raise ConfigError(
-        f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF "
-        "file (.xml)."
+        f"There is no character '{named}'.{suggestion(named, known)} Or give the path of an MJCF or "
+        "URDF file."
     )
 
 
@@ -80,6 +89,7 @@ class Joint:
         np.ndarray
     )  #: (K, 3) of its hinges, in the body's frame; empty for a ball and for the root
     ranges: np.ndarray  #: (K, 2) rad of its hinges, infinite where unlimited
+    apart: np.ndarray  #: (K, 3) m, from its first hinge to each, in the body's frame
 
     def angles(self, turned: Tensor) -> Tensor:
         """(F, K) rad: the angles at which its hinges turn by `turned` (F, 4), in the body's frame, or
@@ -134,25 +144,33 @@ class Joint:
 
 
 class Character:
-    """A model with one free root, whose other bodies hang on ball joints or on up to three hinges.
+    """A model with a free root, whose other bodies hang on ball joints or on up to three hinges.
 
-    F frames, J joints (the root first, parents before children), nq as in MuJoCo.
+    F frames, J joints (the root first, parents before children), nq as in MuJoCo. Of several free bodies
+    the root is the one on which the most joints hang, the first of these; the others are things.
+
+    Hinges of one body at different points also move it a little. ``qpos`` and all that is computed from
+    it have that; a clip, whose joints only turn, has not.
 
     Raises:
-        ConfigError: no free root, a slide joint, a ball beside hinges, hinges of one body that are
-            not at one point, more than three of them, or one with a reference angle.
+        ConfigError: no free root, a root without joints, a slide joint, a ball beside hinges, more than
+            three hinges of one body, or one with a reference angle.
     """
 
-    def __init__(self, name: str, model: mujoco.MjModel) -> None:
-        self.name, self.model = name, model
+    def __init__(self, name: str, model: mujoco.MjModel, named: str | None = None) -> None:
+        #: ``named`` is what commands take for it: a registered name, or the path of its file.
+        self.name, self.model, self.named = name, model, named or name
         self.data = mujoco.MjData(model)
         free = [j for j in range(model.njnt) if model.jnt_type[j] == _FREE]
         if not free:
             raise ConfigError(
-                f"Model '{name}' is no character: none of its bodies has a freejoint."
+                f"Model '{name}' is no character: none of its bodies has a freejoint. Give it to the "
+                "one that carries all others."
             )
-        self.root = int(model.jnt_bodyid[free[0]])
-        self.root_address = int(model.jnt_qposadr[free[0]])
+        carried = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
+        root = max(free, key=lambda j: carried[model.jnt_bodyid[j]])
+        self.root = int(model.jnt_bodyid[root])
+        self.root_address = int(model.jnt_qposadr[root])
         self.joints = tuple(self._joints())
         self.joint_names = tuple(joint.name for joint in self.joints)
         self._at_rest()
@@ -161,7 +179,7 @@ class Character:
         model = self.model
         found = [
             Joint(self._body_name(self.root), self.root, -1, (self.root_address,),
-                  np.zeros((0, 3)), np.zeros((0, 2)))
+                  np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3)))
         ]  # fmt: skip
         row = {self.root: 0}  # of each body of the figure, the joint that carries it
         for body in range(self.root + 1, model.nbody):
@@ -177,8 +195,10 @@ class Character:
             place = f"Model '{self.name}' is no character: body '{self._body_name(body)}' has"
             if types not in ({_BALL}, {_HINGE}) or (types == {_BALL} and count > 1):
                 raise ConfigError(f"{place} joints other than one ball or some hinges.")
-            if count > 3 or np.ptp(model.jnt_pos[ids], axis=0).max() > 1e-6:
-                raise ConfigError(f"{place} more than three hinges, or hinges at different points.")
+            if count > 3:
+                raise ConfigError(
+                    f"{place} more than three hinges; split them among several bodies."
+                )
             hinge = types == {_HINGE}
             if hinge and model.qpos0[model.jnt_qposadr[ids]].any():
                 raise ConfigError(f"{place} a hinge whose reference angle (ref) is not 0.")
@@ -193,6 +213,7 @@ class Character:
                     np.where(limited[:, None], model.jnt_range[ids], [-np.inf, np.inf])
                     if hinge
                     else np.zeros((0, 2)),
+                    model.jnt_pos[ids] - model.jnt_pos[first] if hinge else np.zeros((0, 3)),
                 )
             )
             row[body] = len(found) - 1
@@ -293,6 +314,7 @@ class Character:
         Raises:
             FileError: the clip lacks a joint of the character.
         """
+        clip = self.posed(clip)
         if times is None:
             position, rotation = clip.root_position, clip.rotations
         else:
@@ -307,7 +329,7 @@ class Character:
                 raise FileError(
                     f"Clip {clip.source} has no joint '{joint.name}', which {self.name} needs."
                     f"{suggestion(joint.name, clip.joint_names)} A clip of another skeleton is "
-                    f"retargeted first: understudy motion retarget CLIP {self.name} OUT."
+                    f"retargeted first: {self.retargeting(clip)}."
                 )
             rest = self._rest(row)
             local = rotation[:, clip.joint_names.index(joint.name)]
@@ -318,6 +340,53 @@ class Character:
             else:
                 result[:, list(joint.addresses)] = joint.angles(turned)
         return result
+
+    def retargeting(self, clip: Clip) -> str:
+        """The command that makes `clip` fit."""
+        source = clip.source if Path(clip.source).is_file() else clip.name
+        return f"understudy motion retarget {quote(source)} {quote(self.named)} OUT.npz"
+
+    @cached_property
+    def hinges(self) -> dict[str, int]:
+        """By name, in the model's order: the ``qpos`` address of each hinge of the figure."""
+        own = {
+            address for joint in self.joints[1:] if len(joint.axes) for address in joint.addresses
+        }
+        ids = [j for j in range(self.model.njnt) if int(self.model.jnt_qposadr[j]) in own]
+        return {
+            self.model.joint(j).name or f"joint{j}": int(self.model.jnt_qposadr[j]) for j in ids
+        }
+
+    def posed(self, clip: Clip) -> Clip:
+        """`clip` itself; or if it has a robot's angles in place of joints
+        (:mod:`understudy_motion.readers.angles`), the clip of this character with these angles.
+
+        Raises:
+            FileError: the angles are not those of the character's hinges.
+        """
+        names = angle_names(clip)
+        if names is None:
+            return clip
+        if set(names) == set(self.hinges):
+            addresses = [self.hinges[name] for name in names]
+        elif len(names) == len(self.hinges) and names[0] == "1":
+            addresses = list(self.hinges.values())
+        else:
+            raise FileError(
+                f"Clip {clip.source} has {len(names)} angles of a robot, and {self.name} has "
+                f"{len(self.hinges)} hinges{'' if names[0] == '1' else ', or others'}: give the robot's own "
+                f"model. Its hinges are {', '.join(self.hinges) or 'none'}."
+            )
+        qpos = torch.tensor(self.model.qpos0, dtype=torch.float64).repeat(clip.num_frames, 1)
+        at = self.root_address
+        qpos[:, at : at + 3], qpos[:, at + 3 : at + 7] = clip.root_position, clip.rotations[:, 0]
+        axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+        turned = rotations.twist_angle(clip.rotations[:, 1:], axis).numpy()
+        qpos[:, addresses] = torch.from_numpy(np.unwrap(turned, axis=0))
+        about = {
+            key: getattr(clip, key) for key in ("source", "licence", "sha256", "url", "attribution")
+        }
+        return self.clip(qpos, clip.times, name=clip.name, loop=clip.loop, **about)
 
     def clip(
         self, qpos: Tensor, times: Tensor, *, name: str, loop: bool = False, **about: str

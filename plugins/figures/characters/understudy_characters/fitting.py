@@ -36,13 +36,14 @@ def worn(clip: Clip, character: Character) -> Clip:
     Raises:
         FileError: the clip lacks a joint of the character.
     """
+    clip = character.posed(clip)
     rows = [0]
     for name in character.joint_names[1:]:
         if name not in clip.joint_names[1:]:
             raise FileError(
                 f"Clip {clip.source} has no joint '{name}', which {character.name} needs."
-                f"{suggestion(name, clip.joint_names)} Retarget it first: understudy "
-                f"motion retarget CLIP {character.name} OUT."
+                f"{suggestion(name, clip.joint_names)} Retarget it first: "
+                f"{character.retargeting(clip)}."
             )
         rows.append(clip.joint_names.index(name))
     return replace(

@@ -13,17 +13,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character, Joint
+from understudy_tensors import rotations
 
 
 @dataclass(frozen=True)
 class Poses:
     """Where the joints are, float64."""
 
-    positions: Tensor  #: (F, J, 3) m, world
+    #: (F, J, 3) m, world: of the point of each body that is at the joint's first hinge in the zero pose.
+    positions: Tensor
     rotations: Tensor  #: (F, J, 4), world
     axes: Tensor  #: (F, D - 3, 3) world axes of the degrees of freedom that turn
+    pivots: Tensor  #: (F, D - 3, 3) m, world: a point of each of these axes
 
 
 class Kinematics:
@@ -36,6 +38,10 @@ class Kinematics:
         self._rests = torch.from_numpy(character.rest_rotations.as_quat(scalar_first=True))
         self._axes = [
             rotations.rotate(rest, torch.from_numpy(joint.axes))
+            for joint, rest in zip(joints, self._rests, strict=True)
+        ]
+        self._apart = [
+            rotations.rotate(rest, torch.from_numpy(joint.apart)) if joint.apart.any() else None
             for joint, rest in zip(joints, self._rests, strict=True)
         ]
         widths = [3 if len(joint.axes) == 0 else len(joint.axes) for joint in joints]
@@ -70,18 +76,30 @@ class Kinematics:
         positions, world = [qpos[:, at : at + 3]], [qpos[:, at + 3 : at + 7]]
         about_world = torch.eye(3, dtype=torch.float64).expand(count, 3, 3)
         axes = [about_world]
+        pivots = [positions[0][:, None].expand(count, 3, 3)]
         for row, joint in enumerate(character.joints[1:], start=1):
             place, turn = positions[joint.parent], world[joint.parent]
-            positions.append(place + rotations.rotate(turn, self._offsets[row]))
+            place = place + rotations.rotate(turn, self._offsets[row])
             if len(joint.axes) == 0:
                 turn = rotations.multiply(turn, self._ball(qpos, row, joint))
                 axes.append(about_world)
-            for axis, address in zip(self._axes[row], joint.addresses, strict=False):
+                pivots.append(place[:, None].expand(count, 3, 3))
+            apart = self._apart[row]
+            for k, (axis, address) in enumerate(
+                zip(self._axes[row], joint.addresses, strict=False)
+            ):
                 axes.append(rotations.rotate(turn, axis)[:, None])
+                pivot = place if apart is None else place + rotations.rotate(turn, apart[k])
+                pivots.append(pivot[:, None])
                 hinge = rotations.from_axis_angle(axis, qpos[:, address])
                 turn = rotations.multiply(turn, hinge)
+                place = place if apart is None else pivot - rotations.rotate(turn, apart[k])
+            positions.append(place)
             world.append(turn)
-        return Poses(torch.stack(positions, 1), torch.stack(world, 1), torch.cat(axes, 1))
+        return Poses(
+            *(torch.stack(x, 1) for x in (positions, world)),
+            *(torch.cat(x, 1) for x in (axes, pivots)),
+        )
 
     def _ball(self, qpos: Tensor, row: int, joint: Joint) -> Tensor:
         rest, start = self._rests[row], joint.addresses[0]

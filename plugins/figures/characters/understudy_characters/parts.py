@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Fields, Shape, box
+from understudy.task.terms import Margin
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.state import character_state
@@ -164,7 +166,7 @@ class FloorContact:
     @dataclass(frozen=True)
     class Options:
         bodies: tuple[str, ...] = ()  #: empty takes root, trunk and head
-        clearance: float = 0.0
+        clearance: float = 0.0  #: m above the floor that count as touching
 
     def __init__(self, options: Options, context: Context) -> None:
         self._upright = _UprightLinks(options.bodies, context, "characters/floor_contact")
@@ -174,7 +176,7 @@ class FloorContact:
         return (self._upright.clearances(xpos, xmat) <= self._clearance).any(dim=1)
 
 
-class Fall:
+class Fall(Margin):
     """A body that should stay up touches the floor, and not because the motion has it there.
 
     "No undesired contacts" (thesis, eq. 3.3), where the clip says which ones are desired: in a roll
@@ -202,6 +204,13 @@ class Fall:
         touches = self._upright.clearances(xpos, xmat) <= self._clearance
         meant = reference_link_clearances.index_select(1, self._upright.rows) <= self._margin
         return (touches & ~meant).any(dim=1)
+
+    def used(self, xpos: Tensor, xmat: Tensor, reference_link_clearances: Tensor) -> Tensor:
+        """(N, B): of the reference's height above touching, how much each body has lost."""
+        reference = reference_link_clearances.index_select(1, self._upright.rows)
+        left = self._upright.clearances(xpos, xmat) - self._clearance
+        whole = (reference - self._clearance).clamp(min=1e-3)
+        return torch.where(reference > self._margin, 1.0 - left / whole, 0.0).clamp(min=0.0)
 
 
 def motion_end(motion_ended: Tensor) -> Tensor:

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.layout import Layout
 from understudy_characters.servos import lags
 from understudy_characters.state import Poses
 from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_transform
 from understudy_motion.section import Floor
+from understudy_tensors import rotations
 
 #: Table rows per control step. Between rows everything is interpolated linearly.
 OVERSAMPLING = 4
@@ -73,7 +73,7 @@ class ReferenceMotion:
         device: torch.device | None = None,
         floor: Floor = "lowest",
     ) -> None:
-        device = device or torch.device("cpu")
+        device, clip = device or torch.device("cpu"), character.posed(clip)
         self.clip, self.duration, self.loop = clip, clip.duration, clip.loop
         self.control_dt, self._root = control_dt, layout.root_address
         self._root_dof = layout.root_dof

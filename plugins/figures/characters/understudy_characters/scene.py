@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from understudy.errors import FileError
+from understudy.errors import ConfigError, FileError
 from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_characters import staging
@@ -63,6 +63,7 @@ class CharacterScene(MujocoScene):
         #: ``fast``: implicit integration, few Newton iterations; ``model``: what the model says.
         solver: Literal["fast", "model"] = "fast"
         end_effectors: tuple[str, ...] = ()  #: bodies that are hands and feet; empty finds them
+        #: how servos are made where the model has none
         servos: ServoOptions = field(default_factory=ServoOptions)
         contact: Contact = field(default_factory=Contact)  #: how contacts are solved
 
@@ -71,7 +72,12 @@ class CharacterScene(MujocoScene):
         registry = context.registry if context and context.registry else installed().registry
         name, spec = character_spec(options.character, registry, context)
         timestep = context.control_dt / context.substeps if context else 1 / 600
-        character = _compiled(name, spec)
+        character = _compiled(name, spec, options.character)
+        if len(character.joints) == 1:
+            raise ConfigError(
+                f"Model '{name}' is no character: nothing hangs on its free body "
+                f"'{character.joint_names[0]}' by a joint."
+            )
         servos = options.servos
         if context and context.coarse and servos.step_speed is None:
             servos = replace(servos, step_speed=COARSE_SPEED)
@@ -83,17 +89,24 @@ class CharacterScene(MujocoScene):
         staging.collide(spec, set(character.carrier), options.self_collision)
         root = next(body for body in spec.bodies if body.id == character.root)
         root.name = character.joint_names[0]
-        staging.stage(spec, root.name)
+        staging.stage(spec, character)
         sections = context.sections.values() if context else ()
         self._around = tuple(s for s in sections if isinstance(s, Surroundings))
         self.recorded = ("qpos", "reference_qpos", "phase")
         own = {body.name for body in spec.bodies}
         for one in self._around:
-            one.add(spec)
+            try:
+                one.add(spec)
+            except ValueError as error:
+                reason = str(error).strip().splitlines()[0].removeprefix("Error: ")
+                raise FileError(
+                    f"What stands around the character cannot be added to the model of {name}: "
+                    f"{reason}. Rename what the model calls so."
+                ) from error
             self.recorded += one.recorded
         self._things = [body.name for body in spec.bodies if body.name not in own]
         self._spec = spec
-        self.character = _compiled(name, self.spec())
+        self.character = _compiled(name, self.spec(), options.character)
         warn_of_shaking(self.character, timestep)
 
     def spec(self) -> mujoco.MjSpec:
@@ -216,9 +229,9 @@ class CharacterScene(MujocoScene):
         }
 
 
-def _compiled(name: str, spec: mujoco.MjSpec) -> Character:
+def _compiled(name: str, spec: mujoco.MjSpec, named: str) -> Character:
     try:
-        return Character(name, spec.compile())
+        return Character(name, spec.compile(), named)
     except (ValueError, mujoco.FatalError) as error:
         reason = str(error).strip().splitlines()[0]
         raise FileError(f"The model of {name} does not compile: {reason}") from error

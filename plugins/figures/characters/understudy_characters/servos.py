@@ -16,6 +16,7 @@ import numpy as np
 
 from understudy.options import check_range
 from understudy_characters.character import Character
+from understudy_characters.staging import free_name
 
 _HINGE, _BALL = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL)
 
@@ -23,6 +24,8 @@ _HINGE, _BALL = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL
 #: Of the weight times the length of a figure: torque of a joint that carries all of it. With the cube
 #: root of smaller shares this gives every limit of the DeepMimic character to within a factor of 2.4.
 STRENGTH = 0.45
+EARTH = 9.81
+"""m/s^2"""
 #: Of the inertia that a servo's gains are for: what a joint has to move at least, its rotor included. Of
 #: that character's ankles it is as much, with its armature of 0.01 kg m^2.
 ROTOR = 0.02
@@ -45,7 +48,7 @@ class ServoOptions:
 
     keep: bool = True  #: whether a model whose joints are all driven by position servos keeps these
     natural_frequency: float = 20.0  #: rad/s
-    damping_ratio: float = 1.0
+    damping_ratio: float = 1.0  #: 1 is critical damping; above 0
     #: rad off its target at which a servo gives its whole torque: at least and at most.
     deflection: tuple[float, float] = (0.1, 0.3)
     #: rad/s by which a servo's whole torque turns its joint in one sub-step, at most; where these are
@@ -138,7 +141,7 @@ def torque_limits(character: Character) -> np.ndarray:
 
     A model says it by the limits of its joints' or actuators' forces, or of motors' controls. Else it is
     :data:`STRENGTH` of the figure's weight, at a lever as long as the figure is, times the cube root of
-    the share of its mass that hangs on the joint.
+    the share of its mass that hangs on the joint. Without gravity its weight is that on Earth.
     """
     model = character.model
     stated: dict[tuple[int, int], float] = {}
@@ -147,7 +150,7 @@ def torque_limits(character: Character) -> np.ndarray:
         if place is not None and strength is not None:
             stated[place] = max(strength, stated.get(place, 0.0))
     mass = float(model.body_subtreemass[character.root])
-    weight = mass * float(np.linalg.norm(model.opt.gravity))
+    weight = mass * (float(np.linalg.norm(model.opt.gravity)) or EARTH)
     found = []
     for drive in drives(character):
         beyond = float(model.body_subtreemass[model.jnt_bodyid[drive.joint]]) / mass
@@ -308,7 +311,7 @@ def _make_servos(
     joints = {joint.id: joint for joint in spec.joints}
     for one, limit, kp, kd in zip(drives(character), limits, stiffness, damping, strict=True):
         joint = joints[one.joint]
-        joint.name = joint.name or f"joint{one.joint}"
+        joint.name = joint.name or free_name(f"joint{one.joint}", spec.joints)
         ball = character.model.jnt_type[one.joint] == _BALL
         add_servo(spec, joint.name, one.axis if ball else None, limit, kp, kd + kp * timestep)
 
@@ -318,7 +321,7 @@ def add_servo(
 ) -> None:
     """A position servo of at most `limit` N m on a hinge, or about one `axis` of a ball joint."""
     actuator = spec.add_actuator(
-        name=joint if axis is None else f"{joint}_{'xyz'[axis]}",
+        name=free_name(joint if axis is None else f"{joint}_{'xyz'[axis]}", spec.actuators),
         target=joint,
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,

@@ -2,29 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import mujoco
+import numpy as np
+
+from understudy_characters.character import Character
 
 #: Bits of contact masks: what the figure touches, and the figure.
 _FLOOR, _FIGURE = 1, 2
 
 
-def stage(spec: mujoco.MjSpec, root: str) -> None:
-    """Add to the model what it has not got of a floor, lights that follow the body `root`, a sky."""
-    kinds = {int(geom.type) for geom in spec.worldbody.geoms}
-    if not kinds & {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}:
+#: m: floors so near z = 0 are left where they are.
+_LEVEL = 0.005
+_UPRIGHT = 0.999
+"""The z of the normal of what is level."""
+
+
+def stage(spec: mujoco.MjSpec, character: Character) -> None:
+    """Add to `spec`, of which `character` was compiled, what it has not got of a floor, lights that follow
+    the root, a sky. A level floor that it has is brought to z = 0, and all but the character with it."""
+    geoms = {geom.id: geom for geom in spec.geoms}
+    floors = _floors(character)
+    solid = [(i, top) for i, top in floors if geoms[i].contype or geoms[i].conaffinity]
+    for i, _ in floors if not solid else ():  # only seen so far
+        geoms[i].contype, geoms[i].conaffinity = _FLOOR, _FLOOR | _FIGURE
+    level = [top for _, top in solid or floors if top is not None]
+    if not floors:
         add_floor(spec)
+    elif level and abs(max(level)) > _LEVEL:
+        _lower(spec, character, max(level))
     if not spec.lights:
-        add_sun(spec, root)
+        add_sun(spec, character.joint_names[0])
     if not any(t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for t in spec.textures):
         add_sky(spec)
     spec.visual.global_.offwidth = max(1280, spec.visual.global_.offwidth)
     spec.visual.global_.offheight = max(720, spec.visual.global_.offheight)
 
 
+def _floors(character: Character) -> list[tuple[int, float | None]]:
+    """The geoms that the character can stand on, each with the height of its top in m, None if that
+    varies: what is fixed in the world, below the root, and a plane, a height field, or as wide as the
+    character is long."""
+    model, data = character.model, character.zero_pose
+    root, reach, found = data.xpos[character.root], 0.5 * character.length, []
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if body in character.carrier or model.body_weldid[body] != 0:
+            continue
+        kind, turn = int(model.geom_type[geom]), data.geom_xmat[geom].reshape(3, 3)
+        if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+            found.append((geom, None))
+        elif kind == mujoco.mjtGeom.mjGEOM_PLANE:
+            if turn[2, 2] > 0.5:  # else a wall
+                level = turn[2, 2] > _UPRIGHT
+                found.append((geom, float(data.geom_xpos[geom, 2]) if level else None))
+        else:
+            centre = data.geom_xpos[geom] + turn @ model.geom_aabb[geom, :3]
+            half = np.abs(turn) @ model.geom_aabb[geom, 3:]
+            top, wide = float(centre[2] + half[2]), (half[:2] >= reach).all()
+            if wide and (np.abs(root - centre)[:2] <= half[:2]).all() and top <= root[2]:
+                found.append((geom, top))
+    return found
+
+
+def _lower(spec: mujoco.MjSpec, character: Character, height: float) -> None:
+    """Lower everything but the character by `height` m."""
+    down = np.array([0.0, 0.0, height])
+    for geom in spec.worldbody.geoms:
+        if np.isfinite(geom.fromto).all():
+            geom.fromto = geom.fromto - np.tile(down, 2)
+        else:
+            geom.pos = geom.pos - down
+    for body in spec.worldbody.bodies:
+        if body.id != character.root:
+            body.pos = body.pos - down
+
+
+def free_name(wanted: str, items: Iterable[Any]) -> str:
+    """`wanted`, or with a number if one of these `items` of a model has it."""
+    taken = {item.name for item in items}
+    names = (wanted, *(f"{wanted}_{k}" for k in range(2, len(taken) + 3)))
+    return next(name for name in names if name not in taken)
+
+
 def add_floor(spec: mujoco.MjSpec) -> None:
-    """An infinite chequered floor at z = 0."""
+    """An infinite chequered floor at z = 0, ``floor`` unless the model has a geom of that name."""
+    texture = free_name("floor", spec.textures)
     spec.add_texture(
-        name="floor",
+        name=texture,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=[0.78, 0.8, 0.83],
@@ -32,12 +99,15 @@ def add_floor(spec: mujoco.MjSpec) -> None:
         width=256,
         height=256,
     )
-    material = spec.add_material(name="floor")
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    material = spec.add_material(name=free_name("floor", spec.materials))
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture
     material.texrepeat = [1.0, 1.0]
     material.texuniform = True
     floor = spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], material="floor"
+        name=free_name("floor", spec.geoms),
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        material=material.name,
     )
     floor.contype, floor.conaffinity, floor.condim = _FLOOR, _FIGURE, 3
     floor.friction = [1.0, 0.005, 0.0001]
@@ -48,7 +118,7 @@ def add_sky(spec: mujoco.MjSpec) -> None:
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.45, 0.45, 0.45]
     spec.add_texture(
-        name="sky",
+        name=free_name("sky", spec.textures),
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=[0.93, 0.95, 0.98],

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.kinematics import Kinematics
 from understudy_characters.layout import Layout
 from understudy_characters.surface import Surface, lowest_points, surface_of
+from understudy_tensors import rotations
 
 
 def joint_rotations(layout: Layout, qpos: Tensor) -> Tensor:

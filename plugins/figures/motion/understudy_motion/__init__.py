@@ -4,7 +4,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics",)
+REQUIRES = ("tensors",)
 
 
 @hookimpl
@@ -14,6 +14,7 @@ def understudy_register(register: Registrar) -> None:
     register.kind("clip_writer", "writes a format of motion clips")
     add, here = register.component, "understudy_motion"
     add("clip_reader", "amc", f"{here}.readers.amc:AmcReader", "Acclaim: AMC on its ASF")
+    add("clip_reader", "angles", f"{here}.readers.angles:AnglesReader", "a robot's table of angles")
     add("clip_reader", "bvh", f"{here}.readers.bvh:BvhReader", "Biovision hierarchy")
     add("clip_reader", "csv", f"{here}.readers.table:CsvReader", "a table of named columns")
     add("clip_reader", "deepmimic", f"{here}.readers.deepmimic:DeepMimicReader", "DeepMimic's JSON")

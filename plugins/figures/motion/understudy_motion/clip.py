@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import FileError
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 UNIT_TOLERANCE = 0.5
 """How far from 1 the norm of a given quaternion may be before it is an error.
@@ -28,6 +28,9 @@ UNIT_TOLERANCE = 0.5
 Clips edited by hand stray far: of DeepMimic's released ones nine are off by more than 0.01, the kick
 by 0.42. Within the tolerance a quaternion is normalised, beyond it its direction means nothing.
 """
+
+ANGLE = "angle "
+"""How the names of joints begin that are a robot's angles (:mod:`understudy_motion.readers.angles`)."""
 
 MAX_DISTANCE = 1e5
 """Metres from the origin beyond which a root position is taken for damage."""
@@ -169,6 +172,15 @@ class CycleTransform:
         direction = 0.5 * (angle - self.heading)
         cos, sin = length * direction.cos(), length * direction.sin()
         return torch.stack((cos * x - sin * y, sin * x + cos * y), dim=-1), angle
+
+
+def angle_names(clip: Clip) -> tuple[str, ...] | None:
+    """What the angles are called that `clip` has in place of joints: names, or numbers from 1; None if
+    it has joints."""
+    names = clip.joint_names[1:]
+    if not names or not all(name.startswith(ANGLE) for name in names):
+        return None
+    return tuple(name.removeprefix(ANGLE) for name in names)
 
 
 def cycle_transform(clip: Clip) -> CycleTransform:

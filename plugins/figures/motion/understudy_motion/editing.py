@@ -11,9 +11,9 @@ from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, align_signs, cycle_transform, resample, sample, velocities
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
+from understudy_tensors import rotations
 
 BLEND_SECONDS = 0.3
 """At each end of a loop: how long the blend over its seam takes. About a quarter of a gait cycle, so

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
+
 import torch
 from torch import Tensor
 
 from understudy.errors import FileError
-from understudy_basics import rotations
-from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.clip import ANGLE, Clip, Skeleton
+from understudy_tensors import rotations
 
 
 def need_skeleton(clip: Clip) -> Skeleton:
@@ -17,6 +19,11 @@ def need_skeleton(clip: Clip) -> Skeleton:
         FileError: the clip has none, or one of other joints.
     """
     skeleton = clip.skeleton
+    if skeleton is None and any(name.startswith(ANGLE) for name in clip.joint_names):
+        raise FileError(
+            f"Clip {clip.source} has a robot's angles in place of joints. Make it one of the robot's: "
+            f"understudy motion check {shlex.quote(clip.source)} --character ROBOT.xml --fix OUT.npz."
+        )
     if skeleton is None:
         raise FileError(
             f"Clip {clip.source}: has no skeleton (the lengths between its joints), which this needs."

@@ -135,6 +135,12 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
     for reader in known.values():
         if reader.recognises(head, path):
             return reader
+    if head.startswith(b"\x80"):
+        raise UnknownFormatError(
+            f"Clip {path}: a pickle, which could run any code when it is read, and is not. Save what it "
+            "holds as a table or an NPZ where it was made (docs/motion.md): of a robot, its root's "
+            "position, its quaternion as xyzw and its angles as the columns of a CSV."
+        )
     formats = ", ".join(known) or "none"
     raise UnknownFormatError(
         f"Clip {path}: not a format that is read here ({formats}).{registry.absent()}"

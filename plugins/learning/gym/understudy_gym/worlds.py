@@ -134,6 +134,9 @@ class Worlds:
             raise ConfigError("actions='raw' has no action_scale. Leave one of them out.")
         if isinstance(overrides, str):
             raise ConfigError(f"overrides={overrides!r} must be a list: overrides=[{overrides!r}].")
+        self._made_with = (task, num_worlds, tuple(overrides)), {
+            "actions": actions, "action_scale": action_scale, "width": width, "height": height,
+        }  # fmt: skip
         experiment = load_experiment([f"task={task}", *overrides, f"num_worlds={num_worlds}"])
         built = build_environment(experiment)
         self.environment, self._scene = built.environment, built.scene
@@ -145,6 +148,19 @@ class Worlds:
         self.scale = ActionScale(self.environment, action_scale) if actions == "scaled" else None
         self.space = built.environment.parts.actuation.part.action_space
         self._size = width, height
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        """What a copy (``pickle``, ``copy.deepcopy``) is made of: the arguments, from which it is built
+        anew, and the state of the worlds, if they have begun."""
+        begun = bool(self.environment.observations)
+        return (*self._made_with, self.environment.state_dict() if begun else None)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        arguments, settings, worlds = state
+        Worlds.__init__(self, *arguments, **settings)
+        if worlds is not None:
+            self.environment.reset(0)
+            self.environment.load_state_dict(worlds)
 
     @property
     def _decision(self) -> int:

@@ -15,9 +15,9 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
-from understudy_basics import averages, optimisers
-from understudy_basics.nn import Precision, set_precision
-from understudy_basics.returns import digest, explained_variance, observations_of
+from understudy_networks import averages, optimisers
+from understudy_networks.nn import Precision, set_precision
+from understudy_networks.returns import digest, explained_variance, observations_of
 from understudy_ppo.graphs import Captured
 from understudy_ppo.losses import KLPenalty, clipped_surrogate
 from understudy_ppo.threads import SideBySide
@@ -56,22 +56,24 @@ class PPO(Learner):
     @dataclass(frozen=True)
     class Options:
         rollout_steps: int = 16  #: T, steps per world and iteration
-        epochs: int = 4
+        epochs: int = 4  #: over each iteration's samples, from 1
         #: Optimiser steps per epoch; each sees its share of the iteration's samples.
         minibatches: int | None = 8
         #: Instead: samples of an optimiser step, over all processes.
         batch_size: int | None = None
-        gamma: float = 0.95
-        gae_lambda: float = 0.95
-        td_lambda: float = 0.95
+        gamma: float = 0.95  #: discount of a decision, in [0, 1] (the thesis, section 3.5)
+        gae_lambda: float = 0.95  #: λ of the advantages, in [0, 1] (the thesis, section 3.5)
+        td_lambda: float = 0.95  #: λ of the critic's targets, in [0, 1] (the thesis, section 3.5)
         clip: float | None = 0.2  #: ε; null leaves it to ``kl_penalty``
+        #: a penalty on the divergence from the old policy; null has none
         kl_penalty: KLPenalty | None = None
-        optimiser: Literal["adam", "sgd"] = "adam"
+        optimiser: Literal["adam", "sgd"] = "adam"  #: of both networks
         momentum: float = 0.0  #: of sgd
         weight_decay: float = 0.0  #: added to the gradient, times the weight (L2)
+        #: above 0; 1e-4 suits Adam (the thesis has plain gradient descent)
         actor_learning_rate: float = 1e-4
-        critic_learning_rate: float = 1e-3
-        entropy_weight: float = 0.0
+        critic_learning_rate: float = 1e-3  #: above 0
+        entropy_weight: float = 0.0  #: of the mean entropy, added to the objective; from 0
         #: Of the critic's mean squared error. It counts for sgd alone; Adam's steps have no scale.
         value_weight: float = 1.0
         #: Largest size of a normalised advantage; null is any.
@@ -88,7 +90,8 @@ class PPO(Learner):
         patience: int = 20
 
         def __post_init__(self) -> None:
-            check_range(self, "rollout_steps", "epochs", "minibatches", "patience", least=1)
+            check_range(self, "epochs", "minibatches", "patience", least=1)
+            check_range(self, "rollout_steps", least=1, most=100_000)
             check_range(self, "batch_size", least=2)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "clip", "actor_learning_rate", "critic_learning_rate", above=0)

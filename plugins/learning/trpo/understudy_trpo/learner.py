@@ -12,9 +12,9 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
-from understudy_basics import averages, optimisers
-from understudy_basics.nn import set_precision
-from understudy_basics.returns import digest, explained_variance, observations_of
+from understudy_networks import averages, optimisers
+from understudy_networks.nn import set_precision
+from understudy_networks.returns import digest, explained_variance, observations_of
 from understudy_trpo.natural_gradient import (
     Product,
     conjugate_gradient,
@@ -35,24 +35,25 @@ class TRPO(Learner):
     @dataclass(frozen=True)
     class Options:
         rollout_steps: int = 64  #: T, steps per world and iteration
-        gamma: float = 0.99
-        gae_lambda: float = 0.95
-        td_lambda: float = 0.95
+        gamma: float = 0.99  #: discount of a decision, in [0, 1]
+        gae_lambda: float = 0.95  #: λ of the advantages, in [0, 1]
+        td_lambda: float = 0.95  #: λ of the critic's targets, in [0, 1]
         kl_limit: float = 0.01  #: δ (Schulman et al. 2015, section 8)
         conjugate_gradient_steps: int = 10  #: appendix C
         damping: float = 0.1  #: added to the Fisher matrix' diagonal
         #: Share of the samples, evenly taken, that the Fisher matrix is estimated from (appendix C.1).
         fisher_share: float = 1.0
-        line_search_steps: int = 10
-        line_search_shrink: float = 0.8
+        line_search_steps: int = 10  #: tries at most, from 1
+        line_search_shrink: float = 0.8  #: by which a step is shortened, in (0, 0.99]
         value_epochs: int = 10  #: over the iteration's samples, to fit the critic
         value_batch_size: int = 128  #: samples of one of its steps, in each process
-        critic_learning_rate: float = 1e-3
+        critic_learning_rate: float = 1e-3  #: of Adam, above 0
         #: Updates in a row with a non-finite step after which the training stops.
         patience: int = 3
 
         def __post_init__(self) -> None:
-            check_range(self, "rollout_steps", "conjugate_gradient_steps", least=1)
+            check_range(self, "rollout_steps", least=1, most=100_000)
+            check_range(self, "conjugate_gradient_steps", least=1)
             check_range(self, "line_search_steps", "value_epochs", "value_batch_size", least=1)
             check_range(self, "patience", least=1)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)

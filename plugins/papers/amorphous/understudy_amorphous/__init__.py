@@ -6,7 +6,20 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "motion", "mujoco", "pbd", "ppo", "report", "sweeps")
+REQUIRES = (
+    "curricula",
+    "networks",
+    "tensors",
+    "terms",
+    "characters",
+    "motion",
+    "mujoco",
+    "pbd",
+    "ppo",
+    "report",
+    "sweeps",
+    "warp_torch",
+)
 
 #: By module and kind: the component's name less ``amorphous.``, its class or function, and what it is.
 _PARTS = {

@@ -128,7 +128,7 @@ def figure(
         )
     _add_tool(held, tool, grip, in_hand)
     _add_table(spec, grip)
-    staging.stage(spec, Character(name, bare).joint_names[0])
+    staging.stage(spec, Character(name, _compiled(name, spec)))
     spec.visual.map.shadowclip, spec.visual.quality.shadowsize = 6.0, 8192  # the table's, too
     return _figure(Character(name, _compiled(name, spec)))
 

@@ -9,12 +9,12 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
 from understudy_amorphous.scene import AmorphousScene
+from understudy_curricula.episodes import Judged
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Between:
     """Seconds after which training episodes are cut, drawn for each evenly between these. Worlds then
     do not all begin at once, and a short rollout of many worlds has all phases of an episode."""
 
-    least: float
-    most: float
+    least: float  #: s, above 0
+    most: float  #: s, at least `least`
 
     def __post_init__(self) -> None:
         check_range(self, "least", above=0)
@@ -41,7 +41,7 @@ class Lengths(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        seconds: Between
+        seconds: Between  #: how long training episodes are
 
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
@@ -78,15 +78,16 @@ class Clusters(Curriculum):
     @dataclass(frozen=True)
     class Options:
         seconds: Between  #: how long training episodes are
-        start: int = 1
-        most: int = 4
+        start: int = 1  #: clusters in the beginning, from 1
+        most: int = 4  #: clusters in the end (section 4.1 has 4); at most ``scene.blocks``
+        #: what is judged: the share of episodes that end near the goal, or the mean return
         by: Literal["distance", "return"] = "distance"
         threshold: float = 0.5  #: of the share of episodes, or of the mean return
         within: float = 1.5  #: m; Table 3 reports 1.06 m on average
         episodes: int = 256  #: how many ended episodes are judged together at least
 
         def __post_init__(self) -> None:
-            check_range(self, "start", "episodes", least=1)
+            check_range(self, "start", "most", "episodes", least=1)
             check_range(self, "within", above=0)
             if self.most < self.start:
                 raise ValueError(f"most={self.most} is not possible: start is {self.start}.")
@@ -100,7 +101,7 @@ class Clusters(Curriculum):
                 f"clusters (scene.blocks). Give curriculum.most={scene.options.blocks}, or more blocks."
             )
         self._on_device = torch.zeros(context.num_worlds, device=context.device)
-        self._ended, self._total = 0, 0.0
+        self._judged = Judged(options.episodes)
         self._move(options.most if context.evaluating else options.start)
 
     def _move(self, clusters: int) -> None:
@@ -115,17 +116,14 @@ class Clusters(Curriculum):
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self.options
         of_this_stage = rollout.records["clusters"] == self.clusters
-        ended = (rollout.terminated | rollout.truncated) & of_this_stage
+        ended = rollout.ended & of_this_stage
         near = (rollout.records["farthest_distance"] <= options.within).float()
         score = near if options.by == "distance" else rollout.episode_returns
-        sums = torch.stack([ended.double().sum(), torch.where(ended, score, 0.0).double().sum()])
-        count, total = distributed.total(sums).tolist()
-        self._ended, self._total = self._ended + int(count), self._total + total
         found: dict[str, float] = {"clusters": self.clusters}
-        if self._ended < options.episodes:
+        mean = self._judged.digest(ended, score)
+        if mean is None:
             return found
-        mean = found[options.by] = self._total / self._ended
-        self._ended, self._total = 0, 0.0
+        found[options.by] = mean
         if mean >= options.threshold and self.clusters < options.most:
             self._move(self.clusters + 1)
             found |= {"clusters": self.clusters, f"mark/{self.stage()}": 1.0}
@@ -135,8 +133,8 @@ class Clusters(Curriculum):
         return f"{self.clusters} cluster{'s' if self.clusters > 1 else ''}"
 
     def state_dict(self) -> State:
-        return {"clusters": self.clusters, "ended": self._ended, "total": self._total}
+        return {"clusters": self.clusters, **self._judged.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        self._ended, self._total = state["ended"], state["total"]
+        self._judged.load_state_dict(state)
         self._move(min(state["clusters"], self.options.most))

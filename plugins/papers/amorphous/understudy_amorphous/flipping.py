@@ -49,7 +49,16 @@ class Toss(Fields):
 
 
 @ranges(-math.inf, math.inf)
-def height(clearance: Tensor, *, c_1: float = 0.1, w_1: float = 10.0, w_2: float = 0.1) -> Tensor:
+def height(
+    clearance: Tensor,
+    *,
+    #: the reward while the material is just above the pan (Table 2)
+    c_1: float = 0.1,
+    #: 1/m, of the height above the pan (Table 2)
+    w_1: float = 10.0,
+    #: 1/m, of the height below the pan's, which is negative (Table 2)
+    w_2: float = 0.1,
+) -> Tensor:
     """r_h (eq. 11) of d_ymin (m)."""
     return torch.where(clearance > 0, c_1 + w_1 * clearance, w_2 * clearance)
 
@@ -59,10 +68,15 @@ def spin(
     clearance: Tensor,
     material_angular_velocity: Tensor,
     *,
+    #: unit vector in the world, about which turning counts
     axis: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    #: s/rad, the factor (Table 2)
     w_3: float = 4.0,
+    #: m above the pan, from which on turning counts (Table 2)
     c_2: float = 0.5,
+    #: rad/s, the least that counts (eq. 12)
     least: float = -1.0,
+    #: rad/s, the most that counts (eq. 12)
     most: float = 1.0,
 ) -> Tensor:
     """r_av (eq. 12): the angular velocity about `axis` (rad/s), between `least` and `most`, while all
@@ -154,7 +168,14 @@ class Turned(Memory):
         }
 
 
-def flipped(caught_turn: Tensor, *, direction: float = 1.0, least: float = 2.4) -> Tensor:
+def flipped(
+    caught_turn: Tensor,
+    *,
+    #: 1 or −1: about which way round
+    direction: float = 1.0,
+    #: rad, above 0; somewhat less than half a turn
+    least: float = 2.4,
+) -> Tensor:
     """Whether the material came back into the pan turned over at least once: by `least` rad or more, a
     little less than half a turn, in `direction` (1 or −1)."""
     return (direction * caught_turn >= least).float()

@@ -15,7 +15,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Context, Encoder, Fields, Shape
 from understudy_amorphous.scene import AmorphousScene
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 #: A particle counts in its own cell and in two rings around it.
 _RINGS = 2
@@ -98,9 +98,11 @@ class MaterialMaps(Encoder):
 
     @dataclass(frozen=True)
     class Options:
+        #: the images, in this order: what is there, how high, and where the goal is
         channels: tuple[Literal["density", "height", "goal"], ...] = ("density",)
+        #: whether the maps move with the tool (section 3.3.1) or stay where they are
         frame: Literal["tool", "world"] = "tool"
-        grid: Grid = Grid()
+        grid: Grid = Grid()  #: how many cells, and how large
         centre: tuple[float, float] = (0.0, 0.0)  #: m, of maps in the world's frame
         #: By what eq. 2's sums are multiplied, so that a layer of particles is about 1 in cells of
         #: 0.2 m. Of smaller particles (``scene.resolution``) each counts less: the same material makes
@@ -169,7 +171,8 @@ class TableMap(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        grid: Grid = Grid()
+        grid: Grid = Grid()  #: how many cells, and how large
+        #: whether the map stays where it is or moves with the tool (section 4.6.2)
         frame: Literal["tool", "world"] = "world"
 
     def __init__(self, options: Options, context: Context) -> None:

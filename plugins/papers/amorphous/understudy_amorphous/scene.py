@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -82,6 +83,9 @@ TOOLS: dict[str, Callable[[], Tool]] = {
 }
 
 
+_PARTICLES = 100_000  #: the most that a scene has
+
+
 class AmorphousScene(ParticleScene):
     """Blocks of particles on a table, and a tool.
 
@@ -91,6 +95,7 @@ class AmorphousScene(ParticleScene):
 
     @dataclass(frozen=True)
     class Options:
+        #: what the particles are (sections 4.1 to 4.6)
         material: Literal["granular", "viscoplastic", "viscous", "elastic"] = "viscoplastic"
         blocks: int = 4  #: how many pieces of material there are
         block: tuple[int, int, int] = (5, 5, 2)  #: particles of one along x, y and z
@@ -98,11 +103,17 @@ class AmorphousScene(ParticleScene):
         spacing: float = 0.2  #: m, between particles at rest
         #: Particles along each axis for one of `block`: 2 and 3 are Table 5's medium and high.
         resolution: int = 1
-        tool: Literal["scraper", "pan"] = "scraper"
+        tool: Literal["scraper", "pan"] = "scraper"  #: what moves them
         springs: int = 32  #: the most that one particle of a visco-plastic material can have
 
         def __post_init__(self) -> None:
-            check_range(self, "blocks", "resolution", "springs", least=1)
+            check_range(self, "blocks", "resolution", "springs", least=1, most=1000)
+            check_range(self, "block", most=1000)
+            if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:
+                raise ValueError(
+                    f"blocks={self.blocks} is not possible: of such blocks and resolution there would be more "
+                    f"than {_PARTICLES} particles."
+                )
             check_range(self, "spacing", above=0)
             if min(self.block) < 1:
                 raise ValueError(f"block={list(self.block)} is not possible: give at least 1 each.")

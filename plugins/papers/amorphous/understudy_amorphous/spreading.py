@@ -27,7 +27,9 @@ def movement(
     particle_position: Tensor,
     previous_particle_position: Tensor,
     *,
+    #: m, the height above which a particle is not yet spread (Table 2)
     c_min: float = 0.2,
+    #: weight of the particles that lie on the table; Table 2 has none, 0.1 is ours
     k: float = 0.1,
 ) -> Tensor:
     """r_m (eq. 9): the mean motion of the particles higher than `c_min` (m), less `k` times that of
@@ -37,7 +39,12 @@ def movement(
 
 
 @ranges(-math.inf, 0.0)
-def outliers(particle_position: Tensor, *, c_rad: float = 3.2) -> Tensor:
+def outliers(
+    particle_position: Tensor,
+    *,
+    #: m from the middle of the table (Table 2)
+    c_rad: float = 3.2,
+) -> Tensor:
     """r_o (eq. 10): minus the sum of how far particles are beyond `c_rad` (m) from the middle of the
     table, seen from above."""
     return -(particle_position[..., :2].norm(dim=2) - c_rad).clamp(min=0.0).sum(dim=1)

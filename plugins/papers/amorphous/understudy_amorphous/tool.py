@@ -12,7 +12,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Encoder, Shape, box
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 #: q = [x, y, z, φ, ψ, θ] (section 3.5): position in m, then turns about the tool's x, y and z axes.
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -170,7 +170,7 @@ class ToolState(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        axes: tuple[str, ...] = ("x", "y", "yaw")
+        axes: tuple[str, ...] = ("x", "y", "yaw")  #: those that the tool moves along or turns about
         #: Also the material's angular velocity, as for flipping (section 4.3).
         material_spin: bool = False
 

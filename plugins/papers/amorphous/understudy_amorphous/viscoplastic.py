@@ -12,7 +12,7 @@ import warp as wp
 
 from understudy.options import check_range
 from understudy_pbd.rules import Particles, Rule
-from understudy_pbd.shapes import Tools, tool_between
+from understudy_warp_torch.shapes import Tools, tool_between
 
 
 @dataclass(frozen=True)

@@ -4,34 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy import random
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
+from understudy.running.trials import Trial
 from understudy.setup.config import Part
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, climb, highest, upper_bound
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.fidelity import Fidelity
+from understudy_bayes.search import BookedSearch
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions, fitted
 
 Z_MIN, Z_MAX = 0.0, 1.0
 
 
-class CMFBO(OuterLoop):
+class CMFBO(BookedSearch):
     """Easy tasks find where to look, and hard ones are asked about only there (algorithms 3 and 4).
 
     A trial is trained and judged at a difficulty; one above the least begins with the policy of the
     nearest easier trial. The answer is the highest y among the trials at full difficulty: algorithm
     4 returns the highest of all, but an easy task's value says nothing about the task's.
     """
-
-    extendable = ("trials", "budget")
 
     @dataclass(frozen=True)
     class Options(SearchOptions):
@@ -54,6 +53,7 @@ class CMFBO(OuterLoop):
         easier: bool = True
         #: … and with which parts of it.
         parts: tuple[Part, ...] = ("actor", "critic", "normaliser")
+        #: how the objective is modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
         def __post_init__(self) -> None:
@@ -69,11 +69,9 @@ class CMFBO(OuterLoop):
         self._options, self._book, self._seed = options, Book(options, options.fidelity), seed
         self._surrogate = options.surrogate.otherwise(fidelity_scale=1.0, slope=1.0)
 
-    def ask(self, number: int) -> Trial | None:
+    def choose(self, number: int) -> Trial | None:
         """Algorithm 4, one iteration; the Gaussian process is fitted anew to all that was told."""
         book, options = self._book, self._options
-        if book.over(number):
-            return None
         if number < options.initial:
             return book.ask(number, draws.spread(self._seed, number, len(book.space)), Z_MIN)
         model = fitted(book, self._surrogate, random.derive_seed(self._seed, f"fit/{number}"))
@@ -114,17 +112,6 @@ class CMFBO(OuterLoop):
             return None
         near = model.correlation(x, torch.tensor(z), *book.places(done)).argmax()
         return {"trial": done[int(near)].key, "parts": list(options.parts)}
-
-    def recall(self, trial: Trial) -> bool:
-        return self._book.recall(trial)
-
-    def tell(self, report: Report) -> Literal["stop"] | None:
-        answer = self._book.tell(report)
-        self.share = self._book.done
-        return answer
-
-    def summary(self) -> list[dict[str, Any]]:
-        return self._book.summary()
 
 
 def _range(y: Tensor) -> float:

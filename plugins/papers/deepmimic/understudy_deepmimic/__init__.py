@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "ppo")
+REQUIRES = ("curricula", "networks", "tensors", "characters", "humanoid", "motion", "mujoco", "ppo")
 
 _HERE = "understudy_deepmimic"
 

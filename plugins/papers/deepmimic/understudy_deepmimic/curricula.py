@@ -16,6 +16,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_curricula.episodes import totals
 from understudy_deepmimic.horizon import horizon
 
 
@@ -28,10 +29,9 @@ class Episodes(NamedTuple):
 
     @classmethod
     def ended_in(cls, rollout: Rollout) -> Episodes:
-        ended = rollout.terminated | rollout.truncated
+        ended = rollout.ended
         returns = torch.where(ended, rollout.episode_returns, 0.0)
-        sums = [value.double().sum() for value in (ended, rollout.failed & ended, returns)]
-        return cls(*distributed.total(torch.stack(sums)).tolist())
+        return cls(*totals(ended, rollout.failed & ended, returns))
 
     @property
     def fail_rate(self) -> float:
@@ -210,13 +210,15 @@ class Annealed(Curriculum):
     @dataclass(frozen=True)
     class Options:
         start: float = 0.5  #: s
+        #: training samples until episodes are longest, from 1 (the released program)
         samples: int = 32_000_000
-        power: float = 4.0
+        power: float = 4.0  #: exponent of the share of ``samples``, above 0 (the released program)
         patience: int | None = 500  #: iterations; null goes on to the budget
 
         def __post_init__(self) -> None:
             check_range(self, "start", "power", above=0)
-            check_range(self, "samples", "patience", least=1)
+            check_range(self, "samples", least=1, most=2**53)
+            check_range(self, "patience", least=1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options = options

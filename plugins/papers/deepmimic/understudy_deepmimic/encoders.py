@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
-from understudy_basics.rotations import turn_matrix
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import turn_matrix
 
 
 class StateEncoder(Encoder):
@@ -26,7 +26,7 @@ class StateEncoder(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        deviation: bool = True
+        deviation: bool = True  #: whether the policy sees how far it is from the reference
 
     shape: Shape
 

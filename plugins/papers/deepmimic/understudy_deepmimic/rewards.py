@@ -14,8 +14,8 @@ from torch.nn.functional import pad
 
 from understudy.options import check_range
 from understudy.task import Context
-from understudy_basics.rotations import angle_between, turn_matrix
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import angle_between, turn_matrix
 
 
 def pose(
@@ -24,6 +24,7 @@ def pose(
     reference_root_rotation: Tensor,
     reference_joint_rotations: Tensor,
     *,
+    #: 1/rad² (section 5.3)
     scale: float = 2.0,
 ) -> Tensor:
     """r_p = exp(-2 Σ_j ‖q̂_j ⊖ q_j‖²), the angles in rad between orientations of the joints, (N, J, 4)
@@ -39,7 +40,7 @@ class Velocity:
 
     @dataclass(frozen=True)
     class Options:
-        scale: float = 0.1
+        scale: float = 0.1  #: s²/rad² (section 5.3)
 
         def __post_init__(self) -> None:
             check_range(self, "scale", above=0)
@@ -64,6 +65,7 @@ def end_effectors(
     reference_root_heading: Tensor,
     reference_end_effector_positions: Tensor,
     *,
+    #: 1/m² (section 5.3)
     scale: float = 40.0,
 ) -> Tensor:
     """r_e = exp(-40 Σ_e ‖p̂_e - p_e‖²), the positions in m of hands and feet along world axes.
@@ -79,7 +81,13 @@ def end_effectors(
     return torch.exp(-scale * (reference - own + lower).square().sum(dim=(1, 2)))
 
 
-def com(com_position: Tensor, reference_com_position: Tensor, *, scale: float = 10.0) -> Tensor:
+def com(
+    com_position: Tensor,
+    reference_com_position: Tensor,
+    *,
+    #: 1/m² (section 5.3)
+    scale: float = 10.0,
+) -> Tensor:
     """r_c = exp(-10 ‖ĉ - c‖²), the centres of mass (N, 3) in m in the world."""
     return torch.exp(-scale * (reference_com_position - com_position).square().sum(dim=1))
 
@@ -91,9 +99,9 @@ class Imitation:
     @dataclass(frozen=True)
     class Options:
         pose: float = 0.65  #: weights
-        velocity: float = 0.1
-        end_effectors: float = 0.15
-        com: float = 0.1
+        velocity: float = 0.1  #: weight of r_v (section 5.3)
+        end_effectors: float = 0.15  #: weight of r_e (section 5.3)
+        com: float = 0.1  #: weight of r_c (section 5.3)
 
         def __post_init__(self) -> None:
             check_range(self, "pose", "velocity", "end_effectors", "com", least=0)

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "bayes", "ppo", "report", "sweeps")
+REQUIRES = ("networks", "tensors", "terms", "bayes", "ppo", "report", "sweeps")
 
 #: By module and kind: the component's name, its class or function, and what it is.
 _PARTS = {

@@ -37,7 +37,7 @@ class MapElites(StrategySearch):
 
         def __post_init__(self) -> None:
             super().__post_init__()
-            check_range(self, "cells", least=2)
+            check_range(self, "cells", least=2, most=1000)
             check_range(self, "step", above=0)
             if self.cells ** len(self.features) > _MOST:
                 raise ValueError(

@@ -39,15 +39,16 @@ class NovelPolicies(OuterLoop):
     class Options:
         search: str  #: folder of the finished search
         features: dict[str, Feature]  #: by measure; may be others than the earlier search's
-        distinct: float
+        distinct: float  #: distance of features at which strategies are different ones, above 0
         feature_field: str  #: the field that holds the feature at the end of an episode
-        rounds: int = 5
+        rounds: int = 5  #: trainings one after the other, from 1, of each strategy
         threshold: float = 1.5707963  #: d_threshold
+        #: distance of features: of vectors, or the angle in rad between two rotations
         metric: Metric = "euclidean"
-        success: float = 0.5
+        success: float = 0.5  #: success rate in [0, 1] from which on a trial shows a strategy
         parts: tuple[str, ...] = ("actor", "critic", "normaliser")  #: taken over from the policy
         stalled: Stalled | None = None  #: when a trial is ended early; null is never
-        gallery: GalleryOptions = field(default_factory=GalleryOptions)
+        gallery: GalleryOptions = field(default_factory=GalleryOptions)  #: what the gallery shows
 
         def __post_init__(self) -> None:
             check_features(self.features, self.metric)

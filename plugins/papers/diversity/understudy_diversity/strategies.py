@@ -32,8 +32,8 @@ Metric = Literal["euclidean", "rotation"]
 class Feature:
     """A measure that tells strategies apart, and the range of its values."""
 
-    low: float
-    high: float
+    low: float  #: the least value, in the measure's unit
+    high: float  #: the greatest value, in the measure's unit
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
@@ -48,13 +48,14 @@ class GalleryOptions:
 
     #: The measure that says how well it does, in a name of one's own; null is the objective.
     best: str | None = None
-    best_name: str = ""
-    unit: str = ""
+    best_name: str = ""  #: what people call ``best``
+    unit: str = ""  #: in which ``best`` is shown
     scale: float = 1.0  #: from the measure's unit to ``unit``
     #: Number of the recorded field ``track`` that is greatest at the peak, or nearest to ``at``; null is
     #: mid-way.
     track: str | None = None
-    index: int = 0
+    index: int = 0  #: which number of ``track``, from 0
+    #: value of ``track``, in its unit, at which the picture is taken; null takes the greatest
     at: float | None = None
     names: Mapping[str, str] = field(
         default_factory=dict
@@ -66,7 +67,7 @@ class Stalled:
     """A trial is hopeless once a figure of its training has not risen for so many samples."""
 
     figure: str  #: of the rows with which trials report: curriculum/difficulty, or a measure
-    samples: float
+    samples: float  #: training samples without a rise, above 0
     #: A trial whose figure has come to this is never hopeless: a bar at its target cannot rise.
     until: float | None = None
 
@@ -117,14 +118,14 @@ class DiversityOptions:
     parameters: Mapping[str, Parameter]  #: by option of the configuration, the range to search
     features: Mapping[str, Feature]  #: by measure: f of section 4.5.1
     distinct: float  #: distance of features at which strategies are different ones
-    trials: int
+    trials: int  #: how many trainings, from 1
     initial: int = 2  #: trials at random points, before a model chooses
     #: Distance of features: of vectors, or the angle in rad between two rotations, whose x axes and
     #: z axes are six features.
     metric: Metric = "euclidean"
     success: float = 0.5  #: success rate from which on a trial shows a strategy
     stalled: Stalled | None = None  #: when a trial is ended early; null is never
-    gallery: GalleryOptions = field(default_factory=GalleryOptions)
+    gallery: GalleryOptions = field(default_factory=GalleryOptions)  #: what the gallery shows
 
     def __post_init__(self) -> None:
         check_paths(self.parameters)

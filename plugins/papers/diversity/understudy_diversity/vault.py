@@ -26,7 +26,7 @@ from understudy.task import (
     Scene,
     box,
 )
-from understudy_basics.tensors import TensorSimulator
+from understudy_tensors.simulator import TensorSimulator
 
 START, RUN_UP = -1.05, 3.0  #: m, where take-offs are; m/s, how fast all are along x
 GRAVITY, HEIGHT = 9.81, 1.0  #: m/s²; m, of the centre of mass at take-off
@@ -192,7 +192,13 @@ class Limbs(Actuation):
         return torch.cat([tuck, self._push * torch.tanh(action[:, 1:])], dim=1)
 
 
-def passing(crossing: Tensor, cleared: Tensor, *, scale: float = 1.0) -> Tensor:
+def passing(
+    crossing: Tensor,
+    cleared: Tensor,
+    *,
+    #: m, above 0
+    scale: float = 1.0,
+) -> Tensor:
     """When the bar is passed, e^{(cleared - 1 m) / scale}: sparse, and more for passing higher."""
     return crossing * ((cleared - 1.0) / scale).exp()
 

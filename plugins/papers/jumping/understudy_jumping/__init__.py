@@ -7,7 +7,7 @@ from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "basics", "mujoco", "motion", "characters", "humanoid", "inspect", "ppo", "deepmimic", "pose_vae",
+    "networks", "skills", "tensors", "terms", "mujoco", "motion", "characters", "humanoid", "inspect", "ppo", "deepmimic", "pose_vae",
     "report",
 )  # fmt: skip
 
@@ -33,7 +33,6 @@ def understudy_register(register: Registrar) -> None:
     add("termination", "landed", "terms:landed", "landed on the mat")
     add("reward", "spin", "terms:spin", "little rotation of the root")
     add("reward", "safety", "terms:safety", "not on the head")
-    add("reward", "naturalness", "terms:naturalness", "few and small offsets")
     add("initial_states", "run_up", "run_up:Beginnings", "in the run-up's clip")
     add(
         "actuation", "offset_targets", "run_up:OffsetTargets", "the reference's targets and offsets"

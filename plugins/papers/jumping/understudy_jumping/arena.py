@@ -39,9 +39,9 @@ class ArenaOptions:
     schedule: tuple[float, float] = (0.0, 1 / 3)
     length: float = 8.0  #: m, of obstacle and mat across the jump
     mat: float = 5.0  #: m, how far the mat reaches
-    #: m: how much lower than the obstacle the mat is, within `mat_height`.
+    #: m: how much lower than the obstacle the mat is, within ``mat_height``.
     drop: float = 0.7
-    mat_height: tuple[float, float] = (0.1, 0.75)
+    mat_height: tuple[float, float] = (0.1, 0.75)  #: m, least and greatest
     softness: float = 0.04  #: s, in which the mat stops what falls on it
     gravity: float = 9.81  #: m/s²
 

@@ -17,10 +17,10 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory, Shape
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import arena_of
 from understudy_jumping.body import FEET, HEAD, TRUNK, body_of, lowest_surface
+from understudy_tensors import rotations
 
 
 class Attempt(Memory):

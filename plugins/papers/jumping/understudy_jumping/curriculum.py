@@ -28,9 +28,9 @@ class Accumulated(Curriculum):
     class Options:
         threshold: float = 30.0  #: R_T
         step: float = 1 / 150  #: of the difficulty: Δz over z_max - z_min
-        start: float = 0.0
+        start: float = 0.0  #: the first difficulty, in [0, 1]
         batch: int = 4096  #: samples of the paper's iteration
-        groups: int = 1
+        groups: int = 1  #: of worlds, from 1, each with a difficulty of its own
         #: Control periods of a decision: (difficulty, periods) with rising difficulties.
         decision: tuple[tuple[float, int], ...] = field(default_factory=tuple)
 
@@ -38,7 +38,7 @@ class Accumulated(Curriculum):
             check_range(self, "threshold", above=0)
             check_range(self, "step", above=0, most=1)
             check_range(self, "start", least=0, most=1)
-            check_range(self, "batch", "groups", least=1)
+            check_range(self, "batch", "groups", least=1, most=100_000)
             difficulties = [at for at, _ in self.decision]
             if difficulties != sorted(difficulties) or any(n < 1 for _, n in self.decision):
                 raise ValueError(
@@ -74,7 +74,7 @@ class Accumulated(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options, before = self._options, self.decision()
-        ended = (rollout.terminated | rollout.truncated).double()
+        ended = rollout.ended.double()
         returns = (ended * rollout.episode_returns).sum(dim=0)
         sums = torch.zeros(2, options.groups, dtype=torch.float64, device=returns.device)
         sums[0].index_add_(0, self._group, ended.sum(dim=0))

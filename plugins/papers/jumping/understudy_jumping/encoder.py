@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
+from understudy_tensors import rotations
 
 
 class GlobalState(Encoder):
@@ -22,7 +22,7 @@ class GlobalState(Encoder):
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: bool = False
+        takeoff: bool = False  #: whether the policy sees what the episode began with
 
     shape: Shape
 

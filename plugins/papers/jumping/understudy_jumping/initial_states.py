@@ -13,11 +13,12 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
-from understudy_basics import bank, rotations
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import MAT, Arena, arena_of
 from understudy_jumping.run_up import takeoff_features
 from understudy_jumping.takeoff import POSES, Takeoff, takeoff_states
+from understudy_skills import bank
+from understudy_tensors import rotations
 
 EPISODE_FIELDS: Mapping[str, Shape] = {
     "obstacle_height": (), "obstacle_width": (), "mat_height": (),
@@ -32,9 +33,9 @@ class Distance:
     What is straight in front is reached in half the time of what is beside, hence the last term.
     """
 
-    near: float = 0.8
-    far: float = 1.2
-    ahead: float = 0.8
+    near: float = 0.8  #: m from the obstacle at ρ = 0
+    far: float = 1.2  #: m from the obstacle at ρ = 1
+    ahead: float = 0.8  #: m, nearer by so much straight in front of the obstacle
 
     def __post_init__(self) -> None:
         check_range(self, "near", "far", above=0)
@@ -59,10 +60,10 @@ class Takeoffs(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        takeoff: Takeoff = field(default_factory=Takeoff)
+        takeoff: Takeoff = field(default_factory=Takeoff)  #: the first take-off (table 4.1)
         others: Mapping[str, Takeoff] = field(default_factory=dict)  #: in the order of their names
-        pose: Literal["plant", "step"] = "plant"
-        distance: Distance = field(default_factory=Distance)
+        pose: Literal["plant", "step"] = "plant"  #: the foot's planting, or the step before it
+        distance: Distance = field(default_factory=Distance)  #: how far from the obstacle
         noise: float = (
             0.02  #: largest deviation of joints, rad, and of all velocities, m/s and rad/s
         )
@@ -132,7 +133,7 @@ class Harvested(InitialStates):
     class Options:
         file: str  #: the bank, or the folder of the run that has one
         alpha: float = -0.05  #: rad, as :class:`~understudy_jumping.takeoff.Takeoff` has it
-        distance: Distance = field(default_factory=Distance)
+        distance: Distance = field(default_factory=Distance)  #: how far from the obstacle
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'jumping/harvested'"

@@ -15,7 +15,6 @@ from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.records import runs
 from understudy.setup.plugins import installed
-from understudy_basics import rotations
 from understudy_characters.recording import (
     WITH_SURROUNDINGS,
     check_frames,
@@ -30,6 +29,7 @@ from understudy_characters.shapes import shapes
 from understudy_motion.clip import Clip
 from understudy_motion.writing import Shown, write_figures
 from understudy_report.video import write_video
+from understudy_tensors import rotations
 
 #: Frames a second of the video.
 RATE = 30.0

@@ -11,10 +11,10 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Actuation, Context, Fields, InitialStates, Shape, box
-from understudy_basics import rotations
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
 from understudy_characters.parts import REACH
 from understudy_characters.scene import CharacterScene, reference_motion
+from understudy_tensors import rotations
 
 
 class Beginnings(InitialStates):

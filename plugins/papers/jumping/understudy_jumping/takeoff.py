@@ -18,8 +18,8 @@ import torch
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy_basics import rotations
 from understudy_characters.character import Character
+from understudy_tensors import rotations
 
 
 @dataclass(frozen=True)

@@ -16,20 +16,21 @@ def landed(landed: Tensor) -> Tensor:
     return landed != 0
 
 
-def spin(mean_spin: Tensor, *, scale: float = 0.02) -> Tensor:
+def spin(
+    mean_spin: Tensor,
+    *,
+    #: s/rad (eq. 4.15)
+    scale: float = 0.02,
+) -> Tensor:
     """r_ω = exp(-0.02 ‖ω‖) (eq. 4.15), of the mean of the root's angular speed over the episode."""
     return torch.exp(-scale * mean_spin)
 
 
-def safety(head_first: Tensor, *, unsafe: float = 0.7) -> Tensor:
+def safety(
+    head_first: Tensor,
+    *,
+    #: the reward of a landing on the head, in [0, 1] (section 4.5)
+    unsafe: float = 0.7,
+) -> Tensor:
     """r_safety (eq. 4.15): `unsafe` of a landing on the head, else 1."""
     return torch.where(head_first != 0, unsafe, 1.0)
-
-
-def naturalness(mean_offset: Tensor, offset_limit: Tensor) -> Tensor:
-    """r_naturalness = 1 - clip((ō / c_offset)², 0, 1) (eq. 4.3), ō the mean over the episode.
-
-    Where no pose auto-encoder gives a pose, ō is of how far the servos' targets are from the pose
-    that the athlete has.
-    """
-    return 1.0 - (mean_offset / offset_limit).square().clamp(0.0, 1.0)

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "ppo", "sweeps")
+REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sweeps")
 
 #: By module and kind: the component's name less ``miniature.``, its class or function, and what it is.
 _PARTS = {

@@ -35,7 +35,7 @@ class GrainsScene(Scene):
         tool: float = 0.25  #: m, the tool's radius
 
         def __post_init__(self) -> None:
-            check_range(self, "grains", least=1)
+            check_range(self, "grains", least=1, most=1000)
             check_range(self, "tool", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -97,13 +97,13 @@ class Clusters(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        clusters: int = 2
+        clusters: int = 2  #: how many centres at difficulty 1, from 1
         table: float = 0.5  #: m, half of its side; centres are at most so far from its middle
         size: float = 0.2  #: m, of a cluster
         tool: tuple[float, float] = (-1.0, 0.0)  #: m, where the tool is at first
 
         def __post_init__(self) -> None:
-            check_range(self, "clusters", least=1)
+            check_range(self, "clusters", least=1, most=1000)
             check_range(self, "table", "size", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -161,7 +161,7 @@ class DensityMap(Encoder):
         width: float = 3.0  #: m, of the image
 
         def __post_init__(self) -> None:
-            check_range(self, "pixels", least=2)
+            check_range(self, "pixels", least=2, most=1000)
             check_range(self, "width", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -231,6 +231,12 @@ class ToolTarget(Actuation):
 
 
 @ranges(-math.inf, math.inf)
-def gathered(spread: Tensor, previous_spread: Tensor, *, scale: float = 10.0) -> Tensor:
+def gathered(
+    spread: Tensor,
+    previous_spread: Tensor,
+    *,
+    #: 1/m
+    scale: float = 10.0,
+) -> Tensor:
     """How much nearer the grains came in this decision, times `scale` (1/m); negative if further."""
     return scale * (previous_spread - spread)

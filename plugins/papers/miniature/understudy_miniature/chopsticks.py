@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from understudy.errors import ConfigError, suggestion
 from understudy.task import Context, Distribution, Policy
-from understudy_basics.policies import MLPPolicy
+from understudy_networks.policies import MLPPolicy
 
 _JOINED = "joined"
 

@@ -26,8 +26,9 @@ class RandomFidelity(OuterLoop):
     @dataclass(frozen=True)
     class Options:
         low: Mapping[str, float]  #: by option of the configuration
+        #: by option of the configuration, the greatest value that is drawn
         high: Mapping[str, float]
-        trials: int = 4
+        trials: int = 4  #: how many trainings, from 1
         fidelities: tuple[float, ...] = (0.2, 1.0)  #: from the first trials to the last
         margin: float = 0.2  #: of the objective
 

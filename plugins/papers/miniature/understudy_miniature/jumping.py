@@ -103,7 +103,12 @@ def height(passed: Tensor, bar_clearance: Tensor) -> Tensor:
 
 
 def completion(
-    passed: Tensor, bar_clearance: Tensor, mean_effort: Tensor, *, scale: float = 0.2
+    passed: Tensor,
+    bar_clearance: Tensor,
+    mean_effort: Tensor,
+    *,
+    #: m, above 0
+    scale: float = 0.2,
 ) -> Tensor:
     """Once, at the bar: how nearly it was cleared, times how naturally, which is with little effort:
 
@@ -113,6 +118,11 @@ def completion(
 
 
 @ranges(-math.inf, math.inf)
-def forward(velocity: Tensor, *, scale: float = 0.1) -> Tensor:
+def forward(
+    velocity: Tensor,
+    *,
+    #: s/m
+    scale: float = 0.1,
+) -> Tensor:
     """Velocity along the first axis, times `scale` (s/m)."""
     return scale * velocity[:, 0]

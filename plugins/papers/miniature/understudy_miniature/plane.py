@@ -26,8 +26,8 @@ from understudy.task import (
     Shape,
     box,
 )
-from understudy_basics.tensors import TensorSimulator
 from understudy_miniature.drawing import draw_points
+from understudy_tensors.simulator import TensorSimulator
 
 
 class PlaneScene(Scene):
@@ -45,7 +45,7 @@ class PlaneScene(Scene):
         stiffness: float = 40.0  #: N/m
 
         def __post_init__(self) -> None:
-            check_range(self, "bodies", "pushed", least=1)
+            check_range(self, "bodies", "pushed", least=1, most=1000)
             check_range(self, "pushed", most=self.bodies)
             check_range(self, "drag", "gravity", "stiffness", least=0)
             if any(not 0 <= end < self.bodies for spring in self.springs for end in spring):
@@ -161,7 +161,7 @@ class Body(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        number: int = 0
+        number: int = 0  #: which of the points, from 0
 
     def __init__(self, options: Options, context: Context) -> None:
         self._number = options.number
@@ -249,11 +249,21 @@ class Force(Actuation):
         return self._limit * torch.tanh(action)
 
 
-def near(distance: Tensor, *, scale: float = 1.0) -> Tensor:
+def near(
+    distance: Tensor,
+    *,
+    #: m, above 0
+    scale: float = 1.0,
+) -> Tensor:
     """exp(-distance / scale): 1 at the target."""
     return torch.exp(-distance / scale)
 
 
-def slow(velocity: Tensor, *, scale: float = 1.0) -> Tensor:
+def slow(
+    velocity: Tensor,
+    *,
+    #: m/s, above 0
+    scale: float = 1.0,
+) -> Tensor:
     """exp(-|velocity| / scale): 1 at rest."""
     return torch.exp(-velocity.norm(dim=1) / scale)

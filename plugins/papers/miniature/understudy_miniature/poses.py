@@ -21,8 +21,8 @@ from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context
-from understudy_basics.nn import mlp
-from understudy_basics.supervised import NetworkJob
+from understudy_networks.nn import mlp
+from understudy_networks.supervised import NetworkJob
 
 
 class Poses(ABC):
@@ -41,12 +41,12 @@ class Arcs(Poses):
 
     @dataclass(frozen=True)
     class Options:
-        joints: int = 8
+        joints: int = 8  #: of the arm, from 1
         bend: float = 2.0  #: rad, of the whole arm, to either side
         wave: float = 0.5  #: rad, of a joint, to either side
 
         def __post_init__(self) -> None:
-            check_range(self, "joints", least=1)
+            check_range(self, "joints", least=1, most=1000)
             check_range(self, "bend", "wave", least=0)
 
     def __init__(self, options: Options) -> None:
@@ -80,12 +80,13 @@ class LearnPoses(NetworkJob[AutoEncoder]):
     @dataclass(frozen=True)
     class Options:
         code: int = 2  #: L
+        #: units of the encoder's layers, and in reverse of the decoder's
         hidden: tuple[int, ...] = (32,)
         batch: int = 256  #: poses of an iteration
-        learning_rate: float = 3e-3
+        learning_rate: float = 3e-3  #: of gradient descent, above 0
 
         def __post_init__(self) -> None:
-            check_range(self, "code", "batch", least=1)
+            check_range(self, "code", "batch", "hidden", least=1, most=10_000)
             check_range(self, "learning_rate", above=0)
 
     def __init__(self, options: Options, experiment: Experiment) -> None:

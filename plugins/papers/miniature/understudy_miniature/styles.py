@@ -33,12 +33,12 @@ class ArmScene(Scene):
 
     @dataclass(frozen=True)
     class Options:
-        joints: int = 8
+        joints: int = 8  #: how many, from 1
         length: float = 1.0  #: m, of all links
         lag: float = 0.1  #: s, time constant with which a joint follows its target
 
         def __post_init__(self) -> None:
-            check_range(self, "joints", least=1)
+            check_range(self, "joints", least=1, most=1000)
             check_range(self, "length", "lag", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -134,7 +134,7 @@ class DecodedPose(Actuation):
     @dataclass(frozen=True)
     class Options:
         run: str  #: folder of the run that trained the auto-encoder
-        code_scale: float = 2.0
+        code_scale: float = 2.0  #: code for an action of 1, above 0
         offset_scale: float = 0.2  #: rad
         dead: float = 0.1  #: rad, the size of an offset below which it is none
 
@@ -171,6 +171,11 @@ class DecodedPose(Actuation):
         return self._decoder(code) + self._offset(action)
 
 
-def sparse(pose_offset: Tensor, *, scale: float = 1.0) -> Tensor:
+def sparse(
+    pose_offset: Tensor,
+    *,
+    #: rad, above 0
+    scale: float = 1.0,
+) -> Tensor:
     """exp(-mean |offset| / scale): 1 where the decoded pose is used as it is."""
     return torch.exp(-pose_offset.abs().mean(dim=1) / scale)

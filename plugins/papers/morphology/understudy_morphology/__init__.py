@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "mujoco", "motion", "characters", "ppo")
+REQUIRES = ("curricula", "networks", "tensors", "terms", "mujoco", "motion", "characters", "ppo")
 
 _HERE = "understudy_morphology"
 

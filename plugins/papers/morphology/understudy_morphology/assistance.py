@@ -34,16 +34,16 @@ class Guidance(Fields):
     @dataclass(frozen=True)
     class Options:
         stiffness: float = 200.0  #: N/m, kp(0)
-        ratio: float = 0.75
-        lessons: int = 3
-        lesson_seconds: float = 3.0
+        ratio: float = 0.75  #: by which help lessens from lesson to lesson, in (0, 1]
+        lessons: int = 3  #: in an episode, from 1
+        lesson_seconds: float = 3.0  #: s, above 0
         velocity: float = 1.0  #: m/s
         ramp: float = 0.5  #: s
 
         def __post_init__(self) -> None:
             check_range(self, "stiffness", least=0)
             check_range(self, "ratio", above=0, most=1)
-            check_range(self, "lessons", least=1)
+            check_range(self, "lessons", least=1, most=1000)
             check_range(self, "lesson_seconds", "ramp", above=0)
 
     def __init__(self, options: Options, context: Context) -> None:

@@ -55,18 +55,18 @@ COLOUR, FOOT_COLOUR = (0.36, 0.56, 0.78, 1.0), (0.93, 0.6, 0.32, 1.0)
 class Scales:
     """Of each link's length and radius, left and right alike (table 6.1)."""
 
-    torso_length: float = 1.0
-    waist_length: float = 1.0
-    pelvis_length: float = 1.0
-    thigh_length: float = 1.0
-    knee_length: float = 1.0
-    foot_length: float = 1.0
-    torso_radius: float = 1.0
-    waist_radius: float = 1.0
-    pelvis_radius: float = 1.0
-    thigh_radius: float = 1.0
-    knee_radius: float = 1.0
-    foot_radius: float = 1.0
+    torso_length: float = 1.0  #: factor, above 0
+    waist_length: float = 1.0  #: factor, above 0
+    pelvis_length: float = 1.0  #: factor, above 0
+    thigh_length: float = 1.0  #: factor, above 0
+    knee_length: float = 1.0  #: factor, above 0
+    foot_length: float = 1.0  #: factor, above 0
+    torso_radius: float = 1.0  #: factor, above 0
+    waist_radius: float = 1.0  #: factor, above 0
+    pelvis_radius: float = 1.0  #: factor, above 0
+    thigh_radius: float = 1.0  #: factor, above 0
+    knee_radius: float = 1.0  #: factor, above 0
+    foot_radius: float = 1.0  #: factor, above 0
 
     def __post_init__(self) -> None:
         for item in fields(self):

@@ -12,6 +12,7 @@ from understudy import distributed
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_curricula.episodes import totals
 
 
 class Lessons(Curriculum):
@@ -34,12 +35,13 @@ class Lessons(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        ratio: float = 0.75
+        ratio: float = 0.75  #: by which help lessens, in (0, 1) (Yu et al. 2018, section 4.2.2)
+        #: of the first lesson's return, in [0, 1] (Yu et al. 2018, section 4.2.2)
         share: float = 0.7
         least: float = 0.025  #: 5 of 200 N/m
         lasting: float = 6.0  #: s
         speed: float = 0.5  #: share of the target velocity
-        episodes: int = 32
+        episodes: int = 32  #: how many ended episodes are judged together at least
         patience: int | None = None  #: iterations; null goes on to the budget
 
         def __post_init__(self) -> None:
@@ -75,17 +77,16 @@ class Lessons(Curriculum):
         return min(self._target, 1.0 if left < self._options.least else 1.0 - left)
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        options, ended = self._options, rollout.terminated | rollout.truncated
+        options, ended = self._options, rollout.ended
         seconds = rollout.records["episode_time"] + self._dt
-        sums = [
-            ended.double(),
+        sums = totals(
+            ended,
             torch.where(ended, rollout.episode_returns, 0.0),
             torch.where(ended, seconds, 0.0),
             rollout.records["forward_velocity"],
             rollout.records["target_velocity"],
-        ]
-        totals = distributed.total(torch.stack([value.double().sum() for value in sums]))
-        self._sums += totals.cpu()
+        )
+        self._sums += torch.tensor(sums, dtype=torch.float64)
         self._since += 1
         found = {"difficulty": self._at}
         count, returns, lasted, gone, to_go = self._sums.tolist()

@@ -15,10 +15,10 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Encoder, Fields, InitialStates, Memory, Shape
-from understudy_basics.rotations import heading, tangent_normal
 from understudy_morphology.assistance import torques
 from understudy_morphology.figure import FEET, TORSO
 from understudy_morphology.scene import ROOT_POSITIONS, WalkerScene
+from understudy_tensors.rotations import heading, tangent_normal
 
 
 class Gait(Fields):
@@ -85,7 +85,7 @@ class Speed(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        seconds: float = 0.5
+        seconds: float = 0.5  #: time constant of the mean, above 0
 
         def __post_init__(self) -> None:
             check_range(self, "seconds", above=0)
@@ -116,9 +116,9 @@ class Worth(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        alive: float = 4.0
+        alive: float = 4.0  #: for each step, from 0
         velocity: float = 3.0  #: s/m
-        energy: float = 0.4
+        energy: float = 0.4  #: of the sum of torques as shares of their limits, from 0
         sideways: float = 3.0  #: 1/m
         upright: float = 1.0  #: 1/rad
 
@@ -141,14 +141,26 @@ class Worth(Fields):
         }
 
 
-def normalised(value: Tensor, *, steps: int = 500) -> Tensor:
+def normalised(
+    value: Tensor,
+    *,
+    #: T, steps of a whole episode, from 1
+    steps: int = 500,
+) -> Tensor:
     """A step's part of the normalised return, eq. 6.4: reward / T. To be summed over the episode; a
     fall ends the sum, not the division by T = `steps`."""
     return value / steps
 
 
 def fallen(
-    height: Tensor, lean: Tensor, turn: Tensor, *, low: float = 0.8, limit: float = 0.8
+    height: Tensor,
+    lean: Tensor,
+    turn: Tensor,
+    *,
+    #: share of the root's standing height, in [0, 1]
+    low: float = 0.8,
+    #: rad by which the torso may lean or turn
+    limit: float = 0.8,
 ) -> Tensor:
     """The root is below the share `low` of its standing height, or the torso leans or turns away by
     more than `limit` rad."""

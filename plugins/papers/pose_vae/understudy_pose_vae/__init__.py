@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "inspect", "motion", "report")
+REQUIRES = ("networks", "skills", "tensors", "characters", "inspect", "motion", "report")
 
 _HERE = "understudy_pose_vae"
 

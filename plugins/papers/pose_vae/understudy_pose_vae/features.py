@@ -9,10 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics, tip_positions
+from understudy_tensors import rotations
 
 
 class PoseFeatures:

@@ -22,15 +22,15 @@ from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context, State
-from understudy_basics import rotations
-from understudy_basics.kept import files_of
-from understudy_basics.nn import mlp
-from understudy_basics.supervised import NetworkJob
 from understudy_characters.character import load_character
 from understudy_motion.reading import Axis, ReadOptions, Unit
+from understudy_networks.nn import mlp
+from understudy_networks.supervised import NetworkJob
 from understudy_pose_vae import pictures
 from understudy_pose_vae.clips import PoseSet, read_poses
 from understudy_pose_vae.features import PoseFeatures
+from understudy_skills.kept import files_of
+from understudy_tensors import rotations
 
 
 class PoseVAE(nn.Module):
@@ -85,22 +85,24 @@ class LearnPoses(NetworkJob[PoseVAE]):
         #: Folders of clips, clip files, names of generated clips, or names in $UNDERSTUDY_DATA/motions.
         clips: tuple[str, ...]
         character: str = "humanoid"  #: whose joints and lengths the poses have
+        #: whether every pose is learned from left to right, too
         mirror: bool = (
             True  #: learn mirror images too; with them the authors' clips are 20 230 poses
         )
         held_out: float = 0.1  #: share of the clips that only evaluations see
         latent: int | None = 13  #: L; null takes as many as principal components cover ``coverage``
         coverage: float = 0.85  #: of the variance
+        #: units of the encoder's layers, and in reverse of the decoder's (section 4.4)
         hidden: tuple[int, ...] = (256, 256)
-        beta: float = 1e-5
-        batch: int = 128
-        learning_rate: float = 1e-4
+        beta: float = 1e-5  #: weight of the KL divergence (section 4.4), from 0
+        batch: int = 128  #: poses of an optimiser step, from 1
+        learning_rate: float = 1e-4  #: of Adam, above 0 (section 4.4)
         unit: Unit | None = None  #: of lengths, where a clip file does not say
         up: Axis | None = None  #: the vertical axis, where a clip file does not say
         rate: float | None = None  #: frames per second, where a clip file does not say
 
         def __post_init__(self) -> None:
-            check_range(self, "latent", "batch", least=1)
+            check_range(self, "latent", "batch", "hidden", least=1, most=10_000)
             check_range(self, "beta", least=0)
             check_range(self, "learning_rate", "rate", above=0)
             check_range(self, "held_out", "coverage", above=0, most=0.99)

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
-from understudy_basics import rotations
 from understudy_characters.character import Character, Joint
+from understudy_tensors import rotations
 
 
 class _Group(NamedTuple):

@@ -13,19 +13,25 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, RunError
 from understudy.task import Context, Memory, Shape
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
 from understudy_pose_vae.job import POSES, trained_poses
+from understudy_tensors import rotations
 
 
 def naturalness(
-    offset_norm: Tensor, offset_limit: Tensor | None = None, *, limit: float = 48.0
+    offset_norm: Tensor,
+    offset_limit: Tensor | None = None,
+    *,
+    #: rad, c_offset where no curriculum gives it (section 4.6.1)
+    limit: float = 48.0,
 ) -> Tensor:
     """r_naturalness = 1 - clip((‖a_offset‖₁ / c_offset)², 0, 1) (eq. 4.3).
 
     c_offset, in rad, is the field ``offset_limit`` where a curriculum provides it, else `limit`; section
     4.6.1 has 48 at the easiest and 15 at the hardest. For a reward at the end of an episode only, let
-    `offset_norm` be its mean so far (memory ``running_mean``, ``reads: {offset_norm: MEAN}``).
+    `offset_norm` be its mean so far (memory ``running_mean``, ``reads: {offset_norm: MEAN}``). Where no
+    pose auto-encoder gives a pose, it may be how far the servos' targets are from the pose that the
+    figure has.
     """
     most = limit if offset_limit is None else offset_limit
     return 1 - ((offset_norm / most) ** 2).clamp(0.0, 1.0)

@@ -4,10 +4,24 @@ from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
-from understudy_basics.packaged import register_skills
+from understudy_skills.packaged import register_skills
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "humanoid", "motion", "mujoco", "play", "ppo", "report")
+REQUIRES = (
+    "curricula",
+    "networks",
+    "skills",
+    "tensors",
+    "terms",
+    "characters",
+    "humanoid",
+    "motion",
+    "mujoco",
+    "play",
+    "ppo",
+    "report",
+    "sweeps",
+)
 
 _HERE = "understudy_sitting"
 #: By module and kind: the component's name, its class or function, and what it is.
@@ -74,7 +88,6 @@ _PARTS = {
     ("trials", "report_section"): {
         "sitting/trials": ("TransitionsSection", "success by zone, which skill followed which"),
     },
-    ("chain", "outer_loop"): {"sitting/chain": ("Chain", "trainings that build on one another")},
     ("initial_states", "initial_states"): {
         "sitting/from_reference": ("FromReference", "the reference, the chair behind"),
         "sitting/where_others_ended": ("WhereOthersEnded", "where other skills ended"),

@@ -19,9 +19,9 @@ from torch import Tensor
 from understudy.inputs import Inputs
 from understudy.options import check_range
 from understudy.setup.registry import Registry
+from understudy_characters.meshes import convex_parts
 from understudy_characters.staging import make_solid
 from understudy_characters.surroundings import Surroundings
-from understudy_sitting.meshes import convex_parts
 
 BODY, SEAT = "chair", "chair_seat"
 #: Sensors of contacts between two bodies, or of a body with the seat.
@@ -45,7 +45,7 @@ class ChairOptions:
         None  #: path of an OBJ, STL, PLY or glTF file with z up, on the floor, facing x
     )
     mesh_scale: float = 1.0  #: of its lengths, to m
-    friction: float = 1.0
+    friction: float = 1.0  #: sliding, of MuJoCo's contacts
     pelvis: str = "root"  #: the figure's link that sits
 
     def __post_init__(self) -> None:

@@ -7,13 +7,19 @@ from dataclasses import replace
 
 import torch
 
-from understudy_basics import rotations
 from understudy_humanoid.clips import generated_sit, generated_turn_left, generated_walk
 from understudy_motion.clip import Clip, resample
+from understudy_tensors import rotations
 
 
 def generated_step_back(
-    *, speed: float = 0.6, cycle: float = 1.2, frame_rate: float = 60.0
+    *,
+    #: m/s backwards, up to 3
+    speed: float = 0.6,
+    #: seconds per two steps, from 0.4 to 3
+    cycle: float = 1.2,
+    #: frames/s
+    frame_rate: float = 60.0,
 ) -> Clip:
     """One gait cycle backwards along -x: the generated walk in reverse.
 
@@ -37,7 +43,13 @@ def generated_step_back(
     )
 
 
-def generated_whole(*, seat_height: float = 0.45, frame_rate: float = 60.0) -> Clip:
+def generated_whole(
+    *,
+    #: m above the floor, from 0.35 to 0.55
+    seat_height: float = 0.45,
+    #: frames/s
+    frame_rate: float = 60.0,
+) -> Clip:
     """Two steps ahead, half a turn to the left, and sitting down: the reference of the baselines that have
     no skills (section 7). Where one part passes into the next the pose is blended over 0.3 s.
 

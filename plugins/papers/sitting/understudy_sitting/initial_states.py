@@ -13,11 +13,12 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
-from understudy_basics import bank, rotations
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_sitting.chair import BODY, Chair
 from understudy_sitting.state import flat_turn
+from understudy_skills import bank
+from understudy_tensors import rotations
 
 PLACE, TURN = f"mocap_pos/{BODY}", f"mocap_quat/{BODY}"
 #: m: the seat's front edge is so far ahead of the seated hips (as in the generated clip ``sit``).
@@ -45,9 +46,9 @@ class Chairs:
     """Chairs of other sizes, uniformly drawn for each episode, m; null leaves the chair's own. They
     must have no mesh."""
 
-    seat_height: Range | None = None
-    width: Range | None = None
-    depth: Range | None = None
+    seat_height: Range | None = None  #: m above the floor, within 0.2 to 1
+    width: Range | None = None  #: m of the seat from side to side, within 0.2 to 1
+    depth: Range | None = None  #: m of the seat from front to back, within 0.2 to 1
 
     def __post_init__(self) -> None:
         for name in ("seat_height", "width", "depth"):
@@ -126,10 +127,10 @@ class FromReference(InitialStates):
     @dataclass(frozen=True)
     class Options:
         span: tuple[float, float] = (0.0, 0.0)  #: shares of the clip
-        first: float = 0.0
+        first: float = 0.0  #: share of the episodes, in [0, 1]
         #: m along each axis and degrees by which the chair is elsewhere, at most. The paper's is fixed.
         metres: float = 0.0
-        degrees: float = 0.0
+        degrees: float = 0.0  #: by which the figure may be turned at most, either way
         chairs: Chairs = Chairs()  #: of other sizes
 
         def __post_init__(self) -> None:
@@ -202,12 +203,12 @@ class WhereOthersEnded(InitialStates):
     @dataclass(frozen=True)
     class Options:
         banks: tuple[str, ...]  #: banks of states, or the folders of runs that have one
-        share: float = 1.0
-        speed: Range = (1.0, 1.0)
+        share: float = 1.0  #: of the episodes, in [0, 1]
+        speed: Range = (1.0, 1.0)  #: least and greatest factor of the velocities
         metres: float = 0.0  #: these three as of ``sitting/from_reference``
-        degrees: float = 0.0
-        chairs: Chairs = Chairs()
-        chair_too: bool = False
+        degrees: float = 0.0  #: by which the figure may be turned at most, either way
+        chairs: Chairs = Chairs()  #: sizes of the chairs
+        chair_too: bool = False  #: whether the chair stands where it was
 
         def __post_init__(self) -> None:
             check_range(self, "share", least=0, most=1)
@@ -318,7 +319,7 @@ class AroundChair(InitialStates):
         spread: float = 0.2  #: m, more or less
         degrees: float = 30.0  #: off the direction to the chair, to each side
         chairs: Chairs = Chairs()  #: of other sizes
-        at_chair: AtChair = AtChair()
+        at_chair: AtChair = AtChair()  #: of starts near the chair
 
         def __post_init__(self) -> None:
             check_range(self, "zone", least=1, most=len(ZONES))

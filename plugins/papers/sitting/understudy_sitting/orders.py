@@ -10,7 +10,7 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import ActionSpace, Actuation, Box, Choice, Context, Shape
-from understudy_basics.controller import Controller
+from understudy_skills.controller import Controller
 
 
 class InOrder(Actuation):

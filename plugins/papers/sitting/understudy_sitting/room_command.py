@@ -58,7 +58,7 @@ class SitInRoom(Command):
             f"+room={{file:'{options.scene}',chair:{options.chair}}}",
             "initial_states.zone=1",
         ]
-        placed = replaced(run.info["overrides"], furnished)
+        placed = run.words(furnished)
         config = compose_raw(replaced(placed, options.overrides))
         experiment = run.experiment(config=config)
         built = build_environment(

@@ -18,10 +18,10 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Context, Encoder, Fields, Shape
-from understudy_basics import rotations
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene
 from understudy_sitting.chair import BODY, FEET, SEAT, SEATED, THICKNESS, Chair
+from understudy_tensors import rotations
 
 #: Link of the humanoids that the paper calls root.
 TORSO = "chest"
@@ -171,7 +171,7 @@ class Reference(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        torso: str = TORSO
+        torso: str = TORSO  #: name of the body
 
     def __init__(self, options: Options, context: Context) -> None:
         scene, body = torso_link(context, options.torso, "fields 'sitting/reference'")

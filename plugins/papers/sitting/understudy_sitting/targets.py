@@ -11,8 +11,8 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory, Shape
-from understudy_basics import rotations
 from understudy_sitting.state import flat_turn
+from understudy_tensors import rotations
 
 
 class TargetAhead(Memory):
@@ -28,7 +28,7 @@ class TargetAhead(Memory):
         every: float = 2.5  #: s
         within: float = 0.3  #: m, at which it is reached
         near: float = 1.5  #: m
-        far: float = 4.0
+        far: float = 4.0  #: m, the farthest target; above ``near``
         degrees: float = 60.0  #: to each side
 
         def __post_init__(self) -> None:

@@ -19,7 +19,11 @@ def wrapped(angle: Tensor) -> Tensor:
 
 
 def pose(
-    joint_coordinates: Tensor, reference_joint_coordinates: Tensor, *, alpha: float = 1.0
+    joint_coordinates: Tensor,
+    reference_joint_coordinates: Tensor,
+    *,
+    #: α^p, 1/rad² (eq. 3)
+    alpha: float = 1.0,
 ) -> Tensor:
     """r^p = exp(-α^p Σ_j d(q_j, q̂_j)²) (eq. 3), d the angular difference."""
     away = wrapped(joint_coordinates - reference_joint_coordinates)
@@ -27,7 +31,11 @@ def pose(
 
 
 def velocity(
-    joint_velocities: Tensor, reference_joint_velocities: Tensor, *, alpha: float = 10.0
+    joint_velocities: Tensor,
+    reference_joint_velocities: Tensor,
+    *,
+    #: α^v, s²/rad² (eq. 3)
+    alpha: float = 10.0,
 ) -> Tensor:
     """r^v = exp(-α^v Σ_j (q̇_j - q̇̂_j)²) (eq. 3)."""
     return torch.exp(-alpha * (joint_velocities - reference_joint_velocities).square().sum(dim=1))
@@ -38,7 +46,9 @@ def steering(
     reference_torso_velocity: Tensor,
     difficulty: Tensor | None = None,
     *,
+    #: s²/m² (eq. 4)
     scale: float = 10.0,
+    #: difficulty from which on it no longer counts; null is never
     until: float | None = None,
 ) -> Tensor:
     """exp(-10 Σ_i (v_i - v̂_i)²) (eq. 4, weight 0.5): the torso moves in the world as the reference does.
@@ -60,7 +70,7 @@ class Approach:
     @dataclass(frozen=True)
     class Options:
         scale: float = 10.0  #: s/m
-        since: float | None = None
+        since: float | None = None  #: difficulty from which on it counts; null is always
 
         def __post_init__(self) -> None:
             check_range(self, "scale", above=0)
@@ -94,7 +104,13 @@ def _when(
     return value
 
 
-def turning(torso_angles: Tensor, reference_torso_angles: Tensor, *, scale: float = 10.0) -> Tensor:
+def turning(
+    torso_angles: Tensor,
+    reference_torso_angles: Tensor,
+    *,
+    #: 1/rad² (eq. 6)
+    scale: float = 10.0,
+) -> Tensor:
     """exp(-10 Σ_i d(θ_i, θ̂_i)²) (eq. 6, weight 0.1), θ the torso's pitch, yaw and roll."""
     away = wrapped(torso_angles - reference_torso_angles)
     return torch.exp(-scale * away.square().sum(dim=1))
@@ -130,13 +146,22 @@ class SitDown:
         return torch.where(seated > 0, self._options.seated, self._options.nearing * nearing)
 
 
-def low(torso_position: Tensor, *, height: float = 0.78) -> Tensor:
+def low(
+    torso_position: Tensor,
+    *,
+    #: m of the torso above the floor (section 6)
+    height: float = 0.78,
+) -> Tensor:
     """The torso is lower than `height` m (section 6: 0.78 for walk and turn, 0.54 for sit)."""
     return torso_position[:, 2] < height
 
 
 def off_course(
-    torso_angles: Tensor, reference_torso_angles: Tensor, *, degrees: float = 45.0
+    torso_angles: Tensor,
+    reference_torso_angles: Tensor,
+    *,
+    #: of yaw (section 6)
+    degrees: float = 45.0,
 ) -> Tensor:
     """The torso's yaw differs from the reference's by more than `degrees` (section 6, turn)."""
     away = wrapped(torso_angles[:, 1] - reference_torso_angles[:, 1])

@@ -24,12 +24,13 @@ from torch import Tensor
 from understudy.command.command import Command
 from understudy.errors import ConfigError, RunError
 from understudy.records import runs
+from understudy.records.folders import read
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.evaluation import wilson_interval
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import build_environment, build_policy
-from understudy.setup.composition import compose_raw, replaced
+from understudy.setup.composition import compose_raw
 from understudy.setup.config import Experiment
 from understudy.task import Context, Policy
 from understudy_report.section import ReportSection
@@ -61,7 +62,7 @@ class Trials(Command):
         run = runs.open_run(options.run)
         config: Mapping[str, Any] = run.config
         if options.overrides:
-            config = compose_raw(replaced(run.info["overrides"], options.overrides))
+            config = compose_raw(run.words(options.overrides))
         experiment = run.experiment(config=config)
         found, samples = judge(experiment, run, options.trials)
         judged = {
@@ -208,7 +209,7 @@ class TransitionsSection(ReportSection):
         file = run.path / FILE
         if not file.is_file():
             return None
-        found = json.loads(file.read_bytes())
+        found = json.loads(read(file))
         rows = "".join(_zone(f"zone {zone}", row) for zone, row in found["zones"].items())
         head = "<tr><th></th><th>trials</th><th>success</th><th>3 s of contact</th><th>minimum distance, m</th></tr>"
         table = f"<table>{head}{_zone('all', found['all'])}{rows}</table>"

@@ -4,10 +4,21 @@ from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
-from understudy_basics.packaged import register_skills
+from understudy_skills.packaged import register_skills
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "motion", "mujoco", "ppo", "report")
+REQUIRES = (
+    "networks",
+    "skills",
+    "tensors",
+    "terms",
+    "characters",
+    "imagination",
+    "motion",
+    "mujoco",
+    "ppo",
+    "report",
+)
 
 _HERE = "understudy_spacetime"
 

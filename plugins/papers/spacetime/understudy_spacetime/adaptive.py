@@ -28,14 +28,14 @@ class AdaptiveBounds(Curriculum):
 
     @dataclass(frozen=True)
     class Options:
-        widest: float = 2.0
-        segments: int = 20
+        widest: float = 2.0  #: how many times as large bounds may be, from 1
+        segments: int = 20  #: of the motion, from 1
         fail_rate: float = 0.02  #: of decisions; 0.02 is an episode of 1.7 s at 30 Hz
         rate: float = 0.02  #: by rollout
 
         def __post_init__(self) -> None:
             check_range(self, "widest", least=1)
-            check_range(self, "segments", least=1)
+            check_range(self, "segments", least=1, most=10_000)
             check_range(self, "fail_rate", above=0, most=1)
             check_range(self, "rate", above=0, most=0.5)
 

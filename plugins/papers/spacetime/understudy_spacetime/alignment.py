@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Fields, Shape
-from understudy_basics.rotations import canonical, conjugate, multiply, turned
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import canonical, conjugate, multiply, turned
 
 
 class Alignment(Fields):

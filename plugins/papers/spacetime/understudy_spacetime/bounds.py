@@ -1,7 +1,7 @@
 """Spacetime bounds m(t, sigma) around a reference m(t) (thesis, section 3.3.2, eq. 3.2).
 
-Each term is true for the worlds that left its bound. Default sizes are those of section 3.5.1. A
-size is a number, or a function of phase given as knots ``[[phase, size], …]``, linear in between.
+Each term is true for the worlds that left its bound, and says how much of the way to it is used up
+(:class:`~understudy.task.terms.Margin`). Default sizes are those of section 3.5.1. A size is a number, or a function of phase given as knots ``[[phase, size], …]``, linear in between.
 Where a curriculum provides ``bound_scales`` (:mod:`understudy_spacetime.adaptive`), sizes are times these.
 """
 
@@ -15,8 +15,9 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.task import Context
-from understudy_basics.rotations import angle_between
+from understudy.task.terms import Margin
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import angle_between
 
 Size = float | list[list[float]]
 
@@ -62,12 +63,12 @@ class BoundSize:
         return torch.lerp(self._values[left], self._values[left + 1], share)
 
 
-class ComBound:
+class ComBound(Margin):
     """Centre of mass further than `size` m from the reference along x, y or z of the world."""
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.2
+        size: Size = 0.2  #: m, from 0, or [[phase, m], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/com_bound", context.device)
@@ -82,13 +83,23 @@ class ComBound:
         distance = (com_position - reference_com_position).abs().amax(dim=1)
         return distance > self._size.at(phase, bound_scales)
 
+    def used(
+        self,
+        com_position: Tensor,
+        reference_com_position: Tensor,
+        phase: Tensor,
+        bound_scales: Tensor | None = None,
+    ) -> Tensor:
+        distance = (com_position - reference_com_position).abs()
+        return _share(distance, self._size.at(phase, bound_scales))
 
-class RootBound:
+
+class RootBound(Margin):
     """Root rotated more than `size` rad away from the reference, in the world frame."""
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.7
+        size: Size = 0.7  #: rad, from 0, or [[phase, rad], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/root_bound", context.device)
@@ -103,13 +114,23 @@ class RootBound:
         angle = angle_between(root_rotation, reference_root_rotation)
         return angle > self._size.at(phase, bound_scales)
 
+    def used(
+        self,
+        root_rotation: Tensor,
+        reference_root_rotation: Tensor,
+        phase: Tensor,
+        bound_scales: Tensor | None = None,
+    ) -> Tensor:
+        angle = angle_between(root_rotation, reference_root_rotation)
+        return _share(angle.unsqueeze(1), self._size.at(phase, bound_scales))
 
-class JointBound:
+
+class JointBound(Margin):
     """Any bounded joint rotated more than `size` rad from the reference, in its local frame."""
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.7
+        size: Size = 0.7  #: rad, from 0, or [[phase, rad], …] (section 3.5.1)
         joints: tuple[str, ...] = ()  #: bounded joints; empty bounds all
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -133,20 +154,33 @@ class JointBound:
         phase: Tensor,
         bound_scales: Tensor | None = None,
     ) -> Tensor:
-        if self._chosen is not None:
-            joint_rotations = joint_rotations[:, self._chosen]
-            reference_joint_rotations = reference_joint_rotations[:, self._chosen]
-        angles = angle_between(joint_rotations, reference_joint_rotations)
+        angles = self._angles(joint_rotations, reference_joint_rotations)
         return angles.amax(dim=1) > self._size.at(phase, bound_scales)
 
+    def used(
+        self,
+        joint_rotations: Tensor,
+        reference_joint_rotations: Tensor,
+        phase: Tensor,
+        bound_scales: Tensor | None = None,
+    ) -> Tensor:
+        angles = self._angles(joint_rotations, reference_joint_rotations)
+        return _share(angles, self._size.at(phase, bound_scales))
 
-class EndEffectorBound:
+    def _angles(self, joints: Tensor, reference: Tensor) -> Tensor:
+        """(N, J) rad"""
+        if self._chosen is not None:
+            joints, reference = joints[:, self._chosen], reference[:, self._chosen]
+        return angle_between(joints, reference)
+
+
+class EndEffectorBound(Margin):
     """Any end-effector further than `size` m from the reference, relative to the roots, in the
     direction-invariant frame of :mod:`understudy_spacetime.alignment`."""
 
     @dataclass(frozen=True)
     class Options:
-        size: Size = 0.5
+        size: Size = 0.5  #: m, from 0, or [[phase, m], …] (section 3.5.1)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._size = BoundSize(options.size, "spacetime/end_effector_bound", context.device)
@@ -160,3 +194,22 @@ class EndEffectorBound:
     ) -> Tensor:
         offset = aligned_end_effector_positions - reference_end_effector_positions
         return offset.norm(dim=2).amax(dim=1) > self._size.at(phase, bound_scales)
+
+    def used(
+        self,
+        aligned_end_effector_positions: Tensor,
+        reference_end_effector_positions: Tensor,
+        phase: Tensor,
+        bound_scales: Tensor | None = None,
+    ) -> Tensor:
+        offset = aligned_end_effector_positions - reference_end_effector_positions
+        return _share(offset.norm(dim=2), self._size.at(phase, bound_scales))
+
+
+#: A bound of size 0 lets nothing be told apart; this share of a unit does.
+_LEAST = 1e-3
+
+
+def _share(distance: Tensor, size: Tensor) -> Tensor:
+    """`distance` (N, K) as a share of `size`, () or (N,)."""
+    return distance / size.clamp(min=_LEAST).view(-1, 1)

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
-from understudy_basics.rotations import turned
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import turned
 
 
 class StateEncoder(Encoder):

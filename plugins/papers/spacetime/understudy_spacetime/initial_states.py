@@ -113,7 +113,7 @@ class Importance(InitialStates):
         )
 
         def __post_init__(self) -> None:
-            check_range(self, "segments", least=1)
+            check_range(self, "segments", least=1, most=10_000)
             check_range(self, "uniform", "decay", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -185,10 +185,10 @@ class Evolution(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        segments: int = 20
+        segments: int = 20  #: of the motion, from 1, each with a buffer
         size: int = 32  #: m, states per buffer
         uniform: float = 0.2  #: share of segments drawn uniformly (eq. 3.9)
-        decay: float = 0.9
+        decay: float = 0.9  #: of the running average of returns, per rollout, in [0, 1]
         by: By = "visits"  #: as of :class:`Importance`
         #: Share of episodes that begin in the reference itself.
         reference_share: float = 0.1
@@ -198,7 +198,7 @@ class Evolution(InitialStates):
         def __post_init__(self) -> None:
             if self.prefer not in ("low", "high"):
                 raise ValueError(f"prefer={self.prefer} is not possible: low or high.")
-            check_range(self, "segments", "size", least=1)
+            check_range(self, "segments", "size", least=1, most=10_000)
             check_range(self, "uniform", "decay", "reference_share", least=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:

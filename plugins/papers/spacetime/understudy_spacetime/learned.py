@@ -15,12 +15,12 @@ from understudy.command.command import Command
 from understudy.errors import FileError
 from understudy.records import runs
 from understudy.setup.plugins import installed
-from understudy_basics.rotations import angle_between
 from understudy_characters.recording import recorded_clips
 from understudy_motion.clip import Clip, cycle_transform, resample
 from understudy_motion.editing import close_loop, cut
 from understudy_motion.readers.npz import Archive
 from understudy_motion.writing import write_clip
+from understudy_tensors.rotations import angle_between
 
 
 class Learned(Command):

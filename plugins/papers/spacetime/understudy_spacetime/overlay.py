@@ -13,13 +13,13 @@ from understudy.errors import ConfigError, FileError, suggestion
 from understudy.options import make_options
 from understudy.setup.registry import Registry
 from understudy.task import Context
-from understudy_basics import rotations
-from understudy_basics.rotations import angle_between
 from understudy_characters.overlay import Gauge, Overlay, Region
 from understudy_characters.scene import CharacterScene
 from understudy_spacetime import bounds
 from understudy_spacetime.alignment import Alignment
 from understudy_spacetime.bounds import BoundSize, Size
+from understudy_tensors import rotations
+from understudy_tensors.rotations import angle_between
 
 Fields = Mapping[str, Tensor]
 

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from understudy.errors import ConfigError
 from understudy.task import Context, Policy
-from understudy_basics.nn import DiagonalGaussian
-from understudy_basics.policies import MLPPolicy, observation_size
+from understudy_networks.nn import DiagonalGaussian
+from understudy_networks.policies import MLPPolicy, observation_size
 
 
 class FeedforwardFeedback(Policy):
@@ -20,7 +20,7 @@ class FeedforwardFeedback(Policy):
     class Options:
         #: Name of the observation that holds q̂; null is one network without a feedforward controller.
         feedforward: str | None = "feedforward"
-        feedback: MLPPolicy.Options = field(default_factory=MLPPolicy.Options)
+        feedback: MLPPolicy.Options = field(default_factory=MLPPolicy.Options)  #: the network of Δq
 
     def __init__(self, options: Options, context: Context) -> None:
         super().__init__()

@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from understudy_basics.rotations import angle_between
+from understudy_tensors.rotations import angle_between
 
 
 def survival(failed: Tensor) -> Tensor:

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from understudy.records.runs import Run
 from understudy.task import Context
-from understudy_basics.rotations import angle_between
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.state import joint_rotations
@@ -19,6 +18,7 @@ from understudy_report.charts import Axes, grid, svg
 from understudy_report.section import ReportSection
 from understudy_report.values import mapping
 from understudy_spacetime.initial_states import evolved_states
+from understudy_tensors.rotations import angle_between
 
 
 class EvolvedSection(ReportSection):

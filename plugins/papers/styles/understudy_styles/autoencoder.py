@@ -20,9 +20,9 @@ from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
 from understudy.task import Context
-from understudy_basics.supervised import NetworkJob
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
+from understudy_networks.supervised import NetworkJob
 from understudy_styles.features import clip_features
 
 
@@ -71,13 +71,13 @@ class LearnFeatures(NetworkJob[MotionAutoEncoder]):
         window: int = 32  #: K, frames
         channels: int = 64  #: C
         width: int = 9  #: frames of the convolution; 0.3 s at 30 Hz
-        batch: int = 64
-        learning_rate: float = 1e-3
+        batch: int = 64  #: windows of an optimiser step, from 1
+        learning_rate: float = 1e-3  #: of Adam, above 0
         noise: float = 0.1  #: standard deviations of the input
 
         def __post_init__(self) -> None:
-            check_range(self, "window", least=2)
-            check_range(self, "channels", "width", "batch", least=1)
+            check_range(self, "window", least=2, most=10_000)
+            check_range(self, "channels", "width", "batch", least=1, most=10_000)
             check_range(self, "learning_rate", above=0)
             check_range(self, "noise", least=0)
             if not self.clips:

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Fields, Shape
-from understudy_basics import rotations
 from understudy_characters.scene import CharacterScene
+from understudy_tensors import rotations
 
 
 class KineticEnergy(Fields):

@@ -11,11 +11,11 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
-from understudy_basics.kept import files_of
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.section import Motion
+from understudy_skills.kept import files_of
 from understudy_styles.autoencoder import MotionAutoEncoder, trained_network
 from understudy_styles.features import clip_features
 
@@ -38,7 +38,7 @@ class GramDistance(Fields):
         frames: int = 24  #: K, of the clips' windows; as many as the history has
 
         def __post_init__(self) -> None:
-            check_range(self, "frames", least=2)
+            check_range(self, "frames", least=2, most=10_000)
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "fields 'styles/gram'"

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
-from understudy_basics.rotations import turn_matrix
 from understudy_characters.scene import CharacterScene
+from understudy_tensors.rotations import turn_matrix
 
 
 class Accelerations(Fields):

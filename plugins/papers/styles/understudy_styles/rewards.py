@@ -6,27 +6,56 @@ import torch
 from torch import Tensor
 
 
-def low_energy(kinetic_energy: Tensor, *, least: float = 20.0, most: float = 100.0) -> Tensor:
+def low_energy(
+    kinetic_energy: Tensor,
+    *,
+    #: E_min, J (section 3.5.3)
+    least: float = 20.0,
+    #: E_max, J (section 3.5.3)
+    most: float = 100.0,
+) -> Tensor:
     """clamp((E_max - E) / (E_max - E_min), 0, 1), of E (N,) J (eq. 3.4; section 3.5.3)."""
     return ((most - kinetic_energy) / (most - least)).clamp(0.0, 1.0)
 
 
-def high_energy(kinetic_energy: Tensor, *, least: float = 20.0, most: float = 100.0) -> Tensor:
+def high_energy(
+    kinetic_energy: Tensor,
+    *,
+    #: E_min, J (section 3.5.3)
+    least: float = 20.0,
+    #: E_max, J (section 3.5.3)
+    most: float = 100.0,
+) -> Tensor:
     """clamp((E - E_min) / (E_max - E_min), 0, 1), of E (N,) J (eq. 3.4; section 3.5.3)."""
     return ((kinetic_energy - least) / (most - least)).clamp(0.0, 1.0)
 
 
-def small_volume(hull_volume: Tensor, *, scale: float = 0.12) -> Tensor:
+def small_volume(
+    hull_volume: Tensor,
+    *,
+    #: α, m³ (section 3.5.3)
+    scale: float = 0.12,
+) -> Tensor:
     """exp(-V / α), of V (N,) m³ (eq. 3.5; section 3.5.3)."""
     return torch.exp(-hull_volume / scale)
 
 
-def large_volume(hull_volume: Tensor, *, scale: float = 0.12) -> Tensor:
+def large_volume(
+    hull_volume: Tensor,
+    *,
+    #: α, m³ (section 3.5.3)
+    scale: float = 0.12,
+) -> Tensor:
     """1 - exp(-V / α), of V (N,) m³ (eq. 3.5; section 3.5.3)."""
     return 1.0 - torch.exp(-hull_volume / scale)
 
 
-def near(gram_distance: Tensor, *, scale: float = 1.0) -> Tensor:
+def near(
+    gram_distance: Tensor,
+    *,
+    #: α, in the distance's unit, above 0
+    scale: float = 1.0,
+) -> Tensor:
     """exp(-‖G_s - G‖ / α) (eq. 3.6), of the distance (N,) in the units of
     :class:`~understudy_styles.gram.GramDistance`."""
     return torch.exp(-gram_distance / scale)

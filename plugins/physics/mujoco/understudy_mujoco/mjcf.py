@@ -1,4 +1,4 @@
-"""Reading an MJCF model with the meshes, textures and includes of its own folder, and nothing else.
+"""Reading an MJCF or URDF model with the meshes, textures and includes of its folder, and nothing else.
 
 A model is a stranger's: what it refers to is read here, and MuJoCo is given the content instead of
 the paths. Whatever this does not read, MuJoCo does not either.
@@ -6,6 +6,9 @@ the paths. Whatever this does not read, MuJoCo does not either.
 
 from __future__ import annotations
 
+import codecs
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +28,13 @@ MAX_DEPTH = 200
 _REFUSED = ("plugin", "extension", "model")
 """Elements by which a model has libraries loaded, or models that refer to files of their own."""
 _DIRECTORIES: tuple[str, ...] = ("assetdir", "meshdir", "texturedir")
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+_DECLARED = re.compile(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.:-]+)")
+_PACKAGE = "package://"
 
 
 @dataclass(frozen=True)
@@ -33,32 +43,50 @@ class Mjcf:
 
     text: str
     assets: Mapping[str, bytes]
-    """By the name under which the text refers to them: a path within the model's folder."""
-    files: tuple[Path, ...]
-    """What was read: the model's file, then its includes and assets."""
+    """By the name under which the text refers to them: a path within the folder that it may read."""
+    urdf: bool = False  #: whether it is a URDF, whose first link is to be free
+
+    def write(self, path: Path) -> None:
+        """Write it to `path`, and its assets below the same folder, so that :func:`read_mjcf` reads it
+        there as it is."""
+        for name, content in self.assets.items():
+            (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
+            (path.parent / name).write_bytes(content)
+        path.write_text(self.text, encoding="utf-8")
 
 
-def read_mjcf(path: Path) -> Mjcf:
-    """The model at `path`, its includes in place.
+def split_root(named: str) -> tuple[Path, Path]:
+    """The file that `named` is, and the folder that it may refer to: what is before a double slash
+    (``package//mjcf/robot.xml``), else the file's own."""
+    root, _, _ = named.rpartition("//")
+    return Path(named), Path(root) if root else Path(named).parent
+
+
+def read_mjcf(path: Path, root: Path | None = None) -> Mjcf:
+    """The model at `path`, its includes in place; it may refer to files below the folder `root`, or if
+    that is None below its own.
 
     Raises:
         FileError: it cannot be read, is too large, is no XML, or refers to a file that is missing or
-            not in its own folder, or to plugins.
+            not in the folder, or to plugins.
     """
-    return _Reader(path).read()
+    return _Reader(path, root or path.parent).read()
 
 
 class _Reader:
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, root: Path) -> None:
         self._path = path
-        self._folder = path.parent.resolve()
+        self._folder, self._root = path.parent.resolve(), root.resolve()
         self._bytes_left, self._asset_bytes_left = MAX_BYTES, MAX_ASSET_BYTES
-        self._files: list[Path] = []
+        self._num_files = 0
         self._assets: dict[str, bytes] = {}
 
     def read(self) -> Mjcf:
         root = self._parse(self._folder / self._path.name)
-        self._include(root, (self._path.resolve(),))
+        self._include(root, (self._path.resolve(),), self._folder)
+        urdf = root.tag == "robot"
+        if urdf:
+            _without_visuals(root)
         elements = list(root.iter())
         for element in elements:
             if element.tag in _REFUSED:
@@ -68,24 +96,37 @@ class _Reader:
             for key, name in list(element.items()):
                 if key.startswith("file"):
                     kind = "texturedir" if element.tag == "texture" else "meshdir"
+                    if urdf:
+                        name = self._of_package(name, directories)
                     element.set(key, self._asset(directories, kind, name))
+        if urdf:
+            own = root.find("mujoco")
+            own = ElementTree.SubElement(root, "mujoco") if own is None else own
+            compiler = own.find("compiler")
+            compiler = ElementTree.SubElement(own, "compiler") if compiler is None else compiler
+            compiler.set("strippath", "false")
+            compiler.set("fusestatic", "false")
         text = ElementTree.tostring(root, encoding="unicode")
-        return Mjcf(text, self._assets, tuple(dict.fromkeys(self._files)))
+        return Mjcf(text, self._assets, urdf)
 
     def _parse(self, path: Path) -> ElementTree.Element:
-        text = self._content(path, self._bytes_left, MAX_BYTES)
-        self._bytes_left -= len(text)
-        if b"<!DOCTYPE" in text or b"<!ENTITY" in text or b"\0" in text:
-            raise FileError(f"The model {path} does not load: it is no plain XML in UTF-8.")
+        content = self._content(path, self._bytes_left, MAX_BYTES)
+        self._bytes_left -= len(content)
+        text = _decoded(path, content)
+        if "<!DOCTYPE" in text or "<!ENTITY" in text or "\0" in text:
+            raise FileError(f"The model {path} does not load: it is no plain XML.")
+        # MuJoCo's parser takes "--" in comments and blanks before the declaration, Python's does not.
+        text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL).strip()
         try:
-            return ElementTree.fromstring(text.decode("utf-8-sig"))
+            return ElementTree.fromstring(text)
         except (ElementTree.ParseError, ValueError) as error:
-            raise FileError(f"The model {path} does not load: no XML in UTF-8: {error}.") from error
+            raise FileError(f"The model {path} does not load: no XML: {error}.") from error
 
     def _include(
-        self, parent: ElementTree.Element, within: tuple[Path, ...], depth: int = 1
+        self, parent: ElementTree.Element, within: tuple[Path, ...], beside: Path, depth: int = 1
     ) -> None:
-        """Put the content of included files in the place of the elements that include them."""
+        """Put the content of included files in the place of the elements that include them. Where the
+        model's own folder has none of that name, the folder `beside` the including file may."""
         if depth > MAX_DEPTH:
             raise FileError(
                 f"The model {self._path} does not load: nested more than {MAX_DEPTH} deep."
@@ -93,13 +134,15 @@ class _Reader:
         for index in reversed(range(len(parent))):
             child = parent[index]
             if child.tag != "include":
-                self._include(child, within, depth + 1)
+                self._include(child, within, beside, depth + 1)
                 continue
             path = self._inside(child.get("file", ""))
+            if not path.is_file() and beside != self._folder:
+                path = self._inside(child.get("file", ""), beside)
             if path in within:
                 raise FileError(f"The model {path} includes itself.")
             included = self._parse(path)
-            self._include(included, (*within, path), depth + 1)
+            self._include(included, (*within, path), path.parent, depth + 1)
             parent[index : index + 1] = list(included)
 
     def _directories(self, elements: list[ElementTree.Element]) -> dict[str, str]:
@@ -117,32 +160,59 @@ class _Reader:
         if "strippath" in directories:
             name = name.replace("\\", "/").rpartition("/")[2]
         path = self._inside(f"{folder}/{name}" if folder else name)
-        key = path.relative_to(self._folder).as_posix()
+        key = path.relative_to(self._root).as_posix()
         if key not in self._assets:
             content = self._content(path, self._asset_bytes_left, MAX_ASSET_BYTES)
             self._asset_bytes_left -= len(content)
             self._assets[key] = content
         return key
 
-    def _inside(self, name: str) -> Path:
-        """The file that the model calls `name`, which must be in its folder."""
+    def _of_package(self, name: str, directories: dict[str, str]) -> str:
+        """The path, from the model's folder, that a URDF's ``package://NAME/PATH`` means: NAME is a folder
+        around the model's, or beside one of these. Other names are looked for as they are, then, as
+        MuJoCo does it, without their folders."""
+        directories.pop("strippath", None)
+        if name.startswith(_PACKAGE):
+            package, _, rest = name.removeprefix(_PACKAGE).partition("/")
+            around = (self._folder, *self._folder.parents)
+            found = [f for f in around if f.name == package] or [f / package for f in around]
+            there = next((f for f in found if (f / rest).is_file()), found[0])
+            directories["meshdir"] = directories["assetdir"] = ""
+            return os.path.relpath(there / rest, self._folder)
+        if not (self._folder / directories["meshdir"] / name).is_file():
+            return name.rpartition("/")[2]
+        return name
+
+    def _inside(self, name: str, folder: Path | None = None) -> Path:
+        """The file that the model calls `name`, as seen from a `folder`, or else its own; it must be
+        below the folder that the model may refer to."""
         try:
-            path = (self._folder / name).resolve()
+            path = ((folder or self._folder) / name).resolve()
         except (OSError, ValueError, RuntimeError):
             self._refuse(name)
-        if Path(name).is_absolute() or "\\" in name or not path.is_relative_to(self._folder):
+        if Path(name).is_absolute() or "\\" in name:
             self._refuse(name)
+        if not path.is_relative_to(self._root):
+            self._refuse(name, path)
         return path
 
-    def _refuse(self, what: str) -> NoReturn:
+    def _refuse(self, what: str, path: Path | None = None) -> NoReturn:
+        way = "put its meshes and includes into the folder, and refer to them there."
+        if path is not None and not Path(what).is_absolute():
+            common = Path(os.path.commonpath([self._root, path.parent]))
+            own = self._folder / self._path.name
+            way = (
+                "if you trust it, say by a double slash from which folder on it may read: "
+                f"{common}//{own.relative_to(common).as_posix()}"
+            )
         raise FileError(
             f"The model {self._path} refers to other files than those of its own folder, or to "
-            f"plugins ({what!r}); put its meshes and includes into the folder, and refer to them there."
+            f"plugins ({what!r}); {way}"
         )
 
     def _content(self, path: Path, limit: int, total: int) -> bytes:
-        self._files.append(path)
-        if len(self._files) > MAX_FILES:
+        self._num_files += 1
+        if self._num_files > MAX_FILES:
             raise FileError(f"The model {self._path} refers to more than {MAX_FILES} files.")
         try:
             if not path.is_file():
@@ -156,3 +226,30 @@ class _Reader:
         if len(content) > limit:
             raise FileError(f"The model {self._path} is larger than {total >> 20} MiB.")
         return content
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    """The text of the model at `path`, in the encoding that it says, else UTF-8, else, as MuJoCo takes any
+    bytes for a name, Latin-1."""
+    marked = next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
+    declared = _DECLARED.match(content)
+    said = marked or (declared[1].decode("ascii") if declared else None)
+    try:
+        return content.decode(said or "utf-8")
+    except LookupError as error:
+        raise FileError(
+            f"The model {path} does not load: no encoding {said!r} is known."
+        ) from error
+    except UnicodeError as error:
+        if said is None:
+            return content.decode("latin-1")
+        raise FileError(f"The model {path} does not load: it is not in {said}: {error}.") from error
+
+
+def _without_visuals(robot: ElementTree.Element) -> None:
+    """Take what a URDF only shows out of it, if it also has what collides: MuJoCo does not read most of
+    the formats of such meshes, and leaves them out by default."""
+    if robot.find("link/collision") is not None:
+        for link in robot.iter("link"):
+            for visual in link.findall("visual"):
+                link.remove(visual)

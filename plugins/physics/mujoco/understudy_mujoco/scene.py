@@ -14,8 +14,8 @@ from understudy.errors import FileError
 from understudy.inputs import Inputs
 from understudy.task import Context, Scene
 from understudy_mujoco.contact import Contact
-from understudy_mujoco.mjcf import read_mjcf
-from understudy_mujoco.trial import try_out
+from understudy_mujoco.mjcf import read_mjcf, split_root
+from understudy_mujoco.trial import spec_of, try_out
 
 
 def _log_nothing() -> None:
@@ -78,20 +78,27 @@ class MujocoScene(Scene):
 
 
 class MjcfFile(MujocoScene):
-    """A model from an MJCF file, which may refer to files of its own folder and to nothing else."""
+    """A model from an MJCF or URDF file, which may refer to files of its folder and to nothing else."""
 
     @dataclass(frozen=True)
     class Options:
-        file: str  #: path of the MJCF file
+        #: Path of the MJCF or URDF file. It may refer to files of its own folder; a double slash in the path
+        #: (``package//mjcf/robot.xml``) says from which other folder on.
+        file: str
         contact: Contact = field(default_factory=Contact)  #: how contacts are solved
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self.contact = options.contact
         inputs = context.inputs if context else Inputs()
-        own = Path(options.file)
-        self._path = inputs.file(f"mjcf {own}", lambda: read_mjcf(own).files)
-        self._mjcf = read_mjcf(self._path)
-        try_out(self._path, self._mjcf)
+        own, root = split_root(options.file)
+
+        def keep(folder: Path) -> None:
+            self._mjcf.write(folder / own.name)
+
+        folder = inputs.folder_of(f"mjcf {own}", own.parent, keep)
+        kept = folder != own.parent
+        self._mjcf = read_mjcf(folder / own.name, folder if kept else root)
+        try_out(folder / own.name, folder if kept else root, self._mjcf)
 
     def spec(self) -> mujoco.MjSpec:
-        return mujoco.MjSpec.from_string(self._mjcf.text, assets=dict(self._mjcf.assets))
+        return spec_of(self._mjcf)

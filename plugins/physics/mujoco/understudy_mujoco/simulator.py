@@ -55,7 +55,7 @@ class MujocoSimulator(Simulator):
         threads: int = 0  #: 0 uses every core this process may run on
 
         def __post_init__(self) -> None:
-            check_range(self, "threads", least=0)
+            check_range(self, "threads", least=0, most=1024)
 
     def __init__(self, options: Options, context: Context) -> None:
         if context.device.type != "cpu":

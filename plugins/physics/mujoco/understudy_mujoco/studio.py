@@ -323,7 +323,7 @@ class _Painter:
             part = cover[
                 top : top + len(text), _MARGIN + _LINE : _MARGIN + _LINE + text.shape[1], 0
             ]
-            part[:] = text[: len(part)]
+            part[:] = text[: part.shape[0], : part.shape[1]]
             cover = np.maximum(cover, dot)
         return colours.astype(np.float32), cover.astype(np.float32)
 

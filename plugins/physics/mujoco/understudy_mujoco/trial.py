@@ -8,6 +8,8 @@ the next warning never returns. What ends here costs that process alone.
 from __future__ import annotations
 
 import hashlib
+import os
+import sys
 from pathlib import Path
 
 import mujoco
@@ -22,8 +24,23 @@ BOUNDS = Bounds()
 _passed: set[bytes] = set()
 
 
-def try_out(path: Path, model: Mjcf) -> None:
-    """Compile the model at `path`, once for what `model` holds of it.
+def spec_of(model: Mjcf) -> mujoco.MjSpec:
+    """What MuJoCo makes of `model`. A URDF's first link is free: the format has no floating base.
+
+    Raises:
+        ValueError: it refuses it.
+    """
+    spec = mujoco.MjSpec.from_string(model.text, assets=dict(model.assets))
+    if model.urdf:
+        base = spec.worldbody.first_body()
+        if base is not None and not list(base.joints):
+            base.add_freejoint()
+    return spec
+
+
+def try_out(path: Path, root: Path, model: Mjcf) -> None:
+    """Compile the model at `path`, which may refer to files below `root`, once for what `model` holds
+    of it.
 
     Raises:
         FileError: it does not compile, or not within the bounds.
@@ -33,20 +50,22 @@ def try_out(path: Path, model: Mjcf) -> None:
         digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
     if digest.digest() in _passed:
         return
-    read_apart(__name__, path, f"The model {path} does not compile", BOUNDS)
+    refusal = f"The model {path} does not compile"
+    read_apart(__name__, path, refusal, BOUNDS, os.fsencode(root.absolute()))
     _passed.add(digest.digest())
 
 
 def attempt(path: Path) -> str:
-    """Read and compile the model at `path` in this process; nothing to tell.
+    """Read and compile the model at `path` in this process, which may refer to files below the folder
+    that standard input names; nothing to tell.
 
     Raises:
         FileError: it does not load or compile.
     """
-    model = read_mjcf(path)
+    model = read_mjcf(path, Path(os.fsdecode(sys.stdin.buffer.read())))
     doing = "load"
     try:
-        spec = mujoco.MjSpec.from_string(model.text, assets=dict(model.assets))
+        spec = spec_of(model)
         doing = "compile"
         spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
+from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import Stage, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
@@ -78,9 +79,13 @@ class MujocoWarpSimulator(Simulator):
 
     @dataclass(frozen=True)
     class Options:
-        #: Contacts and constraint rows to hold per world; null takes the most the scene can make.
+        #: Contacts to hold per world; null takes the most the scene can make.
         contacts: int | None = None
+        #: Constraint rows to hold per world; null takes 4 a contact, and one a limited joint.
         constraints: int | None = None
+
+        def __post_init__(self) -> None:
+            check_range(self, "contacts", "constraints", least=1, most=100_000)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")

@@ -3,25 +3,13 @@
 
 # What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
 # conditions known when compiling stand alone.
-# ruff: noqa: UP018
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
 # pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
 # pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
 
 import warp as wp
 
-
-@wp.func
-def friction(slip: wp.vec3, depth: float, static: float, dynamic: float) -> wp.vec3:
-    """The part of the tangential displacement `slip` that friction takes back, at a contact
-    corrected by `depth` (Macklin et al. 2014, equation 24)."""
-    length = wp.length(slip)
-    share = float(1.0)
-    if length >= static * depth:
-        share = wp.min(dynamic * depth / length, 1.0)
-    if length <= 0.0:
-        share = 0.0
-    return share * slip
+from understudy_warp_torch.shapes import friction
 
 
 @wp.func

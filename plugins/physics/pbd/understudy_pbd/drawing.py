@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from understudy_mujoco.drawing import open_renderer
-from understudy_pbd.scene import Box, Capsule, Grid, ParticleModel, Shape
+from understudy_pbd.scene import Box, Capsule, Grid, ParticleModel, Shape, TaperedCapsule
 
 #: Colours of materials without colours of their own: rice, butter, honey, broth.
 _PALETTE = np.array(
@@ -127,6 +127,11 @@ def _add_shape(drawn: Any, inner: float, shape: Shape, at: np.ndarray, turned: n
     elif isinstance(shape, Capsule):
         size = (shape.radius, shape.half_length, shape.half_length)
         add_geom(drawn, mujoco.mjtGeom.mjGEOM_CAPSULE, size, point, turn, _TOOL)
+    elif isinstance(shape, TaperedCapsule):  # as spheres side by side
+        for share in np.linspace(0, 1, 12):
+            radius = (1 - share) * shape.radii[0] + share * shape.radii[1]
+            along = point + (2 * share - 1) * shape.half_length * turn[:, 2]
+            add_geom(drawn, mujoco.mjtGeom.mjGEOM_SPHERE, (radius, 0, 0), along, turn, _TOOL)
 
 
 def add_geom(

@@ -12,6 +12,12 @@ import numpy as np
 from understudy.options import check_range
 from understudy.task import Scene
 from understudy_pbd.rules import Rule
+from understudy_warp_torch.tools import Box, Capsule, Grid, Shape, TaperedCapsule, Tool
+
+__all__ = [
+    "Box", "Capsule", "Fluid", "Grid", "Material", "ParticleModel", "ParticleScene", "Shape", "Springs",
+    "Table", "TaperedCapsule", "Tool", "pan",
+]  # fmt: skip
 
 #: One number for all particles, or one for each, (P,).
 PerParticle = float | Sequence[float] | np.ndarray
@@ -60,38 +66,6 @@ class Material:
             check_range(self, "static_friction", least=self.friction)
 
 
-@dataclass(frozen=True)
-class Box:
-    """A box in its tool's frame."""
-
-    half_extents: tuple[float, float, float]  #: m
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: m, of its centre
-    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  #: wxyz
-
-
-@dataclass(frozen=True)
-class Capsule:
-    """A capsule along its z axis, in its tool's frame; without length a sphere."""
-
-    radius: float  #: m
-    half_length: float  #: m, of the cylinder
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: m, of its centre
-    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  #: wxyz
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Any shape, as signed distances (m, negative inside) at the points of a grid in its tool's
-    frame; between points they are linear. It goes on for two particle radii around the shape."""
-
-    distances: np.ndarray  #: (X, Y, Z)
-    spacing: float  #: m, between points
-    origin: tuple[float, float, float]  #: m, of point (0, 0, 0)
-
-
-Shape = Box | Capsule | Grid
-
-
 def pan(
     radius: float, height: float, thickness: float = 0.01, sides: int = 12, handle: float = 0.0
 ) -> tuple[Shape, ...]:
@@ -118,16 +92,6 @@ def pan(
         at = radius + thickness + 0.5 * handle
         shapes.append(Box((0.5 * handle, thickness, thickness), (at, 0.0, 0.5 * height)))
     return tuple(shapes)
-
-
-@dataclass(frozen=True)
-class Tool:
-    """A rigid body that goes where the control says and that nothing can hold."""
-
-    shapes: tuple[Shape, ...]
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: m, where it is at first
-    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  #: wxyz
-    friction: float = 0.4
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
-from understudy_pbd.shapes import build_tools
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
 from understudy_warp_torch.kernels import Kernels, put_rows
+from understudy_warp_torch.shapes import build_tools
 
 #: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged: tables are a
 #: few metres wide, and at this speed a particle passes them within a control period.
@@ -63,12 +63,11 @@ class ParticleSimulator(Simulator):
         threads: int = 256  #: of a block, at most
 
         def __post_init__(self) -> None:
-            check_range(self, "iterations", "threads", least=1)
-            check_range(self, "threads", most=1024)
+            check_range(self, "iterations", "threads", least=1, most=1024)
             check_range(self, "relaxation", above=0, most=1.99)
             check_range(self, "sleep", least=0, most=0.9)
             if self.neighbours is not None:
-                check_range(self, "neighbours", least=1)
+                check_range(self, "neighbours", least=1, most=10_000)
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(ParticleScene, "simulator 'pbd'")

@@ -27,12 +27,21 @@ from understudy_pbd.constraints import (
     contact,
     density_kernel,
     density_slope,
-    friction,
     missing_density,
     missing_slope,
     spring,
 )
-from understudy_pbd.shapes import Tools, local_distance, move_tool, place_shape, shape_distance
+from understudy_warp_torch.blocks import global_memory as global_address
+from understudy_warp_torch.blocks import shared_memory, wait_for_block
+from understudy_warp_torch.shapes import (
+    Tools,
+    friction,
+    local_distance,
+    move_tool,
+    place_shape,
+    shape_distance,
+    xyz,
+)
 
 #: Rows of working memory for each particle: two of positions and the weight of its constraints, 1 over
 #: their number (−1: it is not there), which iterations read and write in turn, and one of where the
@@ -129,36 +138,7 @@ class Kernels:
     viscosity: Any
 
 
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    __syncthreads();
-#endif
-"""
-)
-def wait_for_block(): ...
-
-
-@wp.func_native("return (uint64_t)(memory.data + offset);")
-def global_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ...
-
-
-def _shared_memory(rows: int) -> Any:
-    """A function that gives a block's `rows` of shared memory; on the CPU there is none."""
-
-    snippet = f"""
-#if defined(__CUDA_ARCH__)
-    __shared__ float4 rows[{rows}];
-    return (uint64_t)(void*)rows;
-#else
-    return (uint64_t)(memory.data + offset);
-#endif
-"""
-
-    @wp.func_native(snippet)
-    def shared_memory(memory: wp.array(dtype=wp.vec4), offset: int) -> wp.uint64: ...
-
-    return shared_memory
+global_memory = global_address(wp.vec4)
 
 
 @wp.func_native(
@@ -184,11 +164,6 @@ def load(memory: wp.uint64, row: int) -> wp.vec4: ...
 """
 )
 def store(memory: wp.uint64, row: int, value: wp.vec4): ...
-
-
-@wp.func
-def xyz(v: wp.vec4) -> wp.vec3:
-    return wp.vec3(v[0], v[1], v[2])
 
 
 @wp.func
@@ -334,7 +309,11 @@ def build_kernels(features: Features) -> Kernels:
     SPRINGS = wp.constant(features.springs)
     ALIKE = wp.constant(features.alike)
     LANES = features.threads
-    block_memory = _shared_memory(ROWS * features.shared) if features.shared else global_memory
+    block_memory = (
+        shared_memory(wp.vec4, "float4", ROWS * features.shared)
+        if features.shared
+        else global_memory
+    )
 
     @wp.func
     def predict(s: System, memory: wp.uint64, world: int, i: int):

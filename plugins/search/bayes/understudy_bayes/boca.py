@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from understudy import random
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
+from understudy.running.trials import Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, upper_bound
 from understudy_bayes.book import Book, Data, SearchOptions
 from understudy_bayes.fidelity import Fidelity
+from understudy_bayes.search import BookedSearch
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions, fitted
 
@@ -23,7 +23,7 @@ from understudy_bayes.surrogate import Surrogate, SurrogateOptions, fitted
 _GRID = 100
 
 
-class BOCA(OuterLoop):
+class BOCA(BookedSearch):
     """The point is GP-UCB's at z = 1; the fidelity the cheapest at which something is to be learned:
 
     x_t = argmax μ(x, 1) + β_t^½ σ(x, 1)
@@ -35,13 +35,12 @@ class BOCA(OuterLoop):
     spread evenly.
     """
 
-    extendable = ("trials", "budget")
-
     @dataclass(frozen=True)
     class Options(SearchOptions):
-        fidelity: Fidelity = field(default_factory=Fidelity)
+        fidelity: Fidelity = field(default_factory=Fidelity)  #: what makes a trial cheap
         #: λ(0) / λ(1), linear in between; null is learned from what trials cost.
         cost_ratio: float | None = None
+        #: how the objective is modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
         def __post_init__(self) -> None:
@@ -51,10 +50,8 @@ class BOCA(OuterLoop):
     def __init__(self, options: Options, seed: int = 0) -> None:
         self._options, self._book, self._seed = options, Book(options, options.fidelity), seed
 
-    def ask(self, number: int) -> Trial | None:
+    def choose(self, number: int) -> Trial | None:
         book, d = self._book, len(self._book.space)
-        if book.over(number):
-            return None
         if number < self._options.initial:
             *x, z = draws.spread(self._seed, number, d + 1)
             return book.ask(number, x, z)
@@ -68,17 +65,6 @@ class BOCA(OuterLoop):
         z = torch.arange(_GRID, dtype=torch.float64) / _GRID
         relative = relative_cost(z, book.data(), self._options.cost_ratio)
         return book.ask(number, point.tolist(), cheapest(model, point, z, relative, weight))
-
-    def recall(self, trial: Trial) -> bool:
-        return self._book.recall(trial)
-
-    def tell(self, report: Report) -> Literal["stop"] | None:
-        answer = self._book.tell(report)
-        self.share = self._book.done
-        return answer
-
-    def summary(self) -> list[dict[str, Any]]:
-        return self._book.summary()
 
 
 def cheapest(model: Surrogate, x: Tensor, z: Tensor, relative: Tensor, weight: float) -> float:

@@ -19,10 +19,10 @@ class Fidelity:
     for less long: N(z) = low + (high - low) z (section 6.4.2).
     """
 
-    option: str = DIFFICULTY
+    option: str = DIFFICULTY  #: key of the configuration that goes from ``low`` to ``high``
     low: float = 0.0  #: at z = 0
     high: float = 1.0  #: at z = 1
-    integer: bool = False
+    integer: bool = False  #: whether the option takes whole numbers only
 
     def __post_init__(self) -> None:
         if not self.low < self.high:

@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
 
 from understudy import random
-from understudy.running.trials import OuterLoop, Report, Trial
+from understudy.running.trials import Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, upper_bound
 from understudy_bayes.book import Book, SearchOptions
+from understudy_bayes.search import BookedSearch
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import SurrogateOptions, fitted
 
 
-class GPUCB(OuterLoop):
+class GPUCB(BookedSearch):
     """x_t = argmax μ(x) + β_t^½ σ(x), after the first trials at points that are spread evenly."""
-
-    extendable = ("trials", "budget")
 
     @dataclass(frozen=True)
     class Options(SearchOptions):
+        #: how the objective is modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         self._options, self._book, self._seed = options, Book(options), seed
 
-    def ask(self, number: int) -> Trial | None:
+    def choose(self, number: int) -> Trial | None:
         book, d = self._book, len(self._book.space)
-        if book.over(number):
-            return None
         if number < self._options.initial:
             return book.ask(number, draws.spread(self._seed, number, d))
         model = fitted(
@@ -39,14 +36,3 @@ class GPUCB(OuterLoop):
             return None
         x = maximise(upper_bound(model, beta(d, number + 1)), book, self._seed, number)
         return book.ask(number, x.tolist())
-
-    def recall(self, trial: Trial) -> bool:
-        return self._book.recall(trial)
-
-    def tell(self, report: Report) -> Literal["stop"] | None:
-        answer = self._book.tell(report)
-        self.share = self._book.done
-        return answer
-
-    def summary(self) -> list[dict[str, Any]]:
-        return self._book.summary()

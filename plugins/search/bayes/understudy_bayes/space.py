@@ -19,10 +19,10 @@ class Parameter:
     On a log scale equal ratios are equally far apart, as they are for learning rates.
     """
 
-    low: float
-    high: float
-    scale: Literal["linear", "log"] = "linear"
-    integer: bool = False
+    low: float  #: the least value, in the option's unit; on a log scale above 0
+    high: float  #: the greatest value, in the option's unit
+    scale: Literal["linear", "log"] = "linear"  #: by what values are spread: differences or ratios
+    integer: bool = False  #: whether the option takes whole numbers only
 
     def __post_init__(self) -> None:
         if not self.low < self.high:

@@ -41,6 +41,7 @@ class SurrogateOptions:
     #: Mode and log-deviation of the log-normal prior on the fidelity kernel's length scale l_z; null is
     #: the search's own mode.
     fidelity_scale: float | None = None
+    #: standard deviation of the logarithm of the fidelity's length scale, above 0
     fidelity_spread: float = 0.75
     #: Standard deviation, in y's, of the normal prior on the slope in z of the Gaussian process's mean,
     #: which takes a shift between fidelities that all points share; 0 is no slope, null the search's own.

@@ -47,7 +47,7 @@ class RayExecutor:
         grace: float = 30.0  #: seconds to save, for a trial that is told to end
 
         def __post_init__(self) -> None:
-            check_range(self, "workers", "threads", least=1)
+            check_range(self, "workers", "threads", least=1, most=10_000)
             check_range(self, "num_cpus", "seconds", above=0)
             check_range(self, "num_gpus", "retries", "grace", least=0)
 

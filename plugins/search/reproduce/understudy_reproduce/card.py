@@ -14,6 +14,7 @@ from typing import Any
 
 from understudy import __version__
 from understudy.records.checkpoint import write_atomically
+from understudy.records.folders import read
 from understudy_report import words
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page
@@ -51,7 +52,7 @@ class Cell:
         values = self.values(figure.of)
         if values:
             kind = SUCCESS if figure.share or figure.of.startswith("success_") else figure.of
-            parts.append(f"{shown_mean(mean_of(values), kind)} ({len(values)})")
+            parts.append(f"{shown_mean(mean_of(values), kind, counted=True)} ({len(values)})")
         missed = [r for r in done if figure.of == SAMPLES and r.state != "criterion"]
         if missed:
             least = min(r.figure(SAMPLES) or 0.0 for r in missed)
@@ -207,7 +208,7 @@ def _printed(number: Any) -> str:
 def _device(result: Result) -> str:
     """What the trial ran on."""
     try:
-        info = json.loads((result.path / "run.json").read_bytes())
+        info = json.loads(read(result.path / "run.json"))
     except (OSError, ValueError, RecursionError):
         info = {}
     return str(mapping(mapping(info).get("config")).get("device") or "an unknown device")

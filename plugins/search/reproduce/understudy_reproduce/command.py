@@ -7,6 +7,7 @@ from pathlib import Path
 
 from understudy.command.command import Command
 from understudy.errors import UnderstudyError
+from understudy.records.folders import check_within
 from understudy.setup.composition import replaced
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
@@ -49,6 +50,8 @@ class Reproduce(Command):
         for override in options.overrides:
             if override.lstrip("+").startswith("run.dir="):
                 folder = Path(override.partition("=")[2])
+        if folder.exists():
+            check_within(folder)
         if table.searches:
             comparison = Comparison(options.table, table, folder, options.overrides)
             if not options.card:

@@ -287,7 +287,7 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
 
 def _counted(values: Sequence[float], there: int, begun: int) -> str:
     """The mean of `values`, which `there` of the `begun` searches could have."""
-    parts = [f"{shown_mean(mean_of(values))} ({len(values)})"] if values else []
+    parts = [f"{shown_mean(mean_of(values), counted=True)} ({len(values)})"] if values else []
     parts += [f"{there - len(values)} without one"] if there > len(values) else []
     parts += [f"{begun - there} still running"] if begun > there else []
     return "; ".join(parts)

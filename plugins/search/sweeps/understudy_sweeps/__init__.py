@@ -18,7 +18,11 @@ def understudy_register(register: Registrar) -> None:
         "understudy_sweeps.command:Sweep",
         "run an outer loop over trainings: understudy sweep ablation=… or search=…",
     )
-    register.component("outer_loop", "grid", "understudy_sweeps.grid:Grid", "variants × seeds")
+    for name, target, summary in (
+        ("grid", "grid:Grid", "variants × seeds"),
+        ("chain", "chain:Chain", "trainings that build on one another"),
+    ):
+        register.component("outer_loop", name, f"understudy_sweeps.{target}", summary)
     for name, target, summary in (
         ("in_process", "in_process:InProcess", "one trial after another"),
         ("processes", "processes:Processes", "trials in processes of this machine"),

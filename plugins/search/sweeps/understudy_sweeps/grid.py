@@ -31,8 +31,10 @@ class Grid(OuterLoop):
 
     @dataclass(frozen=True)
     class Options:
+        #: by name, the overrides that make it
         variants: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"base": ()})
-        seeds: tuple[int, ...] = (0,)
+        seeds: tuple[int, ...] = (0,)  #: each variant is trained with every one
+        #: numbers that the paper has, shown beside ours; null has none
         paper: Published | None = None
 
         def __post_init__(self) -> None:

@@ -16,7 +16,9 @@ class Mean:
 
     value: float
     count: int
-    low: float | None = None  #: None where one value alone says nothing of its spread
+    low: float | None = (
+        None  #: None of one or two values, which say next to nothing of their spread
+    )
     high: float | None = None
 
     def clipped(self, low: float, high: float) -> Mean:
@@ -27,13 +29,16 @@ class Mean:
 
 
 def mean_of(values: Sequence[float]) -> Mean | None:
-    """Student's t interval: mean ± t(0.975, n - 1) · s / √n; None without values."""
+    """Student's t interval: mean ± t(0.975, n - 1) · s / √n; None without values.
+
+    Two values have none: at 12.7 times their standard error it would hold, and say nothing.
+    """
     n = len(values)
     if n == 0:
         return None
     mean = statistics.fmean(values)
-    if n == 1:
-        return Mean(mean, 1)
+    if n <= 2:
+        return Mean(mean, n)
     reach = t_quantile(n) * statistics.stdev(values) / math.sqrt(n)
     return Mean(mean, n, mean - reach, mean + reach)
 

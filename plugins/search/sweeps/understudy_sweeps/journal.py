@@ -17,7 +17,11 @@ from urllib.parse import quote
 
 from understudy.errors import ConfigError, RunError
 from understudy.records.checkpoint import sync, write_atomically
+from understudy.records.folders import read
 from understudy.running.trials import Report, Trial
+from understudy.setup.composition import refuse_resolvers
+
+_MOST = 2**30  #: bytes of a journal
 
 
 @dataclass
@@ -32,7 +36,7 @@ class Journal:
         """The journal at `path`; a row cut short by a crash is left out."""
         journal = cls.read(path)
         rows = "".join(_row(event) for event in journal.events).encode()
-        if not path.exists() or path.read_bytes() != rows:
+        if not path.exists() or read(path, _MOST) != rows:
             write_atomically(path, rows)
         return journal
 
@@ -47,18 +51,22 @@ class Journal:
         """
         journal = cls(path)
         try:
-            lines = path.read_bytes().decode(errors="replace").splitlines()
+            lines = read(path, _MOST).decode(errors="replace").splitlines()
         except FileNotFoundError:
             return journal
         except OSError as error:
             raise RunError(f"{path} cannot be read: {error.strerror}.") from error
         for line in lines:
             with contextlib.suppress(
-                ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError
-            ):
+                ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError,
+                ConfigError,
+            ):  # fmt: skip
                 row = json.loads(line)
                 asked = row["event"] == "asked"
-                journal.events.append(trial_of(row["trial"]) if asked else _report(row["report"]))
+                event = trial_of(row["trial"]) if asked else _report(row["report"])
+                if isinstance(event, Trial):
+                    refuse_resolvers(event.overrides, "A journal")
+                journal.events.append(event)
         return journal
 
     @property
@@ -73,6 +81,7 @@ class Journal:
     def ask(self, trial: Trial) -> None:
         if any(trial.key == other.key for other in self.asked):
             raise ConfigError(f"The outer loop asks for trial '{trial.key}' twice.")
+        refuse_resolvers(trial.overrides, f"Trial '{trial.key}'")  # no journal has such
         self._write(trial)
 
     def tell(self, report: Report) -> None:

@@ -33,7 +33,7 @@ from understudy_sweeps.tables import Table
 #: CSS of all that a sweep draws, beside the report's.
 STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 _INTERVALS = (
-    "Mean over seeds [95 % interval of the mean, Student's t]; one seed alone has none, and no width "
+    "Mean over seeds [95 % interval of the mean, Student's t]; one seed or two have none, and no width "
     "means that the seeds agreed, not that the value is certain."
 )
 _PAIRED = (

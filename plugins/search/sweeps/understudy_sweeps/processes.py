@@ -57,9 +57,10 @@ class Processes:
         grace: float = 30.0  #: seconds to save, for a trial that is told to end
 
         def __post_init__(self) -> None:
-            check_range(self, "workers", "threads", least=1)
+            check_range(self, "workers", "threads", least=1, most=1024)
             check_range(self, "retries", "grace", least=0)
             check_range(self, "seconds", above=0)
+            check_range(self, "gpus", most=1024)
             _check_gpus(self.gpus)
 
     def __new__(cls, options: Options, work: Work) -> Executor:

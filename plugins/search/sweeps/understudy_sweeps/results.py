@@ -14,6 +14,8 @@ from understudy_sweeps.trial import folder_of
 
 #: Figures of every trial beside its measures.
 SUCCESS, OBJECTIVE, SAMPLES, SECONDS = "success_rate", "objective", "samples", "seconds"
+#: The share of episodes whose numbers went wrong, a measure of the trials that had some.
+UNSOUND = "unsound"
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ class Result:
         if self.report is None or not self.ok:
             return None
         found = {OBJECTIVE: self.report.objective, SAMPLES: self.report.cost, SECONDS: self.seconds}
-        return number(found.get(name, self.report.measures.get(name)))
+        none = 0.0 if name == UNSOUND else None
+        return number(found.get(name, self.report.measures.get(name, none)))
 
 
 class Results:

@@ -24,9 +24,10 @@ from understudy import distributed
 from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
+from understudy.records.folders import read
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
-from understudy.setup.composition import compose_raw, load_experiment
-from understudy.setup.config import Experiment, validate
+from understudy.setup.composition import load_experiment
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
 from understudy_sweeps.journal import Journal
@@ -46,7 +47,7 @@ def sweep(overrides: Sequence[str]) -> int:
     PreemptedError
         after a stop signal, when trials under way are saved.
     """
-    experiment = validate(compose_raw(overrides), installed().registry)
+    experiment = load_experiment(overrides, installed())
     if distributed.requested() > 1:
         raise ConfigError("A sweep starts its trials itself: start it without torchrun.")
     root, chosen = experiment.root, experiment.need("outer_loop")
@@ -301,7 +302,7 @@ def _refuse_another(path: Path, given: Sequence[str], compared: Mapping[str, Any
     mark = json.loads(json.dumps(mark, sort_keys=True, default=str))
     if path.exists():
         try:
-            old = json.loads(path.read_bytes())
+            old = json.loads(read(path))
             same = old["sweep"] == mark["sweep"]
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RunError(f"{path} is damaged: {error}. Give run.dir another folder.") from error

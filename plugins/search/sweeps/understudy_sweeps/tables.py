@@ -19,6 +19,7 @@ from understudy_sweeps.results import (
     SAMPLES,
     SECONDS,
     SUCCESS,
+    UNSOUND,
     Result,
     Variant,
     compared_in,
@@ -28,7 +29,12 @@ from understudy_sweeps.results import (
 
 _NOTHING = "–"
 #: Between which a figure can lie, so that its interval need not say more.
-_BOUNDS = {SUCCESS: (0.0, 1.0), SAMPLES: (0.0, math.inf), SECONDS: (0.0, math.inf)}
+_BOUNDS = {
+    SUCCESS: (0.0, 1.0),
+    UNSOUND: (0.0, 1.0),
+    SAMPLES: (0.0, math.inf),
+    SECONDS: (0.0, math.inf),
+}
 
 
 @dataclass(frozen=True)
@@ -70,27 +76,32 @@ def shown(value: float | None, name: str = "") -> str:
     """A figure of the kind `name`, in three digits."""
     if value is None:
         return _NOTHING
-    if name == SUCCESS:
+    if name in (SUCCESS, UNSOUND):
         return words.share(value)
     return words.duration(value) if name == SECONDS else words.short(value)
 
 
-def shown_mean(mean: Mean | None, name: str = "", *, sign: bool = False) -> str:
-    """A mean and its interval."""
+def shown_mean(
+    mean: Mean | None, name: str = "", *, sign: bool = False, counted: bool = False
+) -> str:
+    """A mean and its interval; of two seeds that word, unless their number is `counted` beside it."""
     if mean is None:
         return _NOTHING
     if name in _BOUNDS and not sign:
         mean = mean.clipped(*_BOUNDS[name])
-    scale = 100.0 if name == SUCCESS else 1.0
+    elif name in (SUCCESS, UNSOUND):
+        mean = mean.clipped(-1.0, 1.0)
+    scale = 100.0 if name in (SUCCESS, UNSOUND) else 1.0
 
     def figure(value: float) -> str:
         if name == SECONDS:
             return words.duration(value)
         return ("+" if sign and value > 0 else "") + words.short(scale * value)
 
-    unit = {SUCCESS: " points" if sign else " %"}.get(name, "")
+    unit = (" points" if sign else " %") if name in (SUCCESS, UNSOUND) else ""
     if mean.low is None or mean.high is None or (name == SAMPLES and mean.low == mean.high):
-        return figure(mean.value) + unit
+        few = " (2 seeds)" if mean.count == 2 and mean.low is None and not counted else ""
+        return figure(mean.value) + unit + few
     return f"{figure(mean.value)}{unit} [{figure(mean.low)}, {figure(mean.high)}]"
 
 
@@ -108,6 +119,7 @@ def compared(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> Ta
     values, of = mapping(published.get("values")), published.get("of", OBJECTIVE)
     if of not in (*figures, SAMPLES) and values:
         figures.append(str(of))
+    figures += [UNSOUND] if UNSOUND in measures_of(results) else []
     criterion = any(r.state == "criterion" for r in results)
     heads = ["variant", "seeds"]
     for name in (*figures, SAMPLES):
@@ -197,6 +209,8 @@ def trials(results: Sequence[Result]) -> Table:
     marked = any(r.said.get("found") for r in results)
     heads += [*(["y"] if scaled else []), *(["found"] if marked else [])]
     heads += ["success"] if success else []
+    unsound = UNSOUND in measures_of(results)
+    heads += [UNSOUND] if unsound else []
     heads += ["fidelity"] if levels else []
     heads += [*points, *(["began from"] if starts else []), "samples", "training"]
     if searched:
@@ -211,6 +225,7 @@ def trials(results: Sequence[Result]) -> Table:
         row += [shown(r.worth)] if scaled else []
         row += [str(r.said.get("found") or "")] if marked else []
         row += [_episodes(r)] if success else []
+        row += [shown(r.figure(UNSOUND), UNSOUND)] if unsound else []
         row += [shown(r.trial.fidelity)] if levels else []
         row += [shown(number(r.trial.point.get(name))) for name in points]
         row += [began_from(r.trial.start)] if starts else []

@@ -17,6 +17,7 @@ from hydra.core.override_parser.types import Quote, QuotedString
 from understudy.errors import ConfigError, FileError, RunError, TrainingError
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
+from understudy.records.folders import read
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation
 from understudy.running.reinforcement import Reinforcement
@@ -115,7 +116,7 @@ def _iterate(
 
 def _stopped_at(run: Run) -> float:
     try:
-        return float(json.loads((run.path / _STOPPED).read_bytes())["samples"])
+        return float(json.loads(read(run.path / _STOPPED))["samples"])
     except (OSError, ValueError, KeyError, TypeError):
         return math.inf
 

@@ -38,6 +38,6 @@ class Offer:
 def offers(plugins: Plugins, group: str) -> Iterator[Offer]:
     """The files of `group`, the kernel's first and then plugin by plugin."""
     for plugin, folder in [("", kernel_conf()), *plugins.config_directories()]:
-        for file in sorted((folder / group).rglob("*.yaml")):
+        for file in sorted((folder / group).rglob("[!_]*.yaml")):
             name = file.relative_to(folder / group).with_suffix("").as_posix()
             yield Offer(name, plugin, file)

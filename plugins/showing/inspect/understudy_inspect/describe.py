@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import REQUIRED, Option, options_of
+from understudy.options import REQUIRED, Option, options_of, schema_of, sentences
 from understudy.setup.config import EXTRAS, Root
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
@@ -41,7 +41,7 @@ def describe(name: str, plugins: Plugins) -> str:
     registry = plugins.registry
     kind, _, rest = name.partition("/")
     if name in _groups():
-        return _table(name, options_of(_groups()[name]), _comments(_groups()[name]))
+        return _table(name, options_of(_groups()[name]), sentences(_groups()[name]))
     if (kind, rest) in registry.components:
         return _component(registry.components[kind, rest], plugins)
     for offer in offers(plugins, kind):
@@ -83,8 +83,8 @@ def _groups() -> dict[str, type]:
 
 def _component(component: Component, plugins: Plugins) -> str:
     factory = component.factory
-    schema = getattr(factory, "Options", None)
-    comments = _comments(schema) if schema is not None else {}
+    schema = schema_of(factory)
+    comments = sentences(factory)
     parts = [
         f"{component.kind}/{component.name}: {component.summary}".rstrip(": "),
         f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")"),
@@ -156,15 +156,15 @@ def _rows(
     """(key, default as one types it, type and comment) of each option, and of those within it."""
     for name, option in options.items():
         inner = _dataclass_in(option.annotation)
-        kind, about = _type(option.annotation), comments.get(name, "")
+        kind, about = _type(option.annotation), comments.get(name, "").replace("``", "")
         text = f"{kind}; {about}" if kind and about else kind or about
         default = "…" if option.default is REQUIRED else _typed(option.default)
         if inner is not None and dataclasses.is_dataclass(option.default):
-            yield from _rows(options_of(inner), _comments(inner), f"{prefix}{name}.")
+            yield from _rows(options_of(inner), sentences(inner), f"{prefix}{name}.")
             continue
         yield f"{prefix}{name}", default, text
         if inner is not None:
-            yield from _rows(options_of(inner), _comments(inner), f"{prefix}{name}.")
+            yield from _rows(options_of(inner), sentences(inner), f"{prefix}{name}.")
 
 
 def _typed(value: Any) -> str:
@@ -195,24 +195,3 @@ def _type(annotation: Any) -> str:
     choices = [_type(a) for a in typing.get_args(annotation) if a is not type(None)]
     choices = [choice for choice in dict.fromkeys(choices) if choice]
     return " or ".join([*choices, *(["null"] if type(None) in typing.get_args(annotation) else [])])
-
-
-def _comments(schema: type) -> dict[str, str]:
-    """By option: what the ``#:`` comments above and behind it in the source of `schema` say."""
-    try:
-        lines = inspect.getsource(schema).splitlines()
-    except (OSError, TypeError):
-        return {}
-    found: dict[str, str] = {}
-    above: list[str] = []
-    for line in lines:
-        comment = re.match(r"\s*#: ?(.*)", line)
-        field = re.match(r"\s*(\w+)\s*:[^#]*(?:#:? ?(.*))?", line)
-        if comment:
-            above.append(comment[1])
-        elif field and field[1] in getattr(schema, "__dataclass_fields__", {}):
-            found.setdefault(field[1], " ".join([*above, field[2] or ""]).strip())
-            above = []
-        else:
-            above = []
-    return {name: text.replace("``", "") for name, text in found.items()}

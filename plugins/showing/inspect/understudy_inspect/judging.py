@@ -6,6 +6,7 @@ import argparse
 import copy
 import hashlib
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ import yaml
 
 from understudy.command.command import Command
 from understudy.command.workflow import judge, tell
-from understudy.errors import ConfigError, RunError, suggestion
+from understudy.errors import ConfigError, RunError
 from understudy.records import checkpoint, runs
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
@@ -49,7 +50,7 @@ class Evaluate(Command):
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.usage = (
-            "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION] "
+            "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION|last|best|SHARE] "
             "[half_step=false] [KEY=VALUE …]"
         )
         parser.add_argument("run", help="run folder")
@@ -104,13 +105,13 @@ class Render(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.usage = (
             "understudy render RUN [episodes=N] [seconds=S] [size=WIDTHxHEIGHT] [camera=DEGREES] "
-            "[checkpoint=ITERATION] [KEY=VALUE …]"
+            "[checkpoint=ITERATION|last|best|SHARE] [KEY=VALUE …]"
         )
         parser.add_argument("run", help="run folder")
 
     def run(self, options: argparse.Namespace) -> int:
         training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)
-        reporter.observers = installed().observers()
+        reporter.observers = installed().observers(tell)
         changed = _changed(options.overrides, _PICTURE)
         changed += [f"checkpoint={int(chosen)}"] if chosen else []
         name = _name(options.overrides, chosen)
@@ -185,7 +186,7 @@ def load(
     overrides = [word for word in words if word.partition("=")[0] not in own]
     config = copy.deepcopy(run.config)
     if overrides:
-        config = compose_raw(replaced(run.info["overrides"], overrides))
+        config = compose_raw(run.words(overrides))
     chosen = own.pop("checkpoint", "")
     for key, value in own.items():
         _set(config, short[key], _value(key, value))
@@ -210,14 +211,50 @@ def load(
 
 
 def _checkpoint(run: Run, chosen: str) -> tuple[tuple[Any, Any], str]:
-    """The (state, meta) of the checkpoint made after the iteration `chosen`, and its name."""
+    """The (state, meta) of the checkpoint `chosen`, and its name: made after that iteration, the ``last``,
+    the ``best`` by the evaluations in between, or nearest to a share of the training (``0.5``, ``50%``)."""
     there = {path.name: path for path in checkpoint.newest(run.checkpoints)}
+    kept = sorted(int(name) for name in there if name.isdigit())
     name = chosen.rpartition("/")[2].partition(".")[0]
+    share = _share(chosen)
+    if kept and chosen == "last":
+        name = str(kept[-1])
+    elif kept and chosen == "best":
+        name = str(_best(run, kept))
+    elif kept and share is not None:
+        name = str(min(kept, key=lambda iteration: abs(iteration - share * kept[-1])))
     name = name.zfill(8) if name.isdigit() else name
     if name not in there:
-        known = [str(int(n)) for n in there]
-        raise RunError(f"{run.path} keeps no checkpoint={chosen}.{suggestion('', known)}")
+        raise RunError(
+            f"{run.path} keeps no checkpoint={chosen}: there is {', '.join(map(str, kept)) or 'none'}; or "
+            "write last, best, or a share of the training, as 0.5."
+        )
     return checkpoint.load(there[name]), name
+
+
+def _share(text: str) -> float | None:
+    """What of 1 `text` is, if it is a share: ``0.5`` or ``50%``."""
+    number, percent, rest = text.partition("%")
+    if rest or not re.fullmatch(r"[0-9]*\.?[0-9]+", number) or not (percent or "." in number):
+        return None
+    share = float(number) / (100.0 if percent else 1.0)
+    return share if share <= 1.0 else None
+
+
+def _best(run: Run, kept: Sequence[int]) -> int:
+    """Of the iterations with a checkpoint the one that succeeded most, and then the longest trained; by
+    the returns of its own episodes where nothing was evaluated."""
+    for figure in ("evaluation/success_rate", "episode/return"):
+        found: dict[int, float] = {}
+        for row in run.metrics():
+            value = row.get(figure, row.get(f"{figure}_at_most"))
+            if isinstance(value, int | float) and math.isfinite(value):
+                later = [iteration for iteration in kept if iteration >= row["iteration"]]
+                if later:  # what it was judged on is in the next one that is kept
+                    found[min(later)] = float(value)
+        if found:
+            return max(found, key=lambda iteration: (found[iteration], iteration))
+    return kept[-1]
 
 
 def _value(key: str, text: str) -> Any:

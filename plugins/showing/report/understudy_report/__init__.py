@@ -28,6 +28,7 @@ def understudy_register(register: Registrar) -> None:
     add("motion", "motion:Motion", "the video or a stick figure player, and a filmstrip")
     add("evaluation", "evaluation:EvaluationSection", "what the last evaluation found")
     add("learning", "learning:LearningCurves", "metrics against samples")
+    add("model_error", "model_error:ModelError", "where a learned model goes wrong")
     add("provenance", "provenance:Provenance", "what is needed to repeat the run, whom to credit")
     add("configuration", "configuration:Configuration", "the composed configuration")
 

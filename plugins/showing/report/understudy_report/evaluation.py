@@ -41,9 +41,9 @@ class EvaluationSection(ReportSection):
 
 
 def _facts(evaluation: Row) -> Iterator[tuple[str, object]]:
-    rate, length, lasted, samples = (
+    rate, length, lasted, samples, unsound = (
         number(evaluation.get(k))
-        for k in ("success_rate", "seconds", "mean_episode_seconds", "samples")
+        for k in ("success_rate", "seconds", "mean_episode_seconds", "samples", "unsound")
     )
     objective = mapping(evaluation.get("objective"))
     reached = number(objective.get("value"))
@@ -56,6 +56,7 @@ def _facts(evaluation: Row) -> Iterator[tuple[str, object]]:
     yield "Success means", evaluation.get("success")
     yield "Succeeded", None if rate is None else words.share(rate)
     yield "95 % interval", percent_interval(evaluation) or None
+    yield "Numbers went wrong in", words.share(unsound) if unsound else None
     yield "At half the time step", _half_step(mapping(evaluation.get("half_step")))
     if reached is not None:
         yield "Objective", f"{words.text(objective.get('name', ''))} {reached:.4g}".strip()

@@ -21,6 +21,7 @@ class Headline(ReportSection):
     def html(self, run: Run) -> str:
         evaluation, rows = read_evaluation(run), run.metrics()
         meaning = _meaning(run.info, evaluation, run.registry)
+        meaning += _unsound(evaluation)
         if changed := words.text(evaluation.get("changed") or ""):
             meaning = f"Judged otherwise than it was trained: {changed}. {meaning}"
         explained = f"<p>{escape(meaning)}</p>" if meaning else ""
@@ -70,6 +71,16 @@ def _cut(evaluation: Row) -> str:
     ended = ", ".join(f"{words.share(v)} of them by {k}" for k, v in shares.items() if v)
     return (
         f" Some were over earlier, and judged by what there was of them: {ended}." if ended else ""
+    )
+
+
+def _unsound(evaluation: Row) -> str:
+    """How many episodes' numbers went wrong, in a sentence after others."""
+    share = number(evaluation.get("unsound"))
+    return (
+        f" In {words.share(share)} of the episodes numbers went wrong, which is never a success."
+        if share
+        else ""
     )
 
 

@@ -11,7 +11,7 @@ class ReportSection(ABC):
     """One part of the page, made without arguments and from the run folder alone.
 
     The bundled sections have the orders 0 (headline), 20 (motion), 40 (evaluation), 60 (learning
-    curves), 80 (provenance) and 90 (configuration).
+    curves), 65 (a learned model's error), 80 (provenance) and 90 (configuration).
     """
 
     #: The heading, as plain text; none if empty.

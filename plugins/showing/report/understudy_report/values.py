@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from understudy.records.folders import read
 from understudy.records.runs import Run
 
 Row = Mapping[str, Any]
@@ -14,7 +15,7 @@ Row = Mapping[str, Any]
 def read_evaluation(run: Run) -> Row:
     """The last evaluation; empty if there is none or it cannot be read."""
     try:
-        return mapping(json.loads((run.path / "evaluation.json").read_bytes()))
+        return mapping(json.loads(read(run.path / "evaluation.json")))
     except (OSError, ValueError, RecursionError):
         return {}
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.dynamics import CUTOFF
 from understudy_doctor.findings import Finding, Places, Severity, intervals, severity
 from understudy_doctor.measurements import CONTACT_SPEED, GROUND, Contact, Measurements
 from understudy_doctor.ranges import beyond, range_of
 from understudy_motion.clip import Clip
+from understudy_tensors import rotations
 
 GROUND_MAJOR = 0.03
 """m into the ground, or of constant height above it: a character put into such a pose is thrown out
@@ -54,7 +54,7 @@ def missing_joints(clip: Clip, character: Character) -> list[str]:
 def check_mapping(clip: Clip, character: Character) -> Iterator[Finding]:
     """Whether the clip's joints are the character's."""
     places = Places(clip)
-    retarget = f"`understudy motion retarget CLIP {character.name} OUT` makes it fit."
+    retarget = f"`{character.retargeting(clip)}` makes it fit."
     if missing := missing_joints(clip, character):
         yield places.finding(
             "mapping", Severity.MAJOR,

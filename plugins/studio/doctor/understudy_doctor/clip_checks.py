@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from scipy.ndimage import median_filter
 
-from understudy_basics import rotations
 from understudy_doctor.findings import Finding, Places, Severity, intervals, severity
 from understudy_motion.clip import Clip, cycle_transform
 from understudy_motion.editing import EVEN
+from understudy_tensors import rotations
 
 UNEVEN, UNEVEN_MAJOR = EVEN, 0.5
 """Relative deviation of a frame's duration. Files round it by up to 1 %; half a frame is a lost one."""

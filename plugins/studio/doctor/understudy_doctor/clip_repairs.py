@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import torch
 
-from understudy_basics import rotations
 from understudy_doctor.clip_checks import duplicates, find_spikes, held
 from understudy_motion.clip import Clip
 from understudy_motion.editing import (
@@ -19,6 +18,7 @@ from understudy_motion.editing import (
     evenly_spaced,
     remove_frames,
 )
+from understudy_tensors import rotations
 
 JUMP_SECONDS = 0.16
 """s over which a jump is spread: 0.5 rad at 3 rad/s."""

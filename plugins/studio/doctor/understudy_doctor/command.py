@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import typing
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,7 +23,7 @@ from understudy_doctor.page import page
 from understudy_doctor.repair import Repair, make_loop, repair
 from understudy_doctor.summary import as_json, comparison, findings_as_json, text, verdict
 from understudy_motion.arguments import add_reading, open_clip
-from understudy_motion.clip import Clip
+from understudy_motion.clip import Clip, angle_names
 from understudy_motion.writing import write_clip
 
 DEFAULT_CHARACTER = "humanoid"
@@ -62,6 +63,13 @@ class Check(Command):
             )
         clip = open_clip(options.clip, options, registry)
         character = _character(options.character, clip, registry)
+        if character is not None:
+            clip = character.posed(clip)
+        elif angle_names(clip) is not None:
+            print(
+                f"{clip.name}: a robot's angles; --character ROBOT.xml says how it moves by them.",
+                file=sys.stderr,
+            )
         before = examine(clip, character)
         after, done = before, None
         if options.fix is not None:

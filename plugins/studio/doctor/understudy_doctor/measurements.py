@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.contacts import feet
 from understudy_characters.shapes import shapes
@@ -22,6 +21,7 @@ from understudy_doctor.findings import intervals
 from understudy_motion.clip import Clip, velocities
 from understudy_motion.editing import evenly_spaced
 from understudy_motion.kinematics import forward_kinematics
+from understudy_tensors import rotations
 
 GRAVITY = 9.81
 """m/s²."""

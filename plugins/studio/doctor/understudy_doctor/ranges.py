@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
+from understudy_tensors import rotations
 
 MARGIN = np.radians(20.0)
 """Beyond the ranges: the difference between an average and a supple adult, and of markers on skin."""

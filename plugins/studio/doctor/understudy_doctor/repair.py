@@ -20,7 +20,6 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
 from understudy.errors import ConfigError
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_doctor.character_checks import STANDS_ON
 from understudy_doctor.clip_repairs import mend_frames, mend_held, mend_seam, mend_spikes
@@ -37,6 +36,7 @@ from understudy_motion.editing import (
     reach,
     shift,
 )
+from understudy_tensors import rotations
 
 GROUND_MARGIN = 0.005
 """m that a repaired clip may still go into the ground: contacts are never exact."""

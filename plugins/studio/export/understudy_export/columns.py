@@ -18,7 +18,6 @@ import io
 from collections.abc import Iterator
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -29,12 +28,7 @@ from understudy.setup.plugins import installed
 from understudy_characters.character import Character, load_character
 from understudy_export.command import timed
 from understudy_motion.arguments import add_reading, open_clip, positive
-
-RATE = 30.0
-"""Frames per second that both trainers take a table to have."""
-
-
-_ANGLES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+from understudy_motion.readers.angles import RATE
 
 
 class ExportColumns(Command):
@@ -77,27 +71,21 @@ def joint_columns(character: Character) -> list[str]:
     """Names of the joints that have a column each, in the order of the model.
 
     Raises:
-        ConfigError: a joint is a ball, or something else in the model moves freely.
+        ConfigError: a joint is a ball.
     """
-    model, names = character.model, []
-    for joint in range(model.njnt):
-        if int(model.jnt_qposadr[joint]) == character.root_address:
-            continue
-        name = model.joint(joint).name
-        if int(model.jnt_type[joint]) not in _ANGLES:
+    for joint in character.joints[1:]:
+        if len(joint.axes) == 0:
             raise ConfigError(
-                f"Character {character.name}: its joint '{name}' is no hinge, and tables for other "
+                f"Character {character.name}: its joint '{joint.name}' is no hinge, and tables for other "
                 "trainers have an angle for each joint; give a robot of hinges."
             )
-        names.append(name)
-    return names
+    return list(character.hinges)
 
 
 def root_first(character: Character, qpos: np.ndarray) -> np.ndarray:
-    """``qpos`` (F, nq) with the root's seven columns before all others."""
+    """Of ``qpos`` (F, nq) the root's seven columns, then those of the figure's hinges."""
     at = character.root_address
-    root = np.arange(at, at + 7)
-    return np.concatenate([qpos[:, root], np.delete(qpos, root, axis=1)], axis=1)
+    return qpos[:, [*range(at, at + 7), *character.hinges.values()]]
 
 
 def mjlab(qpos: np.ndarray, names: list[str]) -> str:

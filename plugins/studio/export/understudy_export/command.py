@@ -127,8 +127,8 @@ def _policy(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--{given[0].replace('_', '-')} is of motions, and {options.destination} is a policy: leave it out."
         )
-    from understudy_basics.skill import open_skill
     from understudy_export.policy import write_policy
+    from understudy_skills.skill import open_skill
 
     for line in write_policy(open_skill(options.source), options.destination):
         print(line)

@@ -37,7 +37,6 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup.building import Built, build_environment, build_policy
 from understudy.setup.config import Chosen
 from understudy.task import Policy
-from understudy_basics.skill import Skill
 from understudy_characters.parts import Reference
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.servos import lags
@@ -45,6 +44,7 @@ from understudy_export.command import REFERENCE_TABLE
 from understudy_motion.clip import cycle_transform
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
+from understudy_skills.skill import Skill
 
 #: Rows of the reference's table in a control period.
 ROWS = 4

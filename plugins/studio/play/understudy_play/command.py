@@ -13,10 +13,10 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.plugins import installed
-from understudy_basics.skill import Skill, names, open_skill, pack, rounded, unpack
 from understudy_motion.arguments import port, positive
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
+from understudy_skills.skill import Skill, names, open_skill, pack, rounded, unpack
 
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0

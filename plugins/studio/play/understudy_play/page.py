@@ -20,6 +20,7 @@ from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
 from understudy_motion.kinematics import forward_kinematics
 from understudy_play.player import World
+from understudy_viewer.guard import guarded
 from understudy_viewer.stage import COLOURS, Colour
 
 _SKY: Colour = (255, 255, 255)
@@ -63,7 +64,7 @@ class Page:
         self._again = self._closed = False
         self._playing, self._speed = True, 1.0
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        with contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
+        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
             self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
         at = f"[{host}]" if ":" in host else host
         self.url = f"http://{at}:{self._server.get_port()}"

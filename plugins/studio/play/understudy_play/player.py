@@ -12,8 +12,8 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment, build_policy
 from understudy.setup.config import Experiment
-from understudy_basics.skill import Skill
 from understudy_mujoco.scene import MujocoScene
+from understudy_skills.skill import Skill
 
 #: Seconds: no episode is cut.
 _ENDLESS = 86400.0

@@ -69,6 +69,8 @@ class Retarget(Command):
         result, report = retarget(clip, character, how)
         result = replace(result, name=options.destination.stem)
         write_clip(result, options.destination, registry)
+        if not report.fits:
+            print(_misfit(report, options.character), file=sys.stderr)
         if options.json:
             print(json.dumps(_as_json(report, options.destination), indent=1))
         else:
@@ -94,12 +96,24 @@ def _load(options: argparse.Namespace, registry: Registry) -> Clip:
     return cut(clip, start, clip.duration if options.end is None else options.end)
 
 
+def _misfit(report: Report, character: str) -> str:
+    missed = f"key points are missed by {100 * report.mean_error:.0f} cm on average, "
+    missed += f"{100 * report.mean_error / report.leg:.0f} % of the length of its legs"
+    return (
+        f"Warning: {character} is not built for this motion: {missed}"
+        f"{'' if report.upright else ', and its trunk does not stand'}. It would learn something else; "
+        "take a clip of a figure like it."
+    )
+
+
 def _as_json(report: Report, destination: Path) -> dict[str, Any]:
     return {
         "file": str(destination),
         "mapping": {part: list(joints) for part, joints in report.mapping.items()},
         "missing": list(report.missing),
         "unused": list(report.unused),
+        "fits": report.fits,
+        "no_stance": list(report.no_stance),
         "scale": report.scale,
         "key_point_error_m": {
             "mean": report.mean_error,
@@ -122,6 +136,11 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
         lines.append(f"Not in the clip, left as in the zero pose: {', '.join(report.missing)}.")
     if report.unused:
         lines.append(f"Not on the character, left out: {', '.join(report.unused)}.")
+    if report.no_stance:
+        lines.append(
+            f"The clip's zero pose is no stance ({', '.join(report.no_stance)}): how these are turned "
+            "is taken from how they move on average. Look at the result."
+        )
     worst = max(report.errors, key=lambda part: report.errors[part][1])
     speed, joint = report.speed
     before, joint_before = report.source_speed
@@ -134,17 +153,20 @@ def _as_text(report: Report, result: Clip, character: str, destination: Path) ->
         f"The fastest joint: {speed:.1f} rad/s ({joint}); in the clip {before:.1f} ({joint_before}).",
         f"Written: {destination}, {result.num_frames} frames, {result.duration:.2f} s.",
     ]
-    return "\n".join([*lines, *_next(result, character, destination)])
+    return "\n".join([*lines, *_next(result, character, destination, report.fits)])
 
 
-def _next(result: Clip, character: str, destination: Path) -> list[str]:
-    """What can be done with the file, as commands, if it is of a format that is read."""
+def _next(result: Clip, character: str, destination: Path, fits: bool) -> list[str]:
+    """What can be done with the file, as commands, if it is of a format that is read; learning it is not
+    offered to a character that it does not fit."""
     known = readers(installed().registry).values()
     if destination.suffix.lower() not in {ending for reader in known for ending in reader.suffixes}:
         return [f"'{destination.suffix}' files are only shown: to learn the clip, write .npz."]
     said = " --unit cm --up y" if destination.suffix.lower() == ".bvh" else ""
     file, who = shlex.quote(str(destination)), shlex.quote(character)
     lines = [f"Next: understudy motion check {file}{said} --character {who}"]
+    if not fits:
+        return lines
     settings = [f"scene.character={character}", f"motion.file={destination}"]
     settings += ["motion.unit=cm", "motion.up=y"] if said else []
     settings += ["motion.loop=true"] if said and result.loop else []

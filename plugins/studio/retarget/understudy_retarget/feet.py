@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.contacts import latched
+from understudy_tensors import rotations
 
 LOW, SLOW = 0.025, 0.3
 """m above the floor and m/s below which a heel or a toe comes into contact."""

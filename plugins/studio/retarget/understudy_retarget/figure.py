@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_motion.clip import Skeleton
 from understudy_retarget.anatomy import SIDES, Parts, path_up, rest_positions
+from understudy_tensors import rotations
 
 BONES: Mapping[str, tuple[str, str]] = {
     f"{side}_{bone}": (f"{side}_{start}", f"{side}_{end}")

@@ -9,13 +9,13 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_motion.clip import Clip
 from understudy_motion.kinematics import forward_kinematics
 from understudy_retarget import feet
 from understudy_retarget.anatomy import SIDES
 from understudy_retarget.feet import Contacts, Sole
 from understudy_retarget.figure import BONES, Figure
+from understudy_tensors import rotations
 
 _SHORTEST = 1e-3
 """m: what is shorter has no direction."""

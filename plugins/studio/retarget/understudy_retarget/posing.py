@@ -8,7 +8,6 @@ import torch
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.kinematics import Kinematics
 from understudy_motion.editing import smooth
@@ -17,6 +16,7 @@ from understudy_retarget.anatomy import path_up
 from understudy_retarget.feet import Sole
 from understudy_retarget.figure import Figure, Place
 from understudy_retarget.goals import Goals
+from understudy_tensors import rotations
 
 POINT_WEIGHTS: Mapping[str, float] = {
     "pelvis": 1.0, "chest": 1.0, "head": 0.5, "knee": 0.5, "shoulder": 0.5, "elbow": 1.0, "wrist": 1.0,

@@ -5,6 +5,7 @@ where they touch it.
 2. *Key points* are the source's pose on the character's limbs: each bone points where the source's
    does and has the character's length; the pelvis travels at the scale of the legs. Pelvis, chest,
    head and feet turn as the source's do, from how each of the two stands in its zero pose.
+   A zero pose that is no stance is replaced by one that is (:mod:`understudy_retarget.stance`).
 3. Feet that touch the floor are planted on it (:mod:`understudy_retarget.feet`).
 4. Inverse kinematics finds the poses that come nearest (:mod:`understudy_retarget.solver`).
 """
@@ -14,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,6 +31,7 @@ from understudy_retarget.feet import Contacts, Sole
 from understudy_retarget.figure import BONES, Figure, Place
 from understudy_retarget.goals import Goals
 from understudy_retarget.posing import lifted, pose
+from understudy_retarget.stance import standing
 
 NEEDED: tuple[str, ...] = tuple(
     f"{side}_{part}"
@@ -36,6 +39,11 @@ NEEDED: tuple[str, ...] = tuple(
     for side in SIDES
 )
 """Parts that the clip must have if the character has them."""
+
+
+#: Of the length of the character's legs: a mean error beyond it is no motion of the clip's any more. On
+#: humanoids and robots it is 0.002 to 0.025, on a quadruped 0.09.
+POOR = 0.05
 
 
 @dataclass(frozen=True)
@@ -62,15 +70,23 @@ class Report:
     mapping: Mapping[str, tuple[str, str]]  #: by part: the character's joint, the clip's joint
     missing: tuple[str, ...]  #: parts of the character that the clip does not have
     unused: tuple[str, ...]  #: joints of the clip that no part of the character follows
+    no_stance: tuple[str, ...]  #: limbs of the clip whose zero pose is none to stand in
     scale: float
     errors: Mapping[str, tuple[float, float]]  #: m, by key point: mean and worst over the frames
     mean_error: float  #: m, over all key points and frames
     worst_error: float
+    leg: float  #: m, the length of the character's legs
+    upright: bool  #: whether the character's shoulders, if it has some, are above its hips
     contact_share: float  #: of the frames: how often a foot touches the floor
     skate: float  #: m/s, mean over the contacts, of the points that rest
     penetration: float  #: m, the deepest point below the floor
     source_speed: tuple[float, str]  #: rad/s, the fastest joint of the clip
     speed: tuple[float, str]  #: rad/s, the fastest joint of the result
+
+    @property
+    def fits(self) -> bool:
+        """Whether the character is built so that it can make the motion."""
+        return self.upright and self.mean_error <= POOR * self.leg
 
 
 def retarget(clip: Clip, character: Character, options: Options = Options()) -> tuple[Clip, Report]:
@@ -88,6 +104,8 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
     target, soles = _target(character, own_parts)
     source = Figure(skeleton, parts)
     _check(source, target, clip, character)
+    clip, turned = standing(clip, parts)
+    source = Figure(need_skeleton(clip), parts)
 
     own_frames = slice(None)
     wide = clip
@@ -119,9 +137,12 @@ def retarget(clip: Clip, character: Character, options: Options = Options()) -> 
         errors={part: (float(e.mean()), float(e.max())) for part, e in errors.items()},
         mean_error=float(torch.stack(list(errors.values())).mean()),
         worst_error=float(torch.stack(list(errors.values())).max()),
+        leg=_leg(target),
+        upright=_upright(target),
         contact_share=share,
         skate=skate,
         penetration=max(0.0, -float(character.clearance(qpos).min())),
+        no_stance=turned,
         source_speed=_fastest(clip),
         speed=_fastest(result),
     )
@@ -222,6 +243,23 @@ def _target(character: Character, parts: Parts) -> tuple[Figure, dict[str, Sole]
             figure.points[ankle] = Place(joint, sole.ankle.numpy())
         soles[side] = sole
     return figure, soles
+
+
+def _leg(figure: Figure) -> float:
+    """m: the length of the longer leg."""
+    return max(
+        figure.length(f"{side}_hip", f"{side}_knee")
+        + figure.length(f"{side}_knee", f"{side}_ankle")
+        for side in SIDES
+    )
+
+
+def _upright(figure: Figure) -> bool:
+    """Whether the chest, if there is one, is above the pelvis in the zero pose."""
+    if "chest" not in figure.points or "pelvis" not in figure.points:
+        return True
+    trunk = figure.at_rest("chest") - figure.at_rest("pelvis")
+    return bool(trunk[2] > 0.3 * max(float(np.linalg.norm(trunk)), 1e-6))
 
 
 def _mapping(target: Figure, source: Figure) -> dict[str, tuple[str, str]]:

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.kinematics import Kinematics, Poses
+from understudy_tensors import rotations
 
 CHUNK = 512
 """Frames solved together: few enough for a processor's cache, enough to hide Python's cost."""
@@ -105,19 +105,12 @@ class _Problem:
                 break
 
             stayed = ~better[unfinished]
-            going_on = (poses.positions, poses.rotations, poses.axes, place, turn, cost)
-            reached = (
-                there.positions,
-                there.rotations,
-                there.axes,
-                place_there,
-                turn_there,
-                cost_there,
-            )
+            going_on = (*vars(poses).values(), place, turn, cost)
+            reached = (*vars(there).values(), place_there, turn_there, cost_there)
             kept = [value[unfinished] for value in reached]
             for value, old in zip(kept, going_on, strict=True):
                 value[stayed] = old[unfinished][stayed]
-            poses, (place, turn, cost) = Poses(*kept[:3]), kept[3:]
+            poses, (place, turn, cost) = Poses(*kept[:4]), kept[4:]
             active = active[unfinished]
         return result
 
@@ -168,7 +161,7 @@ class _Problem:
 
     def _motions(self, poses: Poses) -> tuple[Tensor, Tensor]:
         """Of each degree of freedom the angular velocity and that of the point at the root, (F, D, 3)."""
-        arms = poses.positions[:, :1] - poses.positions[:, self._kinematics.owners]
+        arms = poses.positions[:, :1] - poses.pivots
         linear = torch.linalg.cross(poses.axes, arms)
         along = torch.eye(3, dtype=torch.float64).expand(len(arms), 3, 3)
         return (

@@ -4,7 +4,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "characters", "doctor", "motion", "mujoco")
+REQUIRES = ("tensors", "characters", "doctor", "motion", "mujoco")
 
 
 @hookimpl

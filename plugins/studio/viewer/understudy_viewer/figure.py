@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_characters.character import Character
 from understudy_characters.contacts import feet, foot_points
 from understudy_characters.shapes import bones, shapes
@@ -18,6 +17,7 @@ from understudy_doctor.examination import foot_contacts
 from understudy_motion.clip import Clip, Skeleton, sample
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
 from understudy_motion.writing import Shape
+from understudy_tensors import rotations
 
 #: m: footprints lie this much above the ground, so as to be seen.
 _PRINT_HEIGHT = 0.004

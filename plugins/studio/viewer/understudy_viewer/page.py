@@ -20,6 +20,7 @@ import viser
 from understudy.errors import ConfigError
 from understudy_characters.overlay import Region
 from understudy_viewer import panel
+from understudy_viewer.guard import guarded
 from understudy_viewer.panel import CONTACT, INSIDE, OUTSIDE
 from understudy_viewer.player import Player
 from understudy_viewer.stage import Actor, Colour, Stage
@@ -88,7 +89,7 @@ class Page:
         self._panel_due = 0.0
         # Browsers open connections in advance and drop them, which is no error.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        with contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
+        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
             self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
         at = f"[{host}]" if ":" in host else host
         self.url = f"http://{at}:{self._server.get_port()}"

@@ -101,7 +101,14 @@ _FEET_AFTER = ((ON, 18.3), (ON + 0.08, 0.0), (END, 0.0))
 _BRAKE = 0.05  #: s, as in :func:`bridged`
 
 
-def generated_backflip(*, key_poses: bool = False, frame_rate: float = 60.0) -> Clip:
+def generated_backflip(
+    *,
+    #: return only ten poses: standing, crouch, take-off, half tucked, tucked twice, open, landing,
+    #: squat, standing
+    key_poses: bool = False,
+    #: frames/s
+    frame_rate: float = 60.0,
+) -> Clip:
     """A backflip, from standing at ease to standing at ease 0.7 m behind.
 
     Args:

@@ -90,8 +90,12 @@ _ARM = (
 
 def generated_cartwheel(
     *,
+    #: where it goes; the hand of that side is the first on the floor
     side: Literal["left", "right"] = "left",
+    #: return only eleven poses: standing, the step, both feet's leaving, both hands' planting,
+    #: upside down, and the same backwards
     key_poses: bool = False,
+    #: frames/s
     frame_rate: float = 60.0,
 ) -> Clip:
     """A cartwheel to one side, facing x, from standing at ease to standing at ease 2.8 m aside.

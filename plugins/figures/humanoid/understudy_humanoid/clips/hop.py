@@ -53,9 +53,13 @@ _BRAKE = 0.05  #: s, in which a leg that has left the floor ends its stretch
 
 def generated_hop(
     *,
+    #: m by which the centre of mass rises after take-off, from 0.05 to 0.3
     height: float = 0.12,
+    #: m forward, from 0 to 0.7
     distance: float = 0.0,
+    #: which leg hops
     leg: Literal["both", "left", "right"] = "both",
+    #: frames/s
     frame_rate: float = 60.0,
 ) -> Clip:
     """One hop of many, in place or forward along +x, from the touchdown to the next.

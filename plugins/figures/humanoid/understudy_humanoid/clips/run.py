@@ -44,7 +44,15 @@ _EASY = 3.0  #: m/s, from which the profiles grow with the speed
 _PITCH = ((0.24, 0.0), (0.34, 0.0), (0.66, 20.0), (1.0, 58.0))
 
 
-def generated_run(*, speed: float = 3.0, key_poses: bool = False, frame_rate: float = 60.0) -> Clip:
+def generated_run(
+    *,
+    #: m/s, from 2 to 5; faster runs take shorter contacts, and shorter and longer steps
+    speed: float = 3.0,
+    #: return only the poses of strike, mid-stance, toe-off and mid-flight
+    key_poses: bool = False,
+    #: frames/s, rounded so that a step is a whole number of frames
+    frame_rate: float = 60.0,
+) -> Clip:
     """One cycle, two steps, of a run along +x, from a right foot strike.
 
     Args:

@@ -87,7 +87,13 @@ _RISING = _Timing(
 
 
 def generated_sit(
-    *, seat_height: float = 0.45, seconds: float = 2.2, frame_rate: float = 60.0
+    *,
+    #: m above the floor, from 0.35 to 0.55
+    seat_height: float = 0.45,
+    #: from standing to sitting still, from 1.2 to 6
+    seconds: float = 2.2,
+    #: frames/s
+    frame_rate: float = 60.0,
 ) -> Clip:
     """Sitting down on a chair behind.
 
@@ -106,7 +112,13 @@ def generated_sit(
 
 
 def generated_stand(
-    *, seat_height: float = 0.45, seconds: float = 2.0, frame_rate: float = 60.0
+    *,
+    #: m above the floor, from 0.35 to 0.55
+    seat_height: float = 0.45,
+    #: from sitting to standing still
+    seconds: float = 2.0,
+    #: frames/s
+    frame_rate: float = 60.0,
 ) -> Clip:
     """Standing up from a chair; as :func:`generated_sit`."""
     return _clip("stand", seat_height, seconds, frame_rate, _RISING, backwards=True)

@@ -52,7 +52,13 @@ _LEADS = (0.05, 0.13, 0.25)  #: s, by which pelvis, chest and head are ahead of 
 
 
 def generated_turn_left(
-    *, angle: float = math.pi / 2, seconds: float = 2.4, frame_rate: float = 60.0
+    *,
+    #: rad, from 0.2 to 2 pi; each foot takes one step per 60 degrees, or part of it
+    angle: float = math.pi / 2,
+    #: of the whole turn; a step may take 0.3 to 1.5 s
+    seconds: float = 2.4,
+    #: frames/s
+    frame_rate: float = 60.0,
 ) -> Clip:
     """A turn to the left in place, from standing to standing.
 
@@ -71,7 +77,13 @@ def generated_turn_left(
 
 
 def generated_turn_right(
-    *, angle: float = math.pi / 2, seconds: float = 2.4, frame_rate: float = 60.0
+    *,
+    #: rad, from 0.2 to 2 pi; each foot takes one step per 60 degrees, or part of it
+    angle: float = math.pi / 2,
+    #: of the whole turn; a step may take 0.3 to 1.5 s
+    seconds: float = 2.4,
+    #: frames/s
+    frame_rate: float = 60.0,
 ) -> Clip:
     """A turn to the right in place; as :func:`generated_turn_left`."""
     return _turn("turn_right", "right", angle, seconds, frame_rate)

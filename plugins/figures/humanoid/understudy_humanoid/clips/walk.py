@@ -71,9 +71,14 @@ _LOOK_AHEAD, _LEANING_HEIGHT = 0.3, 0.85
 
 def generated_walk(
     *,
+    #: m/s, along the path, up to 3
     speed: float = 1.2,
+    #: seconds per two steps, from 0.4 to 3; ``speed * cycle`` is the stride length
     cycle: float = 1.05,
+    #: rad/s, to the left positive, up to 1 either way; the path is an arc of radius ``speed /
+    #: heading_rate``, at least 0.5 m, into which the body leans
     heading_rate: float = 0.0,
+    #: frames/s, rounded so that a step is a whole number of frames
     frame_rate: float = 60.0,
 ) -> Clip:
     """One gait cycle, two steps, of a level walk from a right heel strike, along +x or an arc.

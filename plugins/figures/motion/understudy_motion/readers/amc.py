@@ -24,7 +24,6 @@ import numpy as np
 import torch
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.library import DATA_VARIABLE, data_folder
 from understudy_motion.readers.frames import product_of_turns, to_world
@@ -40,6 +39,7 @@ from understudy_motion.reading import (
     provenance,
     read_bytes,
 )
+from understudy_tensors import rotations
 
 DEFAULT_RATE = 120.0
 """Frames per second of CMU's clips."""

@@ -34,7 +34,6 @@ import numpy as np
 import torch
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers.frames import product_of_turns, to_world
@@ -53,6 +52,7 @@ from understudy_motion.reading import (
     provenance,
     read_bytes,
 )
+from understudy_tensors import rotations
 
 ADULT = (1.2, 2.3)
 """m, heights between a figure's lowest and highest point that leave no doubt about the unit."""

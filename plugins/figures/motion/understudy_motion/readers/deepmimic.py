@@ -24,10 +24,10 @@ import numpy as np
 import torch
 
 from understudy.errors import FileError, suggestion
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.text import decoded
 from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, provenance, read_bytes
+from understudy_tensors import rotations
 
 JOINTS: tuple[tuple[str, int], ...] = (
     ("root", 4),

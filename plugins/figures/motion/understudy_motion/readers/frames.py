@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_motion.reading import Axis
+from understudy_tensors import rotations
 
 
 def to_world(vectors: np.ndarray, up: Axis) -> np.ndarray:

@@ -25,7 +25,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.frames import to_world
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
@@ -38,6 +37,7 @@ from understudy_motion.reading import (
     metres_of,
     provenance,
 )
+from understudy_tensors import rotations
 
 _SIDES = ("left", "right")
 

@@ -27,7 +27,6 @@ import numpy as np
 import torch
 
 from understudy.errors import FileError
-from understudy_basics import rotations
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.readers.text import decoded, is_number, number_rows, shown
@@ -41,6 +40,7 @@ from understudy_motion.reading import (
     provenance,
     read_bytes,
 )
+from understudy_tensors import rotations
 
 FORMAT = "understudy.clip"
 VERSION = 1

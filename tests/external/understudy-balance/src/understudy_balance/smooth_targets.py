@@ -19,7 +19,7 @@ class SmoothTargets(Actuation):
 
     @dataclass(frozen=True)
     class Options:
-        share: float = 0.5
+        share: float = 0.5  #: of the new target in what is held, above 0, at most 1
 
         def __post_init__(self) -> None:
             check_range(self, "share", above=0, most=1)

@@ -18,7 +18,7 @@ class UprightTime(Memory):
 
     @dataclass(frozen=True)
     class Options:
-        limit: float = 0.3
+        limit: float = 0.3  #: rad, the greatest lean that is upright
 
     def __init__(self, options: Options, context: Context) -> None:
         self._limit, self._dt = options.limit, context.control_dt

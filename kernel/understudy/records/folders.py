@@ -1,0 +1,78 @@
+"""Folders and files that may be a stranger's: nothing outside is reached, nothing endless is read."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from understudy.errors import RunError
+
+#: Most bytes that a JSON file, such as ``run.json``, has.
+DOCUMENT = 2**28
+
+
+def check_within(folder: Path) -> None:
+    """See that all of `folder` is files and folders of its own, before anything in it is opened.
+
+    Raises:
+        RunError: names the first part that resolves outside it, or is a pipe, a device or a socket.
+    """
+    top, waiting = os.path.realpath(folder), [os.fspath(folder)]
+    try:
+        while waiting:
+            with contextlib.suppress(FileNotFoundError):  # somebody else's, gone meanwhile
+                for entry in os.scandir(waiting.pop()):
+                    with contextlib.suppress(FileNotFoundError):
+                        mode = entry.stat(follow_symlinks=False).st_mode
+                        if stat.S_ISDIR(mode):
+                            waiting.append(entry.path)
+                        elif stat.S_ISLNK(mode):
+                            inside = os.path.commonpath([top, os.path.realpath(entry.path)]) == top
+                            if not inside:
+                                raise RunError(
+                                    f"{entry.path} is a link that leads out of {folder}. Put what it "
+                                    "leads to in its place, or remove it."
+                                )
+                        elif not stat.S_ISREG(mode):
+                            raise RunError(f"{entry.path} is neither file nor folder. Remove it.")
+    except OSError as error:
+        raise RunError(f"{folder} cannot be read: {error.strerror}.") from error
+
+
+def open_lock(path: Path) -> BinaryIO:
+    """The lock file at `path`, made if there is none, with what is in it untouched.
+
+    Raises:
+        OSError: it cannot be opened for writing, or is a link.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    return os.fdopen(os.open(path, flags, 0o666), "r+b", buffering=0)
+
+
+@contextlib.contextmanager
+def opened(path: Path, most: int = DOCUMENT) -> Iterator[BinaryIO]:
+    """The file at `path`, to be read.
+
+    Raises:
+        OSError: it cannot be opened, is no file, or is larger than `most` bytes.
+    """
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        found = os.fstat(file.fileno())
+        if stat.S_ISDIR(found.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "it is no file")
+        if found.st_size > most:
+            raise OSError(errno.EFBIG, f"it is larger than {most >> 20} MiB")
+        yield file
+
+
+def read(path: Path, most: int = DOCUMENT) -> bytes:
+    """What is in the file; errors as :func:`opened`."""
+    with opened(path, most) as file:
+        return file.read(most)

@@ -1,0 +1,102 @@
+"""The parts of a task, and whether what they return is what they promise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError
+from understudy.running.table import FieldTable
+from understudy.task import (
+    Actuation,
+    Curriculum,
+    Encoder,
+    Fields,
+    InitialStates,
+    Memory,
+    Shape,
+    Simulator,
+)
+from understudy.task.terms import Term, Wired
+
+
+@dataclass
+class Parts:
+    """The built parts of a task, each with the fields that it reads."""
+
+    simulator: Simulator
+    actuation: Wired[Actuation]
+    initial_states: InitialStates
+    encoders: Mapping[str, Wired[Encoder]]
+    rewards: Sequence[Term]
+    terminations: Sequence[Term] = ()
+    measures: Sequence[Term] = ()
+    fields: Sequence[Wired[Fields]] = ()
+    memories: Mapping[str, Wired[Memory]] = field(default_factory=dict)
+    curriculum: Curriculum | None = None
+    combine: Literal["sum", "product"] = "product"
+
+
+def check(num_worlds: int, who: str, value: Tensor, shape: Shape) -> None:
+    """Raise :class:`ConfigError` unless `value` has one row of `shape` for each world."""
+    if tuple(value.shape) != (num_worlds, *shape):
+        raise ConfigError(
+            f"{who} has shape {tuple(value.shape)}; it must be {(num_worlds, *shape)}, one row per world."
+        )
+
+
+def returned(
+    num_worlds: int,
+    where: str,
+    shapes: Mapping[str, Shape],
+    given: Mapping[str, Tensor],
+    what: str = "",
+) -> None:
+    """Raise :class:`ConfigError` unless all that has a shape is given, and has it."""
+    for name, shape in shapes.items():
+        if name not in given:
+            raise ConfigError(f"{where} promises {what}'{name}' and does not return it.")
+        check(num_worlds, f"{what}'{name}' of {where}", given[name], shape)
+
+
+def check_initial(
+    parts: Parts, num_worlds: int, varied: Sequence[str], given: Mapping[str, Tensor]
+) -> None:
+    """What initial states and curriculum return: all that was promised, with the parameters that are
+    `varied`, and nothing else."""
+    simulator = parts.simulator
+    promised = {
+        **{name: simulator.fields[name] for name in simulator.state_fields},
+        **{name: simulator.parameters[name] for name in varied},
+        **parts.initial_states.episode_fields,
+        **(parts.curriculum.provides if parts.curriculum else {}),
+    }
+    returned(num_worlds, "initial_states", promised, given)
+    for name in given.keys() - promised.keys():
+        raise ConfigError(
+            f"initial_states returns '{name}', which is no state of this simulator and not "
+            f"among its episode_fields. It takes: {', '.join(sorted(promised))}."
+        )
+
+
+def check_shapes(parts: Parts, table: FieldTable, action: Tensor) -> None:
+    """Every field's and term's shape, once; `action` (N, A)."""
+    n = len(action)
+    for provider in parts.fields:
+        given = provider.part.compute(**table.pick(provider.reads))
+        returned(n, provider.where, provider.part.provides, given, "the field ")
+    actuation = parts.actuation
+    control = actuation.part.control(action, **table.pick(actuation.reads))
+    check(n, "the control of actuation", control, (parts.simulator.control_size,))
+    for encoder in parts.encoders.values():
+        value = encoder.part.encode(**table.pick(encoder.reads))
+        check(n, encoder.where, value, encoder.part.shape)
+    for term in (*parts.rewards, *parts.terminations, *parts.measures):
+        value = term.function(**table.pick(term.reads), **term.options)
+        check(n, term.where, value, ())
+        if term in parts.terminations and value.dtype != torch.bool:
+            raise ConfigError(f"{term.where} returns {value.dtype}; it must return bool.")

@@ -1,0 +1,118 @@
+"""Robots' own motion tables: the root's pose and the angles of a robot's hinges, one row a frame.
+
+Two are read. *Without a header*, as mjlab, BeyondMimic and Unitree's retargeted LAFAN1 have it: the
+root's position (m), its quaternion (xyzw; or, as MuJoCo's ``qpos``, wxyz, if only so the root is
+upright), then the angles (rad) in the order of the robot's model; commas, semicolons or blanks stand
+between. *ProtoMotions'*: columns ``Frame``, ``root_translateX`` … (cm), ``root_rotateX`` … (degrees,
+extrinsic about x, y, z), ``NAME_dof`` (degrees). z is up. Frames come 30 a second unless told otherwise,
+which is what those programs take them to do.
+
+What an angle means only the robot's model says. So the clip has a joint ``angle NAME``, or
+``angle 1`` …, for each, turned about x by it, and becomes the robot's where a robot is at hand.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from understudy.errors import FileError
+from understudy_basics import rotations
+from understudy_motion.clip import ANGLE, Clip
+from understudy_motion.readers.text import decoded, is_number, number_rows
+from understudy_motion.reading import (
+    UNSAID,
+    ClipReader,
+    ReadOptions,
+    check_size,
+    provenance,
+    read_bytes,
+)
+
+RATE = 30.0
+_PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
+_UPRIGHT = 0.5
+"""Least z of a root's own up, on average, to be called upright."""
+
+
+class AnglesReader(ClipReader):
+    """Reads robots' tables of angles."""
+
+    suffixes = (".csv", ".txt")
+
+    def recognises(self, head: bytes, path: Path) -> bool:
+        lines = [line for line in decoded(head).splitlines() if line.strip()]
+        if not lines:
+            return False
+        words = _words(lines[0], _delimiter(lines[0]))
+        if [word.lower() for word in words[:7]] == _PROTOMOTIONS:
+            return True
+        if len(words) < 8 or not all(map(is_number, words)):
+            return False
+        return bool(abs(np.linalg.norm([float(word) for word in words[3:7]]) - 1.0) < 0.02)
+
+    def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
+        content = read_bytes(path)
+        lines = [line.strip() for line in decoded(content).splitlines()]
+        at = next((n for n, line in enumerate(lines) if line), 0)
+        delimiter = _delimiter(lines[at])
+        lines = [line.rstrip(delimiter) for line in lines]
+        words = _words(lines[at], delimiter)
+        named = words[0].lower() == "frame"
+        names = [re.sub("_dof$", "", word) for word in words[7:]] if named else [
+            str(n + 1) for n in range(len(words) - 7)
+        ]  # fmt: skip
+        joints = ("root", *(f"{ANGLE}{name}" for name in names))
+        body = lines[at + named :]
+        check_size(path, sum(1 for line in body if line), joints)
+        rows = number_rows(path, body, at + named + 1, len(words), delimiter)
+        if len(set(joints)) != len(joints):
+            raise FileError(f"Clip {path}: two of its columns have the same name.")
+        position, turn, angles = _protomotions(rows) if named else _plain(path, rows)
+        axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+        hinges = rotations.from_axis_angle(axis, torch.from_numpy(angles))
+        return Clip(
+            name=path.stem,
+            times=torch.arange(len(rows), dtype=torch.float64) / (options.rate or RATE),
+            root_position=torch.from_numpy(position.copy()),
+            rotations=torch.cat((torch.from_numpy(turn)[:, None], hinges), dim=1),
+            joint_names=joints,
+            loop=bool(options.loop),
+            **provenance(path, content),
+        )
+
+
+def _delimiter(line: str) -> str | None:
+    return next((mark for mark in ",;\t" if mark in line), None)
+
+
+def _words(line: str, delimiter: str | None) -> list[str]:
+    return [word.strip().strip('"') for word in line.strip().rstrip(delimiter).split(delimiter)]
+
+
+def _plain(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position (F, 3) m, rotation (F, 4) and angles (F, H) rad of a table without a header."""
+    norms = np.linalg.norm(rows[:, 3:7], axis=1)
+    if len(rows) and np.abs(norms - 1.0).max() > 0.02:
+        frame = int(np.abs(norms - 1.0).argmax())
+        raise FileError(
+            f"Clip {path}: frame {frame}: columns 4 to 7 are no quaternion; a robot's table without a "
+            "header has x, y, z in m, a quaternion as x, y, z, w, then the angles in rad."
+        )
+    last, first = rows[:, [6, 3, 4, 5]], rows[:, 3:7]  # what is read as wxyz
+
+    def upright(quaternion: np.ndarray) -> bool:
+        up = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, 2, 2]
+        return bool(up.mean() > _UPRIGHT)
+
+    scalar_first = len(rows) > 0 and not upright(last) and upright(first)
+    return rows[:, :3], first.copy() if scalar_first else last, rows[:, 7:]
+
+
+def _protomotions(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    turn = Rotation.from_euler("xyz", rows[:, 4:7], degrees=True).as_quat(scalar_first=True)
+    return rows[:, 1:4] / 100.0, turn, np.radians(rows[:, 7:])

@@ -1,0 +1,381 @@
+"""Learning by derivatives: a model of the character is trained on what the simulator did, and the policy
+follows the task's gradient through it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from understudy.errors import ConfigError
+from understudy.options import check_range
+from understudy.random import generator, private_rng
+from understudy.task import Context, Learner, Policy, Rollout, State
+from understudy_basics import averages, optimisers
+from understudy_basics.nn import set_precision
+from understudy_basics.policies import check_units
+from understudy_basics.returns import digest, explained_variance, observations_of
+from understudy_imagination.adjoint import Adjoint, Gradients, Weights, Window, limited
+from understudy_imagination.errors import model_errors
+from understudy_imagination.imagined import Imagined
+from understudy_imagination.model import WorldModel
+from understudy_imagination.replay import Replay
+from understudy_imagination.rigid import Rigid
+from understudy_mujoco.scene import MujocoScene
+
+_WHO = "learner 'imagination'"
+#: What rollouts have to bring in any case.
+_STATE = ("qpos", "qvel")
+#: Iterations after which the model's units of input and output stay as they are.
+_SETTLING = 3
+#: Of an iteration: decisions, and of each world at least.
+_SAMPLES, _FEWEST = 2048, 8
+#: Iterations from one look at how far the model goes wrong to the next.
+_LOOKS = 8
+#: The parameters of worlds of which kinematics does not know.
+_FIXED = ("body_", "mocap_")
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """The network that predicts what a decision does, and how it is trained."""
+
+    hidden: tuple[int, ...] = (512, 256)  #: units per layer
+    points: int = 8  #: of the bodies' corners, as many as touch the floor most are told to it
+    replay: int = 60_000  #: newest decisions that it is trained on
+    first_samples: int = 10_240  #: decisions before it is trained, and the policy with it
+    first_updates: int = 400  #: optimiser steps when it is first trained
+    updates: int = 60  #: optimiser steps of an iteration
+    batch_size: int = 512  #: decisions of an optimiser step
+    learning_rate: float = 1e-3
+
+    def __post_init__(self) -> None:
+        check_units("hidden", self.hidden)
+        check_range(self, "points", least=0)
+        check_range(self, "replay", "first_samples", "first_updates", "updates", least=1)
+        check_range(self, "batch_size", least=1)
+        check_range(self, "learning_rate", above=0)
+
+
+@dataclass(frozen=True)
+class AnnealOptions:
+    """Steps shrink as 1 / (1 + (samples - after) / samples)."""
+
+    after: int = 30_000  #: samples before which they do not
+    samples: int = 80_000  #: samples from there after which they are half as large
+    least: float = 0.1  #: share that stays
+
+    def __post_init__(self) -> None:
+        check_range(self, "after", least=0)
+        check_range(self, "samples", least=1)
+        check_range(self, "least", above=0, most=1)
+
+    def at(self, samples: int) -> float:
+        return max(self.least, 1.0 / (1.0 + max(0, samples - self.after) / self.samples))
+
+
+class Imagination(Learner):
+    """Real trajectories, derivatives of a learned model, and a policy that is regressed onto better
+    actions (SVG(∞), Heess et al. 2015; a model of the character as in SuperTrack, Fussell et al. 2021).
+
+    An iteration trains the model on the newest decisions; goes back once along the newest window for
+    the cost's derivative by every action; and fits the policy to its own actions moved against that
+    by ``step``. Defaults are those with which the walk of ``spacetime`` was learned.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        #: T, decisions per world and iteration; null makes an iteration of 2,048 decisions, or of 8 of
+        #: each world if these are more.
+        rollout_steps: int | None = None
+        #: Decisions that follow each one at least, where its episode does, when derivatives are taken.
+        tail: int = 16
+        #: By what derivatives shrink a decision back, beside what the dynamics does to them.
+        decay: float = 0.97
+        #: Most that a world's derivative may be, in medians over the worlds.
+        clip: float = 3.0
+        #: Root mean square by which actions move in an iteration, in units of the action's reach.
+        step: float = 1 / 6
+        anneal: AnnealOptions = field(default_factory=AnnealOptions)  #: of step and learning rate
+        learning_rate: float = 1e-3  #: of the actor, by Adam
+        updates: int = 16  #: optimiser steps of the actor an iteration
+        batch_size: int = 256  #: decisions of one of them
+        margin_weight: float = 1.0  #: of each margin: the mean square of what is used of it
+        #: Of the mean square of actions, from the middle of their space in units of their reach.
+        action_weight: float = 0.012
+        reward_weight: float = 1.0  #: of rewards that have a derivative
+        model: ModelOptions = field(default_factory=ModelOptions)
+        gamma: float = 0.95  #: of the returns that critic and initial states learn from
+        td_lambda: float = 0.95  #: of these
+        critic_learning_rate: float = 3e-4
+        patience: int = 20  #: non-finite optimiser steps in a row after which the training stops
+
+        def __post_init__(self) -> None:
+            check_range(self, "rollout_steps", "tail", "updates", "batch_size", "patience", least=1)
+            check_range(self, "decay", "gamma", "td_lambda", least=0, most=1)
+            check_range(self, "clip", "step", "learning_rate", "critic_learning_rate", above=0)
+            check_range(self, "margin_weight", "action_weight", "reward_weight", least=0)
+
+    def __init__(self, options: Options, context: Context, policy: Policy) -> None:
+        scene = context.need_scene(MujocoScene, _WHO)
+        parts = context.parts
+        if parts is None:
+            raise ConfigError(f"{_WHO} needs a task's parts, and this one was built without.")
+        curriculum = parts.curriculum.provides if parts.curriculum else ()
+        for name in (*parts.initial_states.varies, *curriculum):
+            if name in parts.simulator.parameters and name.startswith(_FIXED):
+                raise ConfigError(
+                    f"{_WHO} needs bodies that are alike in all worlds, and '{name}' varies. "
+                    "Choose learner=ppo, or let it not vary."
+                )
+        if parts.actuation.part.keeps:
+            kept = ", ".join(parts.actuation.part.keeps)
+            raise ConfigError(
+                f"{_WHO} needs an actuation that follows from the action and the state alone, and "
+                f"{parts.actuation.where} keeps {kept}. Choose learner=ppo."
+            )
+        self.options, self.policy = options, policy
+        self._worlds = context.num_worlds
+        usual = max(_FEWEST, _SAMPLES // context.num_worlds)
+        self.rollout_steps = options.rollout_steps or usual
+        set_precision(policy, "float32")
+        device = context.device
+        compiled = scene.compiled(context)
+        if compiled.nmocap:
+            raise ConfigError(
+                f"{_WHO} needs bodies that physics alone moves, and this scene has some that the task "
+                "moves (mocap). Choose learner=ppo."
+            )
+        rigid = Rigid(compiled, device)
+        self._rigid = rigid
+        self._bodies = {
+            body: compiled.body(body).name or f"body{body}"
+            for body in range(compiled.nbody)
+            if compiled.body_weldid[body] != 0
+        }
+        self._imagined = imagined = Imagined(parts, context, rigid)
+        self.records = self.reaches = (*_STATE, *imagined.taken)
+        own, seed = options.model, context.seed
+        with private_rng(seed, "imagination/model"):
+            model = WorldModel(
+                rigid,
+                hidden=own.hidden,
+                points=own.points,
+                dt=context.control_dt * context.decision,
+            )
+        self.model = model.to(device)
+        weights = Weights(options.margin_weight, options.action_weight, options.reward_weight)
+        self.adjoint = Adjoint(
+            rigid, imagined, self.model, policy, weights, decay=options.decay, clip=options.clip
+        )
+        self.replay = Replay(own.replay, self.model.size, 2 * rigid.nv, device)
+        self._actor = list(policy.actor_parameters())
+        self._rate = torch.tensor(options.learning_rate, device=device)
+        self._optimisers = {
+            "actor": optimisers.adam(self._actor, self._rate),
+            "critic": optimisers.adam(
+                list(policy.critic_parameters()),
+                torch.tensor(options.critic_learning_rate, device=device),
+            ),
+            "model": optimisers.adam(
+                list(self.model.parameters()), torch.tensor(own.learning_rate, device=device)
+            ),
+        }
+        self._generator = generator(seed, "imagination", device)
+        #: The newest decisions, whose actions are moved once enough has followed them.
+        self._window: Window | None = None
+        self._iterations, self._trained = 0, 0
+        self._bad = torch.zeros((), dtype=torch.int64, device=device)
+        self._skipped = torch.zeros((), device=device)
+
+    @property
+    def flat(self) -> tuple[str, ...]:
+        """The task's terms that the policy is not improved by, for want of a derivative."""
+        return self._imagined.flat
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        options, own = self.options, self.options.model
+        self._skipped.zero_()
+        batch = digest(
+            rollout, self.policy,
+            gamma=options.gamma, gae_lambda=options.td_lambda, td_lambda=options.td_lambda,
+        )  # fmt: skip
+        metrics = {"value_loss": self._fit_critic(batch)}
+        metrics["explained_variance"] = explained_variance(rollout)
+        newest = Window(
+            {name: rollout.records[name] for name in self.records},
+            rollout.reached,
+            rollout.actions,
+            rollout.terminated | rollout.truncated,
+        )
+        metrics |= self._errors(newest)
+        before = self.replay.seen
+        surprise = self._remember(newest)
+        seen = self.replay.seen
+        window = self._window.followed_by(newest) if self._window is not None else newest
+        if seen >= own.first_samples:
+            if self._trained < _SETTLING:
+                self._settle()
+            first = before < own.first_samples
+            steps = own.first_updates if first else own.updates
+            metrics["model_loss"] = self._fit_model(steps)
+            metrics["model_surprise"] = surprise
+            self._trained += 1
+            if len(window) > options.tail:
+                metrics |= self._improve(window)
+        self._window = window.newest(options.tail)
+        self._iterations += 1
+        optimisers.refuse_hopeless(int(self._bad), options.patience)
+        return metrics | {"skipped_steps": float(self._skipped)}
+
+    @torch.no_grad()
+    def _remember(self, window: Window) -> float:
+        """Add the window to what the model is trained on; returns the model's loss on it before."""
+        state, after = (
+            {k: v.flatten(0, 1) for k, v in f.items()} for f in (window.before, window.reached)
+        )
+        posed = self._rigid.posed(state["qpos"], state["qvel"])
+        if self._iterations == 0:
+            self.model.look(posed)
+        action = window.actions.flatten(0, 1)
+        fields = self._imagined.fields(posed, self._imagined.constants(state), action)
+        inputs = self.model.inputs(posed, self._imagined.control(action, fields))
+        targets = self.model.targets(posed.qpos, posed.qvel, after["qpos"], after["qvel"])
+        self.replay.add(inputs, targets)
+        return float(averages.mean(self.model.loss(inputs, targets).nanmean()))
+
+    def _errors(self, window: Window) -> dict[str, float]:
+        """Now and then, of decisions that the model has not seen: ``model_error/BODY/HORIZON``, m."""
+        if not self._trained or self._trained % _LOOKS:
+            return {}
+        found = model_errors(self._rigid, self._imagined, self.model, window)
+        return {
+            f"model_error/{name}/{horizon}": float(off[body])
+            for horizon, off in found.items()
+            for body, name in self._bodies.items()
+            if off[body].isfinite()
+        }
+
+    def _settle(self) -> None:
+        """Set the model's units by what there is."""
+        inputs, targets = self.replay.sound()
+        self.model.into.fit(inputs)
+        self.model.out.fit(targets)
+
+    def _fit_model(self, steps: int) -> float:
+        """Train the model; returns the mean loss."""
+        total = torch.zeros_like(self._skipped)
+        for _ in range(steps):
+            inputs, targets, counts = self.replay.draw(
+                self.options.model.batch_size, self._generator
+            )
+            loss = (self.model.loss(inputs, targets) * counts).sum() / counts.sum().clamp(min=1.0)
+            total += self._descend("model", loss)
+        return float(total) / steps
+
+    def _improve(self, window: Window) -> dict[str, float]:
+        """Move the policy's actions against the cost's derivative, where enough followed them."""
+        options = self.options
+        share = options.anneal.at(self.replay.seen)
+        self._rate.fill_(options.learning_rate * share)
+        found = self.adjoint(window)
+        kept = len(window) - options.tail
+        goal = self._goals(found, kept, options.step * share)
+        seen = {name: value[:kept].flatten(0, 1) for name, value in found.observations.items()}
+        reach = self._imagined.reach
+        for _ in range(options.updates):
+            rows = torch.randint(
+                len(goal), (options.batch_size,), generator=self._generator, device=goal.device
+            )
+            picked = {name: value[rows] for name, value in seen.items()}
+            mean = self.policy.distribution(picked).mode()
+            self._descend("actor", ((mean - goal[rows]) / reach).square().mean() / options.step**2)
+        with torch.no_grad():
+            now = self.policy.distribution(seen).mode()
+            moved = ((now - found.means[:kept].flatten(0, 1)) / reach).square().mean().sqrt()
+        return {
+            "cost": float(found.cost.mean()),
+            "gradient": float(found.actions[:kept].square().mean().sqrt()),
+            "moved": float(moved),
+            "step": options.step * share,
+        }
+
+    def _goals(self, found: Gradients, kept: int, step: float) -> Tensor:
+        """(kept N, A): the policy's first actions, moved by `step` of their reach in the mean."""
+        reach = self._imagined.reach
+        slope = limited((found.actions[:kept] * reach).flatten(0, 1), self.options.clip)
+        size = averages.mean(slope.square().mean()).sqrt().clamp(min=1e-30)
+        return found.means[:kept].flatten(0, 1) - step * reach * slope / size
+
+    def _fit_critic(self, batch: Mapping[str, Tensor]) -> float:
+        """One epoch of the critic; returns the mean loss."""
+        returns, seen = batch["returns"], observations_of(batch)
+        order = torch.randperm(len(returns), generator=self._generator, device=returns.device)
+        parts = order.split(self.options.batch_size)
+        total = torch.zeros_like(self._skipped)
+        for rows in parts:
+            values = self.policy.value({name: value[rows] for name, value in seen.items()})
+            total += self._descend("critic", nn.functional.mse_loss(values, returns[rows]))
+        return float(total) / len(parts)
+
+    def _descend(self, name: str, loss: Tensor) -> Tensor:
+        """One step down `loss` (); if it or its gradient is not finite, none. Returns it, or 0."""
+        optimiser = self._optimisers[name]
+        parameters = optimiser.param_groups[0]["params"]
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward(inputs=parameters)
+        loss = averages.average_gradients(parameters, loss.detach().view(1))[0]
+        norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+        sound = norm.isfinite() & loss.isfinite()
+        skip = (~sound).float()
+        optimisers.step(optimiser, skip)
+        self._skipped += skip
+        self._bad.add_(1).mul_(~sound)
+        return torch.where(sound, loss, 0.0)
+
+    def _restored(self, kept: Mapping[str, Tensor]) -> Window:
+        """The window that :meth:`state_dict` kept; ValueError if it is of another task."""
+        device, steps = self._bad.device, min(self.options.tail, len(kept["actions"]))
+
+        def fields(prefix: str) -> dict[str, Tensor]:
+            return {name: kept[f"{prefix}/{name}"].to(device) for name in self.records}
+
+        ended = kept["ended"].to(device)
+        window = Window(fields("before"), fields("reached"), kept["actions"].to(device), ended)
+        for value in (*window.before.values(), *window.reached.values(), window.actions, ended):
+            if value.shape[:2] != (steps, self._worlds):
+                raise ValueError(f"the newest decisions do not fit: {tuple(value.shape)}")
+        return window
+
+    def state_dict(self) -> State:
+        window = self._window
+        kept = {} if window is None else {
+            **{f"before/{k}": v for k, v in window.before.items()},
+            **{f"reached/{k}": v for k, v in window.reached.items()},
+            "actions": window.actions,
+            "ended": window.ended,
+        }  # fmt: skip
+        return {
+            "model": dict(self.model.state_dict()),
+            "optimisers": {k: optimisers.state_of(v) for k, v in self._optimisers.items()},
+            "replay": self.replay.state_dict(),
+            "window": kept,
+            "iterations": self._iterations,
+            "trained": self._trained,
+            "bad_steps": self._bad.clone(),
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self.model.load_state_dict(state["model"])
+        if not ((self.model.near >= 0) & (self.model.near < self._rigid.touching)).all():
+            raise ValueError("the model is told of points that the bodies do not have")
+        for name, optimiser in self._optimisers.items():
+            optimisers.load_state(optimiser, state["optimisers"][name])
+        self.replay.load_state_dict(state["replay"])
+        self._window = self._restored(state["window"]) if state["window"] else None
+        self._iterations, self._trained = int(state["iterations"]), int(state["trained"])
+        self._bad.copy_(state["bad_steps"])
+        self._generator.set_state(state["generator"].cpu())

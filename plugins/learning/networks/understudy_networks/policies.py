@@ -1,0 +1,255 @@
+"""Policies that papers share: two MLPs, or two small convolutional networks with MLPs.
+
+Both take any action space: one head gives the means of all boxes and the logits of all choices. The
+boxes' deviation does not depend on the state; it is scheduled or learned.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
+from understudy.task import ActionSpace, Context, Distribution, Policy
+from understudy_networks.convolution import Convolution, convolutions
+from understudy_networks.nn import (
+    LARGEST,
+    Network,
+    RunningNormaliser,
+    Schedule,
+    action_distribution,
+    box_columns,
+    head_size,
+    mlp,
+    relu,
+    scaled,
+)
+
+ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {"relu": relu, "elu": nn.ELU, "tanh": nn.Tanh}
+
+
+class MLPPolicy(Policy):
+    """Actor and critic are MLPs of one flat observation, which is normalised."""
+
+    @dataclass(frozen=True)
+    class Options:
+        observation: str = "state"  #: name of the encoder read
+        hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)
+        activation: Literal["relu", "elu", "tanh"] = "relu"  #: between the layers
+        #: Standard deviation of the boxes' numbers, in their units.
+        noise: Schedule = field(default_factory=lambda: Schedule(0.1, 0.05))
+        learn_noise: bool = False  #: learn the deviation from ``noise.start`` instead of scheduling
+        final_scale: float = 0.01  #: scale of the actor's last layer at the start
+
+        def __post_init__(self) -> None:
+            check_units("hidden", self.hidden)
+            check_noise(self.noise)
+            check_range(self, "final_scale", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        super().__init__()
+        self.options = options
+        self._space = space = action_space(context, "policy 'mlp'")
+        size = observation_size(context, options.observation, "policy 'mlp'")
+        activation = ACTIVATIONS[options.activation]
+        self.normaliser = RunningNormaliser(size)
+        layers = [size, *options.hidden]
+        self.actor = mlp(
+            [*layers, head_size(space)], activation=activation, final_scale=options.final_scale
+        )
+        self.critic = mlp([*layers, 1], activation=activation)
+        self.log_deviation = log_deviation(space, options.noise, options.learn_noise)
+
+    def distribution(self, observations: Mapping[str, Tensor]) -> Distribution:
+        outputs = self.actor(self.normaliser(observations[self.options.observation]))
+        return action_distribution(self._space, outputs, self.log_deviation.exp())
+
+    def value(self, observations: Mapping[str, Tensor]) -> Tensor:
+        return self.critic(self.normaliser(observations[self.options.observation])).squeeze(-1)
+
+    def actor_parameters(self) -> Iterator[nn.Parameter]:
+        yield from self.actor.parameters()
+        if self.options.learn_noise:
+            yield self.log_deviation
+
+    def critic_parameters(self) -> Iterator[nn.Parameter]:
+        return self.critic.parameters()
+
+    def observe(self, observations: Mapping[str, Tensor]) -> None:
+        self.normaliser.observe(observations[self.options.observation])
+
+    @torch.no_grad()
+    def schedule(self, samples: int) -> None:
+        if not self.options.learn_noise:
+            self.log_deviation.fill_(self.options.noise.at(samples)).log_()
+
+
+class CNNPolicy(Policy):
+    """Actor and critic see an image (C, H, W) through convolutions and a flat observation beside it.
+
+    The network is that of Zhang et al. 2020, figure 3: convolutions with max-pooling, a fully
+    connected layer of the image's features, those beside the flat observation into an MLP, ReLU
+    throughout. Figure 3 gives no padding; here convolutions keep the image's size. The image is
+    taken as it comes, the flat observation is normalised. Channels come first.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        image: str = "image"  #: name of the encoder of shape (C, H, W)
+        flat: str | None = "state"  #: name of the encoder of shape (D,); null for the image alone
+        filters: tuple[int, ...] = (2, 2)  #: per convolution, stride 1
+        kernels: tuple[int, ...] = (5, 3)  #: pixels, odd
+        pool: int = 2  #: pixels, width and stride of the max-pooling after each convolution
+        #: Let the first convolution see the pixels' coordinates (CoordConv, Liu et al. 2018).
+        coordinates: bool = True
+        features: int = 32  #: units of the layer that follows the convolutions
+        hidden: tuple[int, ...] = (64, 64)  #: units per layer after the two are joined
+        #: Standard deviation of the boxes' numbers, in their units.
+        noise: Schedule = field(default_factory=lambda: Schedule(0.1, 0.05))
+        learn_noise: bool = False  #: learn the deviation from ``noise.start`` instead of scheduling
+        final_scale: float = 0.01  #: scale of the actor's last layer at the start
+
+        def __post_init__(self) -> None:
+            if len(self.filters) != len(self.kernels):
+                raise ValueError(
+                    f"kernels={self.kernels} is not possible: give one for each of filters={self.filters}."
+                )
+            if any(width < 1 or width % 2 == 0 for width in self.kernels):
+                raise ValueError(f"kernels={self.kernels} is not possible: they must be odd.")
+            check_units("filters", self.filters)
+            check_units("hidden", self.hidden)
+            check_range(self, "pool", "features", least=1, most=10_000)
+            check_range(self, "kernels", least=1, most=99)
+            check_noise(self.noise)
+            check_range(self, "final_scale", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        super().__init__()
+        self.options = options
+        self._space = space = action_space(context, "policy 'cnn'")
+        shape = image_shape(context, options.image, "policy 'cnn'")
+        size = observation_size(context, options.flat, "policy 'cnn'") if options.flat else 0
+        self.normaliser = RunningNormaliser(size)
+        layers = [options.features + size, *options.hidden]
+        self.actor_eye, self.critic_eye = _eye(options, shape), _eye(options, shape)
+        self.actor = mlp([*layers, head_size(space)], final_scale=options.final_scale)
+        self.critic = mlp([*layers, 1])
+        self.log_deviation = log_deviation(space, options.noise, options.learn_noise)
+
+    def distribution(self, observations: Mapping[str, Tensor]) -> Distribution:
+        outputs = self.actor(self._see(self.actor_eye, observations))
+        return action_distribution(self._space, outputs, self.log_deviation.exp())
+
+    def value(self, observations: Mapping[str, Tensor]) -> Tensor:
+        return self.critic(self._see(self.critic_eye, observations)).squeeze(-1)
+
+    def _see(self, eye: nn.Module, observations: Mapping[str, Tensor]) -> Tensor:
+        """(…, features + D): what `eye` makes of the image, beside the flat observation."""
+        image = observations[self.options.image]
+        features = eye(image.flatten(0, -4)).view(*image.shape[:-3], -1)
+        if self.options.flat is None:
+            return features
+        return torch.cat([features, self.normaliser(observations[self.options.flat])], dim=-1)
+
+    def actor_parameters(self) -> Iterator[nn.Parameter]:
+        yield from itertools.chain(self.actor_eye.parameters(), self.actor.parameters())
+        if self.options.learn_noise:
+            yield self.log_deviation
+
+    def critic_parameters(self) -> Iterator[nn.Parameter]:
+        return itertools.chain(self.critic_eye.parameters(), self.critic.parameters())
+
+    def observe(self, observations: Mapping[str, Tensor]) -> None:
+        if self.options.flat is not None:
+            self.normaliser.observe(observations[self.options.flat])
+
+    @torch.no_grad()
+    def schedule(self, samples: int) -> None:
+        if not self.options.learn_noise:
+            self.log_deviation.fill_(self.options.noise.at(samples)).log_()
+
+
+def _eye(options: CNNPolicy.Options, shape: tuple[int, int, int]) -> Network:
+    """Images (B, C, H, W) to features (B, features)."""
+    layers, size = convolutions(
+        shape,
+        options.filters,
+        options.kernels,
+        pool=options.pool,
+        coordinates=options.coordinates,
+        activation=relu,
+    )
+    if size == 0:
+        raise ConfigError(
+            f"policy 'cnn': {len(options.filters)} poolings by {options.pool} leave nothing of an image "
+            f"of {shape[1]} × {shape[2]} pixels. Give fewer filters, or policy.pool=1."
+        )
+    for layer in layers:
+        if isinstance(layer, Convolution):
+            scaled(layer)
+    return Network(*layers, scaled(nn.Linear(size, options.features)), relu())
+
+
+def action_space(context: Context, who: str) -> ActionSpace:
+    if context.action_space is None:
+        raise ConfigError(f"{who} needs an action space, and the task's actuation gives none.")
+    return context.action_space
+
+
+def observation_shape(context: Context, name: str, who: str) -> tuple[int, ...]:
+    """The shape of the observation `name`; an error names what the task has instead."""
+    shape = context.observation_shapes.get(name)
+    if shape is None:
+        raise ConfigError(
+            f"{who} needs the observation '{name}', which no encoder of this task provides. "
+            f"Add encoder.{name}={{name: …}}, or choose another policy."
+            + suggestion(name, context.observation_shapes)
+        )
+    return shape
+
+
+def observation_size(context: Context, name: str, who: str) -> int:
+    """The size of the flat observation `name`."""
+    shape = observation_shape(context, name, who)
+    if len(shape) != 1:
+        raise ConfigError(f"{who} needs a flat observation '{name}', and its shape is {shape}.")
+    return shape[0]
+
+
+def image_shape(context: Context, name: str, who: str) -> tuple[int, int, int]:
+    """(C, H, W) of the image observation `name`."""
+    shape = observation_shape(context, name, who)
+    if len(shape) != 3:
+        raise ConfigError(
+            f"{who} needs an image '{name}' of shape (channels, height, width), and its shape is {shape}."
+        )
+    return shape[0], shape[1], shape[2]
+
+
+def log_deviation(space: ActionSpace, noise: Schedule, learned: bool) -> nn.Parameter:
+    """Logarithm of the standard deviation of each of the space's real numbers."""
+    start = torch.full((box_columns(space),), noise.start).log()
+    return nn.Parameter(start, requires_grad=learned)
+
+
+def check_units(name: str, units: tuple[int, ...]) -> None:
+    if any(count < 1 for count in units):
+        raise ValueError(f"{name}={units} is not possible: every layer needs a unit.")
+    sizes = [1, *units, 1]
+    if sum(a * b for a, b in itertools.pairwise(sizes)) > LARGEST or len(units) > 100:
+        raise ValueError(f"{name}={units} is not possible: the network would be too large.")
+
+
+def check_noise(noise: Schedule) -> None:
+    """A policy's noise stays above zero; other schedules may reach it."""
+    for end in ("start", "end"):
+        if not getattr(noise, end) > 0:
+            raise ValueError(
+                f"noise.{end}={getattr(noise, end)} is not possible: it must be greater than 0."
+            )

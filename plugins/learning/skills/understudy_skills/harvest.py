@@ -1,0 +1,266 @@
+"""A job that keeps states of a trained run's episodes, such as their last, for others to begin in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, TrainingError, suggestion
+from understudy.options import check_range
+from understudy.random import WorldStreams
+from understudy.records import runs
+from understudy.records.runs import Run
+from understudy.running.captured import Captured
+from understudy.running.environment import Environment
+from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.jobs import Job
+from understudy.running.warm_start import load_part, newest_state
+from understudy.setup.building import Built, build_environment, build_policy, device_of
+from understudy.setup.config import Experiment
+from understudy.task import Policy, State
+from understudy_skills import bank
+
+
+class Harvest(Job):
+    """Runs a finished run's policy in its own task until there are enough states of the wanted kind.
+
+    The worlds' number, device and seed are those of this run, and so is the simulator where it sets one
+    (``simulator=``); it leaves the bank ``bank`` in its folder.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        run: str  #: folder of the run whose policy acts
+        count: int = 1024  #: how many states
+        #: Which endings count: a termination term's name, any of an outcome (``success``, ``failure``,
+        #: ``truncation``), or ``any``: also the states of episodes that go wrong.
+        ending: str = "success"
+        #: ``end``: the state in which it ended; ``anywhere``: one of all its states, each as likely;
+        #: ``change``: every state in which a decision changes ``field`` to ``value``, whatever the ending;
+        #: the first decision of an episode changes nothing.
+        moment: Literal["end", "anywhere", "change"] = "end"
+        field: str | None = None  #: of shape (N,), of a change
+        value: float = 0.0  #: of ``field`` after the change
+        fields: tuple[str, ...] = ()  #: kept beside the simulator's state
+        deterministic: bool = False  #: act by the policy's mode instead of sampling
+        #: In the task as it is judged, at its target difficulty and from the starts of evaluations; else as
+        #: it was trained, at the difficulty that its curriculum came to (a packed skill does not say: where it
+        #: began).
+        evaluating: bool = False
+        decisions: int = 64  #: of every world, in an iteration
+        patience: int = 50  #: iterations without any state after which there is no hope
+
+        def __post_init__(self) -> None:
+            check_range(self, "count", "decisions", "patience", least=1)
+            if (self.field is None) is (self.moment == "change"):
+                raise ValueError(
+                    f"moment={self.moment} with field={self.field} is not possible: a change has a "
+                    "field that changes, other moments have none."
+                )
+
+    environment: Environment
+    policy: Policy
+
+    def __init__(self, options: Options, experiment: Experiment) -> None:
+        self.options, self._root = options, experiment.root
+        self.device = device_of(experiment.root.device)
+        self._source = runs.open_run(options.run)
+        own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
+        config = {**self._source.config, **own, "start": None}
+        simulator = experiment.choices["simulator"]
+        if simulator:  # it need not be the one that the policy learned with
+            del config["simulator"]
+        found = self._source.experiment(experiment.registry, config)
+        chosen = {**found.choices, "simulator": simulator or found.choices["simulator"]}
+        self._experiment = replace(found, choices=chosen)
+        self._built: Built | None = None
+        self._found: dict[str, Tensor] = {}
+        self._barren = 0  #: iterations in a row that found nothing
+
+    def prepare(self) -> None:
+        judged = self._experiment.root.evaluation.seconds if self.options.evaluating else None
+        built = self._built = build_environment(
+            self._experiment, episode_seconds=judged, evaluating=self.options.evaluating
+        )
+        self.environment = environment = built.environment
+        simulator, table = environment.parts.simulator, environment.table
+        self._names = list(dict.fromkeys((*simulator.state_fields, *self.options.fields)))
+        for name in self._names:
+            if name not in table.shapes:
+                raise ConfigError(
+                    f"job.fields names '{name}', which is no field of {self.options.run}."
+                    + suggestion(name, table.shapes)
+                )
+        field = self.options.field
+        if field is not None and table.shapes.get(field) != ():
+            known = [name for name, shape in table.shapes.items() if shape == ()]
+            raise ConfigError(
+                f"job.field={field} is no field of {self.options.run} with one number for a world."
+                + suggestion(field, known)
+            )
+        terms = {t.name for t in environment.parts.terminations if t.outcome != "report"}
+        outcomes = ("success", "failure", "truncation", "any")
+        if self.options.ending not in (*outcomes, *terms):
+            raise ConfigError(
+                f"job.ending={self.options.ending} is no ending of {self.options.run}."
+                + suggestion(self.options.ending, [*outcomes, *terms])
+            )
+        state = newest_state(self.options.run)
+        curriculum = environment.parts.curriculum
+        if curriculum is not None and not self.options.evaluating and "environment" in state:
+            what = f"job.run: the curriculum of {self.options.run}"
+            load_part(curriculum, state, "curriculum", what)
+        environment.reset()
+        self.policy = build_policy(self._experiment, built.context)
+        self.policy.load_state_dict(state["policy"])
+        self.policy.schedule(state["progress"]["samples"])
+        self._streams = WorldStreams(
+            self._root.seed, "harvest", environment.num_worlds, self.device
+        )
+        self._decide = Captured(self._advance, environment)
+        self._age = torch.zeros(environment.num_worlds, device=self.device)
+        self._begun = torch.zeros_like(self._age, dtype=torch.bool)  # by a decision
+        self._kept: dict[str, Tensor] = {}  # of each world's present episode
+
+    def _advance(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+        """One decision; the states that it reached (or that it changed), which of them count, and which
+        episodes ended."""
+        environment, options = self.environment, self.options
+        table, field = environment.table, options.field
+        states = {name: table[name].clone() for name in self._names}
+        was = None if field is None else table[field].clone()
+        step = environment.advance(action)
+        which: dict[str, Tensor] = {
+            "success": step.terminated & ~step.failed,
+            "failure": step.failed,
+            "truncation": step.truncated,
+            "any": step.ended,
+            **step.endings,
+        }
+        if field is None or was is None:
+            states = {name: table[name].clone() for name in self._names}
+            counts = which[options.ending] & step.ended
+        else:
+            counts = (table[field] == options.value) & (was != options.value) & self._begun
+        counts, ended = counts & ~step.unsound, step.ended.clone()
+        self._begun.copy_(~ended)
+        environment.begin(step.ended)
+        return states, counts, ended
+
+    def _chosen(self, reached: Mapping[str, Tensor], ended: Tensor) -> Mapping[str, Tensor]:
+        """Of each world, the state to keep if its episode ends now."""
+        if self.options.moment != "anywhere":
+            return reached
+        self._age += (
+            1.0  # reservoir sampling: the k-th state takes the place of the one kept with 1/k
+        )
+        take = self._streams.uniform(1).squeeze(1) * self._age < 1.0
+        for name, value in reached.items():
+            kept = self._kept.get(name, value)
+            self._kept[name] = torch.where(take.view(-1, *[1] * (value.dim() - 1)), value, kept)
+        self._age *= ~ended
+        return self._kept
+
+    @torch.no_grad()
+    def iterate(self, samples: int) -> dict[str, Any]:
+        environment, steps = self.environment, self.options.decisions
+        seen: dict[str, list[Tensor]] = {name: [] for name in self._names}
+        which: list[Tensor] = []
+        for _ in range(steps):
+            distribution = self.policy.distribution(environment.observations)
+            mode = self.options.deterministic
+            action = distribution.mode() if mode else distribution.sample(self._streams)
+            reached, counted, ended = self._decide(action)
+            which.append(counted.clone())
+            for name, value in self._chosen(reached, ended).items():
+                seen[name].append(value.clone())
+        counts = torch.cat(which)
+        new = {name: torch.cat(values)[counts].cpu() for name, values in seen.items()}
+        self._found = {
+            name: torch.cat([self._found[name], value]) if self._found else value
+            for name, value in new.items()
+        }
+        self._barren = 0 if counts.any() else self._barren + 1
+        if self._barren >= self.options.patience:
+            raise TrainingError(
+                f"No episode of {self.options.run} {self._wanted()} in "
+                f"{self._barren * steps} decisions of {environment.num_worlds} worlds. Train it "
+                "longer, or choose another."
+            )
+        episodes = environment.statistics.collect()
+        return {
+            "consumed": steps * environment.num_worlds,
+            "states": self._count,
+            **{f"episode/{name}": value for name, value in episodes.items()},
+        }
+
+    def _wanted(self) -> str:
+        options = self.options
+        if options.field is not None:
+            return f"changed job.field={options.field} to job.value={options.value:g}"
+        return f"ended by job.ending={options.ending}"
+
+    @property
+    def _count(self) -> int:
+        return len(next(iter(self._found.values()))) if self._found else 0
+
+    def finished(self) -> bool:
+        return self._count >= self.options.count
+
+    def stage(self) -> str:
+        return f"{min(self._count, self.options.count)} of {self.options.count} states"
+
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        """How many states there are; they need no other judgement."""
+        states = torch.tensor([float(min(self._count, self.options.count))])
+        return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
+
+    def products(self, run: Run) -> None:
+        if not self._count:
+            return
+        states = {name: value[: self.options.count] for name, value in self._found.items()}
+        options = self.options
+        about = {"run": options.run, "moment": options.moment, "kept": self._wanted()}
+        bank.save(run.path / bank.NAME, states, about)
+
+    def sources(self) -> Mapping[str, Any]:
+        return {**self._source.info["sources"], "bank": {"run": self.options.run}}
+
+    def report(self) -> Mapping[str, int]:
+        return self._built.environment.parts.simulator.report() if self._built else {}
+
+    def state_dict(self) -> State:
+        return {
+            "environment": self.environment.state_dict(),
+            "streams": self._streams.state_dict(),
+            "found": dict(self._found),
+            "barren": self._barren,
+            "age": self._age,
+            "begun": self._begun.clone(),
+            "kept": dict(self._kept),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self.environment.load_state_dict(state["environment"])
+        self._streams.load_state_dict(state["streams"])
+        self._age = state["age"].to(self.device)
+        self._begun.copy_(state["begun"])
+        self._kept = {name: value.to(self.device) for name, value in state["kept"].items()}
+        self.load_learned(state, 0)
+
+    def load_learned(self, state: State, samples: int) -> None:
+        self._found, self._barren = dict(state["found"]), state["barren"]
+
+    def forget_worlds(self) -> None:
+        self.environment.reset()
+        self._begun.zero_()
+
+    def close(self) -> None:
+        if self._built is not None:
+            self._built.environment.close()

@@ -1,0 +1,268 @@
+"""Trained policies and the tasks that they were trained for: those that come with a plugin, small files,
+and finished runs."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, RunError, suggestion
+from understudy.inputs import Inputs
+from understudy.records import checkpoint, runs
+from understudy.records.folders import read
+from understudy.running.training import Progress
+from understudy.setup.building import build_environment, build_policy
+from understudy.setup.composition import compose_raw
+from understudy.setup.config import Experiment, refuse_code, validate
+from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
+from understudy.task import Policy
+
+#: Of each row of a matrix: the largest weight.
+_STEPS = 127
+#: Overrides that say where and how a run was carried out, not what it was.
+_OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
+
+
+@dataclass(frozen=True)
+class Skill:
+    """A policy and the task that it was trained for."""
+
+    name: str
+    experiment: Experiment
+    policy: Mapping[str, Tensor]  #: its tensors, of a packed one without the critic's
+    samples: int  #: that it learned from
+    card: Mapping[str, Any]  #: what is known of it, for people
+
+    def give(self, policy: Policy) -> None:
+        """Copy the tensors into `policy`.
+
+        Raises
+        ------
+        RunError
+            if they are not those of its actor.
+        """
+        own = policy.state_dict()
+        actor = {id(parameter) for parameter in policy.actor_parameters()}
+        needed = {n for n, p in policy.named_parameters() if id(p) in actor}
+        needed |= own.keys() - dict(policy.named_parameters()).keys()  # its statistics
+        for name in sorted(needed | self.policy.keys()):
+            given = self.policy.get(name)
+            if given is None or name not in own or given.shape != own[name].shape:
+                raise RunError(f"{self.name} does not fit its own configuration: {name} differs.")
+            if not bool(given.isfinite().all()):
+                raise RunError(f"{self.name} is damaged: {name} is not finite.")
+        policy.load_state_dict({**own, **self.policy})
+        policy.schedule(self.samples)
+
+
+def names() -> list[str]:
+    """Of the skills that come with the plugins."""
+    return installed().registry.names("skill")
+
+
+def open_skill(
+    source: str,
+    overrides: Sequence[str] = (),
+    *,
+    registry: Registry | None = None,
+    without: Collection[str] = (),
+) -> Skill:
+    """The skill of this name, of this packed file, or of this run folder.
+
+    `overrides` change the configuration of a run, as in ``understudy evaluate``; `without` names parts
+    of it that are not wanted, and may be missing here. `registry` is that of the installed plugins.
+
+    Raises
+    ------
+    ConfigError
+        if there is no such skill.
+    RunError
+        if the run or file is damaged.
+    """
+    path, registry = Path(source), registry or installed().registry
+    packed = path.suffix == ".json" and path.is_file()
+    known = registry.names("skill")
+    if (source in known or packed) and overrides:
+        raise ConfigError(
+            f"{overrides[0]}: the skill {source} is packed and played as it is. Unpack it "
+            f"(understudy play {source} --unpack FOLDER) and play that."
+        )
+    if source in known:
+        return _packed(registry.find("skill", source).factory(), source, registry, without)
+    if packed:
+        return _packed(path, path.stem, registry, without)
+    if path.is_dir():
+        return _of_run(path, overrides, registry, without)
+    raise ConfigError(
+        f"There is no skill '{source}'.{suggestion(source, known)} The folder of a run will do, too."
+    )
+
+
+def _of_run(
+    path: Path, overrides: Sequence[str], registry: Registry, without: Collection[str]
+) -> Skill:
+    run = runs.open_run(path)
+    config, words = run.config, list(run.info["overrides"])
+    if overrides:
+        words = run.words(overrides)
+        config = compose_raw(words)
+    state, meta = run.newest()
+    policy = state.get("policy")
+    if not isinstance(policy, dict) or not all(isinstance(t, Tensor) for t in policy.values()):
+        raise RunError(f"{path} is a run that learns no policy.")
+    samples = state["progress"]["samples"]
+    card = {
+        "config": config,
+        "overrides": [o for o in words if not _OF_THE_RUN.match(o)],
+        "samples": samples,
+        "versions": meta.get("versions"),
+        "sources": meta.get("sources"),
+        "evaluation": None if overrides else _evaluation(path),
+    }
+    experiment = run.experiment(registry, _less(config, without))
+    return Skill(str(path), experiment, policy, samples, card)
+
+
+def _evaluation(path: Path) -> Any:
+    """What the run was judged by as it was trained; none where the last was of something else."""
+    try:
+        found = json.loads(read(path / "evaluation.json"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and found and not found.get("changed") else None
+
+
+def _less(config: Mapping[str, Any], without: Collection[str]) -> dict[str, Any]:
+    return {key: value for key, value in config.items() if key not in without}
+
+
+def _packed(path: Path, name: str, registry: Registry, without: Collection[str]) -> Skill:
+    state, card = checkpoint.load(path)
+    try:
+        for key in ("config", "sources", "evaluation"):
+            if not isinstance(card.get(key) or {}, Mapping):
+                raise TypeError(f"{key} is no mapping")
+        refuse_code(card["config"])
+        tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
+        samples = int(card["samples"])
+        experiment = validate(_less(card["config"], without), registry)
+    except ConfigError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
+        raise RunError(f"{path} is no packed skill: {type(error).__name__}: {error}.") from error
+    return Skill(name, experiment, tensors, samples, card)
+
+
+def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
+    """Write the actor of `skill` as ``PATH.safetensors`` and its card as ``PATH.json``.
+
+    Matrices become eight bits a weight with a scale for each row, the rest half or full precision.
+    `evaluation` is what was found of it.
+    """
+    kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
+    card = {**skill.card, "evaluation": dict(evaluation)}
+    if isinstance(source := (card.get("sources") or {}).get("motion", {}).get("source"), str):
+        motion = {**card["sources"]["motion"], "source": Path(source).name}  # of no one's folders
+        card["sources"] = {**card["sources"], "motion": motion}
+    config = dict(card["config"])
+    config["run"] = {**config.get("run", {}), "dir": None}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    checkpoint.save(
+        path,
+        {"policy": {k: _packed_tensor(v) for k, v in kept.items()}},
+        {**card, "config": config},
+    )
+
+
+def unpack(skill: Skill, path: Path) -> None:
+    """Write `skill` as the run folder `path`, which serves wherever a run does: to begin another training
+    (``start.run``), as a controller inside another task (``actuation.runs``), for a harvest (``job.run``).
+
+    A packed skill has no critic, so that is new; optimizer and worlds are left out, which ``start.run`` does not take.
+
+    Raises
+    ------
+    ConfigError
+        if the skill was packed without the overrides that made it.
+    RunError
+        if the folder holds a run already or cannot be written, or the overrides are no words.
+    """
+    overrides = skill.card.get("overrides")
+    if overrides is None:
+        raise ConfigError(
+            f"{skill.name} was packed by a version that left out what a run folder needs. Pack it again."
+        )
+    if not isinstance(overrides, list) or not all(isinstance(word, str) for word in overrides):
+        raise RunError(f"{skill.name} is no packed skill: its overrides are no list of words.")
+    root = skill.experiment.root
+    experiment = replace(skill.experiment, root=replace(root, run=replace(root.run, dir=str(path))))
+    built = build_environment(experiment, num_worlds=1)
+    try:
+        policy = build_policy(experiment, built.context)
+        skill.give(policy)
+        sources = skill.card.get("sources") or {}
+        run = runs.create(experiment, [*overrides, f"run.dir={path}"], sources)
+    finally:
+        built.environment.close()
+    try:
+        progress = Progress(samples=skill.samples, evaluated_at=skill.samples).state_dict()
+        state = {"policy": policy.state_dict(), "progress": progress}
+        checkpoint.save(
+            run.checkpoints / "00000001", state, {"versions": skill.card.get("versions")}
+        )
+        run.write_json("evaluation.json", skill.card.get("evaluation") or {})
+    finally:
+        run.unlock()
+
+
+def copy_run(source: str, folder: Path) -> None:
+    """Write what serves as a skill of the run folder `source` into `folder`: its ``run.json``, the policy
+    alone of its newest checkpoint, and the copies of what its parts read.
+
+    Raises
+    ------
+    RunError
+        if one of these copies is not what the run was made with.
+    """
+    run = runs.open_run(source)
+    state, meta = run.newest()
+    (folder / "checkpoints").mkdir(parents=True)
+    kept = {"policy": state["policy"], "progress": {"samples": state["progress"]["samples"]}}
+    checkpoint.save(folder / "checkpoints" / "00000001", kept, meta)
+    (folder / "run.json").write_bytes((run.path / "run.json").read_bytes())
+    inputs = Inputs(run.path / "inputs", dict(run.info.get("inputs", {})))
+    for asked, names in inputs.kept.items():
+        inputs.file(asked, list)  # all inside that folder, and whole
+        for name in names:
+            (folder / "inputs" / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / "inputs" / name).write_bytes((inputs.folder / name).read_bytes())
+
+
+def rounded(skill: Skill) -> Skill:
+    """`skill` as it is once packed, so that what is judged is what is shipped."""
+    tensors = {k: _unpacked(_packed_tensor(v)) for k, v in skill.policy.items()}
+    return Skill(skill.name, skill.experiment, tensors, skill.samples, skill.card)
+
+
+def _packed_tensor(value: Tensor) -> Tensor | dict[str, Tensor]:
+    if value.ndim != 2:
+        return value
+    scale = value.abs().amax(dim=1).clamp(min=1e-12) / _STEPS
+    return {"rows": (value / scale[:, None]).round().to(torch.int8), "scale": scale}
+
+
+def _unpacked(value: Tensor | Mapping[str, Tensor]) -> Tensor:
+    if isinstance(value, Tensor):
+        return value
+    rows, scale = value["rows"], value["scale"]
+    if rows.ndim != 2 or scale.shape != rows.shape[:1]:
+        raise ValueError(f"{tuple(scale.shape)} scales do not fit {tuple(rows.shape)} weights")
+    return rows.float() * scale[:, None]

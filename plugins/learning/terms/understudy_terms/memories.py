@@ -1,0 +1,191 @@
+"""Memories of any field: ``reads`` says which, ``provides`` under which names what is kept is read.
+
+Several of a kind in one task need other names: ``provides: {timer: seconds_on_seat}``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.running.environment import rows
+from understudy.task import Context, Memory, Shape
+
+
+def _check_shape(options: Any) -> None:
+    check_range(options, "shape", least=1)
+    if math.prod(options.shape) > 10_000:
+        raise ValueError(f"shape={options.shape} is not possible: give at most 10000 values.")
+
+
+class Timer(Memory):
+    """Seconds for which ``condition`` has held without a break; 0 where it does not hold.
+
+    It counts control periods at whose end the condition holds.
+    """
+
+    reads = ("condition",)
+    keeps = {"timer": ()}
+
+    def __init__(self, options: None, context: Context) -> None:
+        self._dt = context.control_dt
+
+    def begin(self, condition: Tensor) -> dict[str, Tensor]:
+        return {"timer": torch.zeros_like(condition, dtype=torch.float32)}
+
+    def advance(self, kept: Mapping[str, Tensor], condition: Tensor) -> dict[str, Tensor]:
+        return {"timer": torch.where(condition != 0, kept["timer"] + self._dt, 0.0)}
+
+
+class Latch(Memory):
+    """``value`` as it was at the end of the first control period at which ``condition`` held.
+
+    ``held`` is 1 from then on; before, it and ``latched`` are 0.
+    """
+
+    reads = ("value", "condition")
+
+    @dataclass(frozen=True)
+    class Options:
+        shape: tuple[int, ...] = ()  #: of the value, without N
+
+        def __post_init__(self) -> None:
+            _check_shape(self)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self.keeps: Mapping[str, Shape] = {"latched": options.shape, "held": ()}
+
+    def begin(self, value: Tensor, condition: Tensor) -> dict[str, Tensor]:
+        nothing = {"latched": torch.zeros_like(value), "held": torch.zeros_like(condition).float()}
+        return self.advance(nothing, value, condition)
+
+    def advance(
+        self, kept: Mapping[str, Tensor], value: Tensor, condition: Tensor
+    ) -> dict[str, Tensor]:
+        now = (condition != 0) & (kept["held"] == 0)
+        return {
+            "latched": torch.where(rows(now, value), value, kept["latched"]),
+            "held": torch.where(now, 1.0, kept["held"]),
+        }
+
+
+class RunningMean(Memory):
+    """Mean of ``value`` over the control periods of the episode so far; 0 before the first."""
+
+    reads = ("value", "episode_step")
+
+    @dataclass(frozen=True)
+    class Options:
+        shape: tuple[int, ...] = ()  #: of the value, without N
+
+        def __post_init__(self) -> None:
+            _check_shape(self)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self.keeps: Mapping[str, Shape] = {"mean": options.shape}
+
+    def begin(self, value: Tensor, episode_step: Tensor) -> dict[str, Tensor]:
+        return {"mean": torch.zeros_like(value, dtype=torch.float32)}
+
+    def advance(
+        self, kept: Mapping[str, Tensor], value: Tensor, episode_step: Tensor
+    ) -> dict[str, Tensor]:
+        share = rows(1.0 / episode_step.clamp(min=1), value)
+        return {"mean": kept["mean"] + (value - kept["mean"]) * share}
+
+
+class Extremes(Memory):
+    """The least and the most that ``value`` (N,) was at the end of a control period of the episode so
+    far; its first value before. What measures read at the end of a decision misses those within it."""
+
+    reads = ("value",)
+    keeps = {"least": (), "most": ()}
+
+    def __init__(self, options: None, context: Context) -> None:
+        pass
+
+    def begin(self, value: Tensor) -> dict[str, Tensor]:
+        return {"least": value.float(), "most": value.float()}
+
+    def advance(self, kept: Mapping[str, Tensor], value: Tensor) -> dict[str, Tensor]:
+        return {"least": kept["least"].minimum(value), "most": kept["most"].maximum(value)}
+
+
+class RedrawnTarget(Memory):
+    """A point drawn uniformly in a box, and drawn again after a while or once it is reached.
+
+    With neither, it is the episode's.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        low: tuple[float, ...]  #: of the box
+        high: tuple[float, ...]  #: the box's other corner, in the target's unit
+        every: float | None = None  #: seconds after which it is drawn again
+        #: Distance of ``position``, then a field that is read, at which it is drawn again.
+        within: float | None = None
+
+        def __post_init__(self) -> None:
+            check_range(self, "every", "within", above=0)
+            if len(self.low) != len(self.high) or not self.low:
+                raise ValueError(f"high={self.high} is not possible: it must be as long as low.")
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._options, self._dt = options, context.control_dt
+        self._low = torch.tensor(options.low, device=context.device)
+        self._size = torch.tensor(options.high, device=context.device) - self._low
+        self.uniforms = len(options.low)
+        self.reads = ("position",) if options.within is not None else ()
+        self.keeps: Mapping[str, Shape] = {"target": (self.uniforms,), "target_age": ()}
+
+    def begin(self, uniforms: Tensor, position: Tensor | None = None) -> dict[str, Tensor]:
+        return {"target": self._low + uniforms * self._size, "target_age": uniforms[:, 0] * 0.0}
+
+    def advance(
+        self, kept: Mapping[str, Tensor], uniforms: Tensor, position: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        options, age = self._options, kept["target_age"] + self._dt
+        again = torch.zeros_like(age, dtype=torch.bool)
+        if options.every is not None:
+            again = again | (age >= options.every - 0.5 * self._dt)
+        if options.within is not None and position is not None:
+            again = again | ((position - kept["target"]).norm(dim=1) <= options.within)
+        drawn = self.begin(uniforms)
+        return {
+            "target": torch.where(again.unsqueeze(1), drawn["target"], kept["target"]),
+            "target_age": torch.where(again, 0.0, age),
+        }
+
+
+class History(Memory):
+    """The last K values of ``value``, one a control period, the newest first: (K, …).
+
+    An episode begins with its first value K times.
+    """
+
+    reads = ("value",)
+
+    @dataclass(frozen=True)
+    class Options:
+        length: int  #: K
+        shape: tuple[int, ...] = ()  #: of the value, without N
+
+        def __post_init__(self) -> None:
+            check_range(self, "length", least=1, most=10_000)
+            _check_shape(self)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._length = options.length
+        self.keeps: Mapping[str, Shape] = {"history": (options.length, *options.shape)}
+
+    def begin(self, value: Tensor) -> dict[str, Tensor]:
+        return {"history": torch.stack([value] * self._length, dim=1)}
+
+    def advance(self, kept: Mapping[str, Tensor], value: Tensor) -> dict[str, Tensor]:
+        return {"history": torch.cat([value.unsqueeze(1), kept["history"][:, :-1]], dim=1)}

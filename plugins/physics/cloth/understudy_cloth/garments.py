@@ -1,0 +1,329 @@
+"""Garments from files: a mesh as OBJ, and a small YAML file beside it that names its loops and patches."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from understudy.errors import FileError, UnderstudyError
+from understudy.options import check_range, make_options
+from understudy_cloth.checking import check_mesh, pieces_of
+from understudy_cloth.mesh import edges_of, face_areas
+
+#: Bytes of a mesh and of the file that names its loops; no garment comes near.
+MOST_BYTES, MOST_NAMING_BYTES = 64 << 20, 1 << 20
+#: Vertices of a garment; a shirt has some 3 000, and each one more makes every sub-step longer.
+MOST_VERTICES = 30_000
+#: m, across a garment the longest way.
+SMALLEST, LARGEST = 0.15, 3.0
+#: m: vertices nearer to each other are one that was not merged.
+_SAME = 1e-6
+#: Of a mesh turned inside out, the volume, holes closed, over the area to the 3/2; a sphere's is 0.094.
+_INSIDE_OUT = -0.003
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A loop by a vertex on it: the whole border of that hole."""
+
+    hole: int  #: a vertex on the border
+
+
+@dataclass(frozen=True)
+class Around:
+    """A patch: the vertices that are near one along the cloth."""
+
+    vertex: int
+    radius: float  #: m
+
+    def __post_init__(self) -> None:
+        check_range(self, "radius", above=0)
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What the YAML file says. Vertices are counted from 0, in the order of the mesh's file."""
+
+    mesh: str  #: the OBJ file, beside this one
+    #: Closed loops along edges by name: the vertices in order, or a hole. Every hole needs a name.
+    loops: dict[str, tuple[int, ...] | Hole]
+    patches: dict[str, tuple[int, ...] | Around] = field(default_factory=dict)  #: where grips hold
+    unit: float = 1.0  #: m, of 1 in the mesh's file
+    up: Literal["y", "z"] = "y"  #: with y up the wearer looks along −z, as OBJ's writers have it
+    source: str | None = None  #: where the mesh is from
+    licence: str | None = None
+
+    def __post_init__(self) -> None:
+        check_range(self, "unit", above=0)
+
+
+@dataclass(frozen=True)
+class Garment:
+    """A garment in metres, z up, its wearer facing x. V vertices, F triangles."""
+
+    name: str
+    positions: np.ndarray  #: (V, 3) m
+    faces: np.ndarray  #: (F, 3), counter-clockwise seen from outside
+    loops: Mapping[str, np.ndarray]  #: vertices of closed loops, in order
+    patches: Mapping[str, np.ndarray]  #: vertices
+    #: (F, 3, 2) m, triangles as cut, where they differ from `positions`.
+    rest: np.ndarray | None = None
+    source: str | None = None
+    licence: str | None = None
+
+    def perimeter(self, loop: str) -> float:
+        """m, of the loop as it lies."""
+        x = self.positions[self.loops[loop]]
+        return float(np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).sum())
+
+
+def read_garment(path: Path) -> Garment:
+    """The garment that the YAML file `path` names.
+
+    Raises
+    ------
+    FileError
+        if a file cannot be read, the mesh is no surface of one piece in metres, a loop is none, or a hole
+        has no name.
+    """
+    naming = _naming(path)
+    mesh = path.parent / naming.mesh
+    inside = mesh.resolve().is_relative_to(path.parent.resolve())
+    if not inside or mesh.suffix.lower() != ".obj":
+        raise FileError(f"{path}: mesh={naming.mesh!r} is no OBJ file in the same folder.")
+    positions, faces = read_obj(mesh)
+    positions = positions * naming.unit
+    if naming.up == "y":
+        positions = np.stack([-positions[:, 2], -positions[:, 0], positions[:, 1]], axis=1)
+    _check_size(positions, faces, str(mesh))
+    check_mesh(positions, faces, str(mesh), FileError)
+    pieces = pieces_of(faces, len(positions))
+    if pieces > 1:
+        raise FileError(
+            f"{mesh} has {pieces} pieces: a garment is one; sew them together, or remove all but one."
+        )
+    holes = holes_of(faces)
+    if _volume(positions, faces, holes) < _INSIDE_OUT * face_areas(positions[faces]).sum() ** 1.5:
+        raise FileError(f"{mesh} is inside out: turn all its triangles around.")
+    loops = {
+        name: _loop(loop, faces, holes, len(positions), f"{path}: loop '{name}'")
+        for name, loop in naming.loops.items()
+    }
+    named = [frozenset(loop.tolist()) for loop in loops.values()]
+    for hole in holes:
+        if frozenset(hole.tolist()) not in named:
+            x = positions[hole]
+            around = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).sum()
+            raise FileError(
+                f"{mesh} has a hole, {around:.2f} m round, that no loop of {path.name} names: add one with "
+                f"hole: {hole.min()}, or close it."
+            )
+    patches = {
+        name: _patch(patch, positions, faces, f"{path}: patch '{name}'")
+        for name, patch in naming.patches.items()
+    }
+    return Garment(path.stem, positions, faces, loops, patches, None, naming.source, naming.licence)
+
+
+def _naming(path: Path) -> Naming:
+    text = _text(path, MOST_NAMING_BYTES)
+    try:
+        # an alias may stand for itself many times over
+        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
+            raise FileError(f"{path} has aliases; write them out.")
+        names = [
+            (key.value, key.start_mark.line + 1)
+            for section in _sections(yaml.compose(text, yaml.SafeLoader))
+            for key in section
+        ]
+        raw = yaml.safe_load(text)
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        reason = str(error).partition("\n")[0]
+        raise FileError(f"{path} is no YAML: {reason}.") from error
+    seen = set()
+    for name, line in names:
+        if name in seen:
+            raise FileError(f"{path}: '{name}' is there twice, in line {line} again.")
+        seen.add(name)
+    if not isinstance(raw, dict):
+        raise FileError(f"{path} names no garment: it takes mesh: FILE.obj and loops.")
+    try:
+        return make_options(Naming, raw, path.name)
+    except UnderstudyError as error:
+        raise FileError(str(error)) from error
+
+
+def _sections(node: Any) -> Iterator[list[Any]]:
+    """The keys of the whole file, and those of loops and patches, as the parser has them."""
+    if isinstance(node, yaml.MappingNode):
+        yield [key for key, _ in node.value]
+        for key, value in node.value:
+            if key.value in ("loops", "patches") and isinstance(value, yaml.MappingNode):
+                yield [
+                    _Key(f"{key.value}.{inner.value}", inner.start_mark) for inner, _ in value.value
+                ]
+
+
+@dataclass(frozen=True)
+class _Key:
+    value: str
+    start_mark: Any
+
+
+def _text(path: Path, most: int) -> str:
+    try:
+        if path.stat().st_size > most:
+            raise FileError(f"{path} has more than {most >> 20} MiB: it is no garment.")
+        return path.read_bytes().decode("utf-8", errors="replace")
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}.") from error
+
+
+def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and triangles (F, 3) of an OBJ file, in its order: loops count its vertices. Libraries
+    double those with two normals. What the file refers to is not followed; quadrilaterals become two triangles.
+
+    Raises
+    ------
+    FileError
+        if it cannot be read, or a line is no vertex or face.
+    """
+    vertices: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    for number, line in enumerate(_text(path, MOST_BYTES).splitlines(), 1):
+        kind, *values = line.split() or ("",)
+        try:
+            if kind == "v":
+                vertices.append([float(value) for value in values[:3]])
+                if len(values) < 3:
+                    raise ValueError
+            elif kind == "f":
+                corners = [int(value.partition("/")[0]) for value in values]
+                if not 3 <= len(corners) <= 4 or 0 in corners or min(corners) < -len(vertices):
+                    raise ValueError
+                corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
+                faces.append((corners[0], corners[1], corners[2]))
+                if len(corners) == 4:
+                    faces.append((corners[0], corners[2], corners[3]))
+        except ValueError:
+            raise FileError(
+                f"{path}, line {number}: '{line[:60].strip()}' is no "
+                f"{'vertex' if kind == 'v' else 'face of three or four vertices'}."
+            ) from None
+        if max(len(vertices), len(faces)) > 2 * MOST_VERTICES:
+            break
+    if not vertices or not faces:
+        raise FileError(f"{path} has no {'faces' if vertices else 'vertices'}: it is no mesh.")
+    if len(vertices) > MOST_VERTICES or len(faces) > 2 * MOST_VERTICES:
+        raise FileError(f"{path} has more than {MOST_VERTICES} vertices; make it coarser.")
+    return np.array(vertices), np.array(faces)
+
+
+def _check_size(positions: np.ndarray, faces: np.ndarray, what: str) -> None:
+    if not np.isfinite(positions).all():
+        raise FileError(f"{what} has coordinates that are not finite.")
+    if (faces >= len(positions)).any():
+        raise FileError(f"{what} has a face of vertices that do not exist.")
+    used = positions[np.unique(faces)]
+    across = float((used.max(axis=0) - used.min(axis=0)).max())
+    if not SMALLEST <= across <= LARGEST:
+        guess, unit = "if that is not metres", "M"
+        for name, by in (("centimetres", 0.01), ("millimetres", 0.001)):
+            if SMALLEST <= by * across <= LARGEST:
+                guess, unit = f"if these are {name}", f"{by:g}"
+                break
+        raise FileError(
+            f"{what} is {across:.3g} m across, and garments are {SMALLEST:g} to {LARGEST:g} m; {guess}, say "
+            f"unit: {unit} in the file that names its loops."
+        )
+    pairs = cKDTree(positions).query_pairs(_SAME, output_type="ndarray")
+    if len(pairs):
+        i, j = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))][0]
+        raise FileError(
+            f"{what} has {len(pairs)} pairs of vertices in one place, the first {i} and {j}: merge them, "
+            "or the cloth is open there."
+        )
+
+
+def holes_of(faces: np.ndarray) -> list[np.ndarray]:
+    """The borders of a manifold mesh, each (n,) vertices in order, along its triangles."""
+    _, index = edges_of(faces)
+    once = (np.bincount(index.ravel())[index] == 1).ravel()
+    following = dict(
+        zip(
+            faces.ravel()[once].tolist(),
+            np.roll(faces, -1, axis=1).ravel()[once].tolist(),
+            strict=True,
+        )
+    )
+    found = []
+    while following:
+        loop = [next(iter(following))]
+        while (then := following.pop(loop[-1])) != loop[0]:
+            loop.append(then)
+        found.append(np.array(loop))
+    return found
+
+
+def _volume(positions: np.ndarray, faces: np.ndarray, holes: Sequence[np.ndarray]) -> float:
+    """m³, of the mesh with a fan over each hole."""
+    a, b, c = np.moveaxis(positions[faces], 1, 0)
+    total = (a * np.cross(b, c)).sum()
+    for hole in holes:
+        x = positions[hole]
+        total += (x.mean(axis=0) * np.cross(np.roll(x, -1, axis=0), x)).sum()
+    return float(total / 6)
+
+
+def _loop(
+    loop: tuple[int, ...] | Hole,
+    faces: np.ndarray,
+    holes: Sequence[np.ndarray],
+    count: int,
+    what: str,
+) -> np.ndarray:
+    if isinstance(loop, Hole):
+        for hole in holes:
+            if loop.hole in hole:
+                return np.roll(hole, -int(np.argmax(hole == loop.hole)))
+        raise FileError(f"{what}: vertex {loop.hole} is on no hole's border.")
+    if len(loop) < 3 or not all(0 <= i < count for i in loop):
+        raise FileError(f"{what} takes three vertices or more, from 0 to {count - 1}.")
+    if len(set(loop)) < len(loop):
+        twice = next(i for k, i in enumerate(loop) if i in loop[:k])
+        raise FileError(f"{what} crosses itself: it comes to vertex {twice} twice.")
+    edges = set(map(tuple, edges_of(faces)[0].tolist()))
+    for i, j in itertools.pairwise(loop):
+        if (min(i, j), max(i, j)) not in edges:
+            raise FileError(f"{what} leaves the mesh: no edge goes from vertex {i} to {j}.")
+    if (min(loop[0], loop[-1]), max(loop[0], loop[-1])) not in edges:
+        raise FileError(
+            f"{what} is open: no edge goes from its last vertex {loop[-1]} to its first."
+        )
+    return np.array(loop)
+
+
+def _patch(
+    patch: tuple[int, ...] | Around, positions: np.ndarray, faces: np.ndarray, what: str
+) -> np.ndarray:
+    count = len(positions)
+    if isinstance(patch, Around):
+        if not 0 <= patch.vertex < count:
+            raise FileError(f"{what} takes a vertex from 0 to {count - 1}.")
+        edges, _ = edges_of(faces)
+        length = np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)
+        graph = csr_array((length, (edges[:, 0], edges[:, 1])), shape=(count, count))
+        far = dijkstra(graph, directed=False, indices=patch.vertex, limit=patch.radius)
+        return np.flatnonzero(np.isfinite(far))
+    if not patch or not all(0 <= i < count for i in patch) or len(set(patch)) < len(patch):
+        raise FileError(f"{what} takes vertices from 0 to {count - 1}, each once.")
+    return np.array(patch)

@@ -1,0 +1,169 @@
+"""From a mesh of triangles to what the solver works on: constraints in colours, masses, neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+STRETCH, SHEAR, BENDING = range(3)
+#: Vertices whose positions fit into the shared memory of a block: 46 of 48 KiB, of which Warp takes one.
+SHARED_VERTICES = 3920
+#: An edge this much longer than the other edges of its triangles is the diagonal of a quadrilateral.
+_DIAGONAL = 1.2
+#: Vertices nearer than this along the cloth, in thicknesses, never touch each other.
+_APART = 1.6
+
+
+@dataclass(frozen=True)
+class Distances:
+    """C edges, |x_i − x_j| = rest, sorted by colour; no two of a colour share a vertex."""
+
+    pairs: np.ndarray  #: (C, 2)
+    rest: np.ndarray  #: (C,) m
+    unit: np.ndarray  #: (C,) compliance, m/N, of a fabric with 1 N/m
+    first: np.ndarray  #: (K + 1,): colour k has the edges from first[k] to first[k + 1]
+    kind: np.ndarray  #: (K,): STRETCH or SHEAR, of all of a colour
+
+
+@dataclass(frozen=True)
+class Hinges:
+    """H pairs of triangles with a common edge, Σ weight_i x_i = 0 when flat, sorted by colour."""
+
+    quads: np.ndarray  #: (H, 4): the edge's ends, then the two tips
+    weights: np.ndarray  #: (H, 4)
+    unit: np.ndarray  #: (H,) compliance, m/N, of a fabric with 1 N m
+    first: np.ndarray  #: (K + 1,)
+
+
+def face_areas(corners: np.ndarray) -> np.ndarray:
+    """(F,) m², of triangles (F, 3, 2) or (F, 3, 3)."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    squares = (a * a).sum(1) * (b * b).sum(1) - (a * b).sum(1) ** 2
+    return 0.5 * np.sqrt(np.maximum(squares, 0.0))
+
+
+def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The edges (E, 2), lower vertex first, and for each (F, 3) the edge from its corner k to k + 1."""
+    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)
+    edges, index = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+    return edges, index.reshape(-1, 3)
+
+
+def distances_of(faces: np.ndarray, corners: np.ndarray) -> Distances:
+    """The edges of triangles `faces` (F, 3) whose rest shape has the `corners` (F, 3, 2 or 3).
+
+    Stiffness is k = E Σ area / length² over an edge's triangles (Van Gelder 1998, Approximate simulation of
+    elastic membranes by triangulated spring meshes, equation 1).
+    """
+    edges, index = edges_of(faces)
+    count = len(edges)
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    uses = np.bincount(index.ravel(), minlength=count)
+    length = np.bincount(index.ravel(), sides.ravel(), count) / uses
+    area = np.bincount(index.ravel(), np.repeat(face_areas(corners), 3), count)
+    others = np.maximum(np.roll(sides, 1, axis=1), np.roll(sides, -1, axis=1))
+    longest = np.ones(count, bool)
+    np.logical_and.at(longest, index.ravel(), (sides > _DIAGONAL * others).ravel())
+    shears = longest & (uses == 2)
+    unit = length**2 / np.maximum(area, 1e-12)
+    colour = np.empty(count, int)
+    kinds: list[int] = []
+    for kind, these in ((STRETCH, np.flatnonzero(~shears)), (SHEAR, np.flatnonzero(shears))):
+        if len(these):
+            colour[these] = len(kinds) + colours_of(edges[these])
+            kinds += [kind] * (int(colour[these].max()) + 1 - len(kinds))
+    order = np.lexsort((edges[:, 1], edges[:, 0], colour))
+    first = np.concatenate([[0], np.cumsum(np.bincount(colour, minlength=len(kinds)))])
+    return Distances(edges[order], length[order], unit[order], first, np.array(kinds))
+
+
+def hinges_of(faces: np.ndarray, corners: np.ndarray) -> Hinges:
+    """The edges with two triangles, and how each resists bending: E = ½ B / (A_1 + A_2) |Σ weight_i x_i|²,
+    quadratic, for cloth that is flat at rest and hardly stretches (Bergou et al. 2006, A quadratic bending
+    model for inextensible surfaces, section 3). They have 3 B: with B a cylinder has the energy
+    ½ B κ² an area on meshes of equal triangles, whatever its axis, and on grids along their axes."""
+    _, index = edges_of(faces)
+    order = np.argsort(index.ravel(), kind="stable")
+    shared = np.flatnonzero(np.diff(index.ravel()[order]) == 0)
+    one, other = order[shared], order[shared + 1]
+    vertex, place = faces.ravel(), corners.reshape(-1, corners.shape[2])
+    quads = np.stack(
+        [vertex[one], vertex[_next(one)], vertex[_tip(one)], vertex[_tip(other)]], axis=1
+    )
+    at_first, at_second, areas = np.zeros(len(one)), np.zeros(len(one)), np.zeros(len(one))
+    tips = []
+    for side in (one, other):
+        begins = vertex[side] == quads[:, 0]  # else the triangle goes along the edge the other way
+        a = place[np.where(begins, side, _next(side))]
+        b = place[np.where(begins, _next(side), side)]
+        tip = place[_tip(side)]
+        double = 2 * face_areas(np.stack([a, b, tip], axis=1))
+        cot_a = ((b - a) * (tip - a)).sum(1) / double
+        cot_b = ((a - b) * (tip - b)).sum(1) / double
+        at_first += cot_b
+        at_second += cot_a
+        tips.append(-cot_a - cot_b)
+        areas += 0.5 * double
+    weights = np.stack([at_first, at_second, *tips], axis=1)
+    if not len(quads):
+        return Hinges(quads, weights, areas, np.zeros(1, int))
+    colour = colours_of(quads)
+    order = np.lexsort((quads[:, 0], colour))
+    first = np.concatenate([[0], np.cumsum(np.bincount(colour))])
+    return Hinges(quads[order], weights[order], areas[order], first)
+
+
+def _next(side: np.ndarray) -> np.ndarray:
+    """The flat index of the corner where a side ends, both counted through all triangles."""
+    return side - side % 3 + (side % 3 + 1) % 3
+
+
+def _tip(side: np.ndarray) -> np.ndarray:
+    """Of the corner opposite to a side."""
+    return side - side % 3 + (side % 3 + 2) % 3
+
+
+def colours_of(groups: np.ndarray) -> np.ndarray:
+    """(C,) greedily: the lowest that no vertex of a group (C, n) has yet."""
+    used = [0] * (int(groups.max()) + 1)
+    colours = np.empty(len(groups), int)
+    for number, group in enumerate(groups.tolist()):
+        taken = 0
+        for vertex in group:
+            taken |= used[vertex]
+        free = ~taken & (taken + 1)
+        colours[number] = free.bit_length() - 1
+        for vertex in group:
+            used[vertex] |= free
+    return colours
+
+
+def vertex_areas(faces: np.ndarray, corners: np.ndarray, count: int) -> np.ndarray:
+    """(V,) m²: a third of each triangle's."""
+    return np.bincount(faces.ravel(), np.repeat(face_areas(corners) / 3, 3), count)
+
+
+def faces_of_vertices(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(V + 1,) and (3 F,): vertex i is the corners (3 × face + corner) from start[i] to start[i + 1]."""
+    order = np.argsort(faces.ravel(), kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=count))])
+    return start, order
+
+
+def neighbours_along(
+    pairs: np.ndarray, lengths: np.ndarray, count: int, thickness: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(V + 1,) and (…,): those that vertex i never touches, since they are near along the cloth."""
+    graph = csr_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    start, found = [0], []
+    for row in range(0, count, 512):
+        rows = np.arange(row, min(row + 512, count))
+        far = dijkstra(graph, directed=False, indices=rows, limit=_APART * thickness)
+        for line in np.isfinite(far):
+            near = np.flatnonzero(line)
+            found.append(near)
+            start.append(start[-1] + len(near))
+    return np.array(start), np.concatenate(found)

@@ -1,0 +1,387 @@
+"""N worlds of one garment on one device: the state as torch views of Warp's arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import check_range
+from understudy.task import Context, Shape, Simulator
+from understudy_cloth.checking import check_mesh
+from understudy_cloth.mesh import (
+    SHARED_VERTICES,
+    distances_of,
+    edges_of,
+    faces_of_vertices,
+    hinges_of,
+    neighbours_along,
+    vertex_areas,
+)
+from understudy_cloth.scene import ClothModel, ClothScene
+from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
+from understudy_warp_torch.kernels import Kernels, put_rows
+from understudy_warp_torch.shapes import build_tools
+
+#: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged.
+_EXTENT, _SPEED = 1e3, 1e3
+#: Of the mean edge: so thick is a layer, unless the fabric says otherwise. Vertices of one layer then
+#: leave no gap through which one of another fits.
+_THICKNESS = 0.9
+
+
+class ClothSimulator(Simulator):
+    """A garment by extended position-based dynamics in small steps (Macklin et al. 2019): a control
+    period is so many sub-steps, each one sweep over constraints in colours, then layers, then bodies.
+
+    A control (N, 6·T + G) is the pose that each of T tools has when the period ends, position (m) and
+    rotation vector (axis × angle, rad) in the world frame, and for each of G grips whether it is closed,
+    above 0.5. Tools move evenly on the way. Nothing can stop a tool; grips close and open at once.
+
+    ===========================================  =========================================
+    field                                        shape; T leads only if there are several tools
+    ===========================================  =========================================
+    ``cloth_position``, ``cloth_velocity``       (V, 3) m, m/s
+    ``contact_force``                            (V, 3) N, of bodies on each vertex, mean over the
+                                                 control period
+    ``contact_side``                             (V,) 1 touched from inside, where the force is along the
+                                                 outward normal; −1 from outside; 0 untouched
+    ``grip_closed``                              (G,) 1 closed
+    ``tool_position``, ``tool_orientation``      (3,) m, (4,) wxyz
+    ``tool_velocity``, ``tool_angular_velocity``  (3,) m/s, rad/s, in the last sub-step
+    ===========================================  =========================================
+
+    Worlds may differ in ``gravity`` (3,), ``friction`` (), ``density`` () kg/m², ``stretch`` and ``shear`` ()
+    N/m, ``bending`` () N m, unless the fabric has none: then it costs nothing.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        self_contact: bool = True  #: whether layers keep apart; costs some 60 % more on a GPU
+        every: int = 10  #: sub-steps between searches for what may touch
+        candidates: int = (
+            32  #: M, vertices of other layers that one may touch until the next search
+        )
+        #: `block` keeps a world on one multiprocessor; `launches` has a kernel for each phase
+        traversal: Literal["block", "launches"] = "block"
+        threads: int = 512  #: of a block, at most; measured for shirts on an H100
+
+        def __post_init__(self) -> None:
+            check_range(self, "every", "candidates", "threads", least=1)
+            check_range(self, "threads", most=1024)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        scene = context.need_scene(ClothScene, "simulator 'cloth'")
+        self.model = model = scene.model()
+        self._options = options
+        self._warp = Kernels(context.device)
+        self._device = self._warp.device
+        self._n, self._substeps = context.num_worlds, context.substeps
+        self._dt = context.control_dt / context.substeps
+        with self._warp.scope():
+            self._cloth, self._features, self._first = self._build(model)
+            self._kernels = build_kernels(self._features)
+            wp.synchronize_device()  # torch's streams wait for nobody
+        c, v = self._cloth, self._cloth.vertices
+        t, g = len(model.tools), len(model.grips)
+        self.control_size = 6 * t + g
+        views = {
+            "cloth_position": (wp.to_torch(c.position), (v, 3)),
+            "cloth_velocity": (wp.to_torch(c.velocity), (v, 3)),
+            "contact_force": (wp.to_torch(c.force), (v, 3)),
+            "contact_side": (wp.to_torch(c.side), (v,)),
+        }
+        hidden = {
+            "anchor": (wp.to_torch(c.anchor), (v, 3)),
+            "near": (wp.to_torch(c.near), (v,)),
+            "substep": (wp.to_torch(c.substep), ()),
+        }
+        lead = (t,) if t > 1 else ()
+        if t:
+            views["tool_position"] = (wp.to_torch(c.tools.position), (*lead, 3))
+            views["tool_orientation"] = (wp.to_torch(c.tools.orientation), (*lead, 4))
+            views["tool_velocity"] = (wp.to_torch(c.tools.velocity), (*lead, 3))
+            views["tool_angular_velocity"] = (wp.to_torch(c.tools.angular_velocity), (*lead, 3))
+        if g:
+            views["grip_closed"] = (wp.to_torch(c.closed), (g,))
+            hidden["holder"] = (wp.to_torch(c.holder), (c.grip_vertices,))
+            hidden["held_at"] = (wp.to_torch(c.held_at), (c.grip_vertices, 3))
+        self.fields: Mapping[str, Shape] = {name: shape for name, (_, shape) in views.items()}
+        self._state = {
+            name: view.view(self._n, *shape) for name, (view, shape) in {**views, **hidden}.items()
+        }
+        self._views = {name: self._state[name] for name in views}
+        self.state_fields = ("cloth_position", "cloth_velocity")
+        if t:
+            self.state_fields += ("tool_position", "tool_orientation")
+        self._initial = {name: view[:1].clone() for name, view in self._state.items()}
+        stiffness = wp.to_torch(c.stiffness)
+        self._known = {
+            "gravity": wp.to_torch(c.gravity),
+            "friction": wp.to_torch(c.friction),
+            "density": wp.to_torch(c.density),
+            "stretch": stiffness[:, 0],
+            "shear": stiffness[:, 1],
+            **({"bending": stiffness[:, 2]} if model.fabric.bending else {}),
+        }
+        self.parameters: Mapping[str, Shape] = {
+            name: tuple(view.shape[1:]) for name, view in self._known.items()
+        }
+        self._varied: tuple[str, ...] = ()
+        # torch makes no view of an array without elements on a GPU
+        self._control = (
+            wp.to_torch(c.control)
+            if self.control_size
+            else torch.zeros(self._n, 0, device=self._device)
+        )
+        self._left_out = wp.to_torch(c.left_out)
+        #: (N,) worlds that began a step with numbers that the step may hide: it moves the tools anew.
+        self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
+        self._asked = False  #: whether anybody was told of those
+
+    def _build(self, model: ClothModel) -> tuple[Any, Features, tuple[np.ndarray, np.ndarray]]:
+        """The cloth on Warp's present device, what its kernels have to know, and where colours begin."""
+        n, fabric = self._n, model.fabric
+        positions, faces = np.asarray(model.positions, float), np.asarray(model.faces)
+        check_mesh(positions, faces, "The scene's cloth")
+        v, f = len(positions), len(faces)
+        rest = positions if model.rest is None else np.asarray(model.rest, float)
+        corners = rest[faces] if rest.shape == (v, 3) else rest
+        if corners.shape not in ((f, 3, 2), (f, 3, 3)) or not np.isfinite(corners).all():
+            raise ConfigError(
+                f"The cloth's rest shape is {rest.shape}: it takes ({v}, 3) vertices or the ({f}, 3, 2) "
+                "corners of its triangles."
+            )
+        area = vertex_areas(faces, corners, v)
+        if (area <= 0).any():
+            raise ConfigError("A vertex of the cloth is in no triangle with an area at rest.")
+        pinned = _indices(model.pinned, v, "pinned")
+        members = [_indices(grip.vertices, v, f"of grip {k}") for k, grip in enumerate(model.grips)]
+        self._check(model, pinned, members)
+        found = distances_of(faces, corners)
+        hinges = hinges_of(
+            faces[: f if fabric.bending else 0], corners[: f if fabric.bending else 0]
+        )
+        edges, index = edges_of(faces)
+        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        length = np.zeros(len(edges))
+        length[index.ravel()] = sides.ravel()
+        thickness = fabric.thickness or _THICKNESS * float(length.mean())
+        inverse = 1.0 / area
+        inverse[pinned] = 0.0
+        options, c = self._options, Cloth()
+
+        def one_each(value: Any, dtype: Any = float) -> Any:
+            kind = np.float32 if dtype in (float, wp.vec3, wp.vec4) else np.int32
+            return wp.array(np.ascontiguousarray(value, kind), dtype=dtype)
+
+        def each_world(value: Any, dtype: Any = float) -> Any:
+            value = np.asarray(value, np.float32)
+            return wp.array(np.tile(value, (n, *[1] * value.ndim)), dtype=dtype)
+
+        c.position = wp.array(np.tile(positions.astype(np.float32), (n, 1)), dtype=wp.vec3)
+        c.velocity, c.force = wp.zeros(n * v, dtype=wp.vec3), wp.zeros(n * v, dtype=wp.vec3)
+        c.side, c.anchor = wp.zeros(n * v, dtype=float), wp.zeros(n * v, dtype=wp.vec3)
+        c.near, c.substep = wp.zeros(n * v, dtype=int), wp.zeros(n, dtype=int)
+        c.tools = build_tools(model.tools, n)
+        c.control = wp.zeros((n, 6 * len(model.tools) + len(members)), dtype=float)
+        c.vertices, c.faces = v, f
+        c.pair, c.rest, c.unit = (
+            one_each(found.pairs, wp.vec2i),
+            one_each(found.rest),
+            one_each(found.unit),
+        )
+        c.first, c.kind, c.colours = (
+            one_each(found.first, int),
+            one_each(found.kind, int),
+            len(found.kind),
+        )
+        c.inverse_area, c.face = one_each(inverse), one_each(faces, wp.vec3i)
+        c.quad, c.quad_weight = one_each(hinges.quads, wp.vec4i), one_each(hinges.weights, wp.vec4)
+        c.quad_unit, c.quad_first = one_each(hinges.unit), one_each(hinges.first, int)
+        c.quad_colours = len(hinges.first) - 1
+        start, corner = faces_of_vertices(faces, v)
+        c.corner_start, c.corner = one_each(start, int), one_each(corner, int)
+
+        held = np.unique(np.concatenate([*members, np.zeros(0, int)])).astype(int)
+        holds = (
+            np.stack([np.isin(held, m) for m in members], axis=1) if members else np.zeros((0, 0))
+        )
+        c.grips, c.grip_vertices = len(members), len(held)
+        c.grip_tool = one_each([grip.tool for grip in model.grips], int)
+        c.grip_vertex = one_each(held, int)
+        c.grip_holds = wp.array(holds.astype(np.int32), dtype=int, shape=holds.shape)
+        c.closed = wp.zeros((n, len(members)), dtype=float)
+        c.holder = wp.full((n, len(held)), -1, dtype=int)
+        c.held_at = wp.zeros((n, len(held)), dtype=wp.vec3)
+
+        c.gravity = each_world(model.gravity, wp.vec3)
+        c.friction, c.density = each_world(fabric.friction), each_world(fabric.density)
+        c.stiffness = each_world([fabric.stretch, fabric.shear, fabric.bending])
+        c.damping, c.gap, c.longest = fabric.damping, fabric.gap, float(sides.max())
+        c.thickness, c.room = thickness, options.candidates
+        c.dt, c.substeps, c.every = self._dt, self._substeps, min(options.every, self._substeps)
+
+        s, layers = c.tools.shapes, options.self_contact
+        some_v, some_f = (v if layers else 0), (f if s else 0)
+        c.weight = wp.array(np.tile(inverse.astype(np.float32), n), dtype=float)
+        c.start = wp.clone(c.position)
+        c.way, c.face_near = wp.zeros((n, s), dtype=float), wp.zeros((n, some_f), dtype=int)
+        c.beside = wp.zeros(n * v, dtype=int)
+        c.corner_push = wp.zeros(n * 3 * some_f, dtype=wp.vec4)
+        c.corner_shift = wp.zeros(n * 3 * some_f, dtype=wp.vec3)
+        c.buckets = 1 << (2 * v - 1).bit_length() if layers else 0
+        c.head, c.next = wp.zeros(n * c.buckets, dtype=int), wp.zeros(n * some_v, dtype=int)
+        if self._device.type == "cuda":  # threads side by side read numbers side by side
+            c.candidate = wp.zeros((n, c.room, some_v), dtype=int).transpose((0, 2, 1))
+        else:
+            c.candidate = wp.zeros((n, some_v, c.room), dtype=int)
+        c.candidates, c.crowd = wp.zeros(n * some_v, dtype=int), wp.zeros(n * some_v, dtype=float)
+        c.push, c.shift = wp.zeros(n * some_v, dtype=wp.vec3), wp.zeros(n * some_v, dtype=wp.vec3)
+        c.left_out = wp.zeros(n * v, dtype=int)
+        if layers:
+            near, which = neighbours_along(edges, length, v, thickness)
+            c.apart_start, c.apart = one_each(near, int), one_each(which, int)
+
+        on_gpu = self._device.type == "cuda"
+        threads = 32 * math.ceil(min(v, options.threads) / 32)
+        rounded = 256 * math.ceil(v / 256)  # so that garments of similar size share kernels
+        features = Features(
+            shapes=s > 0,
+            grips=bool(members),
+            self_contact=layers,
+            shared=min(rounded, SHARED_VERTICES)
+            if v <= SHARED_VERTICES and on_gpu and options.traversal == "block"
+            else 0,
+            threads=threads if on_gpu else 1,
+        )
+        return c, features, (found.first, hinges.first)
+
+    @staticmethod
+    def _check(model: ClothModel, pinned: np.ndarray, members: Sequence[np.ndarray]) -> None:
+        shapes = sum(len(tool.shapes) for tool in model.tools)
+        if shapes > MOST_SHAPES:
+            raise ConfigError(
+                f"The scene's tools have {shapes} shapes together; cloth can meet {MOST_SHAPES}."
+            )
+        for number, (grip, vertices) in enumerate(zip(model.grips, members, strict=True)):
+            if not 0 <= grip.tool < len(model.tools):
+                raise ConfigError(f"Grip {number} is of tool {grip.tool}, which the scene has not.")
+            if np.isin(vertices, pinned).any():
+                raise ConfigError(f"Grip {number} holds a vertex that is pinned: leave it to one.")
+
+    def _advance(self, count: int) -> None:
+        c, kernels, features = self._cloth, self._kernels, self._features
+        if self._options.traversal == "block":
+            wp.launch_tiled(
+                kernels.block, dim=[self._n], inputs=[c, count], block_dim=features.threads
+            )
+            return
+        n, s = self._n, c.tools.shapes
+        vertices, faces = (n, c.vertices), (n, c.faces)
+        everything = (n, max(c.vertices, c.buckets, s))
+        either = (n, max(c.vertices, c.faces))
+        for substep in range(count):
+            for resumes in (True, False) if substep == 0 else (False,):
+                wp.launch(kernels.begin, dim=everything, inputs=[c, resumes])
+                wp.launch(kernels.insert, dim=vertices, inputs=[c, resumes])
+                wp.launch(kernels.search, dim=either, inputs=[c, resumes])
+            if s or c.grips:
+                wp.launch(kernels.tools, dim=n, inputs=[c])
+            if c.grips:
+                wp.launch(kernels.grip, dim=(n, c.grip_vertices), inputs=[c])
+            wp.launch(kernels.predict, dim=vertices, inputs=[c])
+            for kernel, begins in zip((kernels.edges, kernels.hinges), self._first, strict=True):
+                for colour in range(len(begins) - 1):
+                    first, last = int(begins[colour]), int(begins[colour + 1])
+                    wp.launch(kernel, dim=(n, last - first), inputs=[c, colour, first])
+            if features.self_contact:
+                wp.launch(kernels.find_layers, dim=vertices, inputs=[c])
+                wp.launch(kernels.part_layers, dim=vertices, inputs=[c])
+            if s:
+                wp.launch(kernels.touch, dim=faces, inputs=[c])
+            wp.launch(kernels.finish, dim=vertices, inputs=[c])
+            wp.launch(kernels.count, dim=n, inputs=[c])
+        wp.launch(kernels.judge, dim=vertices, inputs=[c])
+
+    # ------------------------------------------------------------------ Simulator
+
+    def vary(self, names: Sequence[str]) -> None:
+        for name in names:
+            if name not in self.parameters:
+                known = suggestion(name, self.parameters)
+                raise ConfigError(
+                    f"simulator 'cloth' has no parameter '{name}' in which worlds may differ.{known}"
+                )
+        self._varied = tuple(names)
+        self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
+        self._views.update({name: self._known[name] for name in names})
+
+    def read(self, name: str) -> Tensor:
+        return self._views[name]
+
+    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
+        self._bad &= ~worlds
+        for name in self._varied:
+            if name in state:
+                put_rows(self._known[name], worlds, state[name])
+        for name, view in self._state.items():
+            put_rows(
+                view, worlds, state[name] if name in self.state_fields else self._initial[name]
+            )
+
+    def step(self, control: Tensor, substeps: int | None = None) -> None:
+        count = self._substeps if substeps is None else substeps
+        if self._asked:
+            self._bad.zero_()
+            self._asked = False
+        self._bad |= ~self._sound()
+        self._control.copy_(control)
+        changed = (*self._state.values(), self._left_out)
+        self._warp.run(count, lambda: self._advance(count), changed)
+
+    def failed(self) -> Tensor:
+        self._asked = True
+        return self._bad | ~self._sound()
+
+    def _sound(self) -> Tensor:
+        """(N,) bool: the state is finite, and vertices are near and slow enough."""
+        sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
+        for name in self.state_fields:
+            limit = _SPEED if name.endswith("velocity") else _EXTENT
+            sound &= (self._views[name].abs() < limit).flatten(1).all(dim=1)  # false for NaN
+        return sound
+
+    def snapshot(self) -> dict[str, Tensor]:
+        varied = {name: self._known[name] for name in self._varied}
+        return {name: view.clone() for name, view in {**self._state, **varied}.items()}
+
+    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
+        if worlds is None:
+            worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
+        self._bad &= ~worlds
+        for name in self._varied:
+            if name in snapshot:
+                put_rows(self._known[name], worlds, snapshot[name])
+        for name, view in self._state.items():
+            put_rows(view, worlds, snapshot[name])
+
+    def report(self) -> dict[str, int]:
+        count = int(self._left_out.sum())
+        return {"candidates_left_out": count} if count else {}
+
+
+def _indices(vertices: Any, count: int, name: str) -> np.ndarray:
+    found = np.asarray(vertices, dtype=np.int64).reshape(-1)
+    if ((found < 0) | (found >= count)).any():
+        raise ConfigError(f"The vertices {name} are numbers from 0 to {count - 1}.")
+    if len(np.unique(found)) != len(found):
+        raise ConfigError(f"One of the vertices {name} is named twice.")
+    return found

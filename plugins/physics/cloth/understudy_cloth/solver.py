@@ -1,0 +1,911 @@
+"""Cloth by extended position-based dynamics in small steps, N worlds: the phases of a sub-step, and two
+ways to go through them.
+
+Each phase is a function of one vertex, constraint or triangle of one world. :func:`build_kernels`
+makes of them
+
+- ``block``: one kernel for any number of sub-steps, a thread block for each world. Positions stay in
+  shared memory if they fit. On the CPU a block has one thread.
+- one kernel for each phase and colour with a thread for each of its items, the same numbers by launches.
+
+No result depends on the order of threads: constraints of a colour share no vertex, and everything else
+reads others and writes its own.
+"""
+
+# What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
+# conditions known when compiling stand alone.
+# ruff: noqa: UP018, RUF046, SIM102, SIM108, SIM110
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
+# pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from understudy_cloth import mesh
+from understudy_warp_torch.blocks import global_memory as global_address
+from understudy_warp_torch.blocks import shared_memory, wait_for_block
+from understudy_warp_torch.shapes import (
+    GRID,
+    Tools,
+    friction,
+    from_rotation_vector,
+    move_tool,
+    place_shape,
+    rotation,
+    shape_distance,
+    to_rotation_vector,
+    xyz,
+)
+
+#: Column of the fabric's stiffness.
+BENDING = wp.constant(mesh.BENDING)
+#: Shapes that a scene may have: bits of a number.
+MOST_SHAPES = 31
+#: Nearer than this points have no direction from each other, m.
+_NEAR = wp.constant(1e-9)
+#: How often the point of a triangle that is deepest in a shape is improved.
+_SEARCHES = wp.constant(3)
+#: How often a vertex is pushed out of bodies that push it into each other.
+_WEDGED = wp.constant(4)
+#: m/s: vertices may become so much faster between two searches for what is near.
+_FASTER = wp.constant(1.0)
+#: Two layers count as touching, when corrections are averaged, at this part of their thickness.
+_CROWDED = wp.constant(1.25)
+#: Layers that are nearer than this part of their thickness are seen when what may touch is searched.
+SEEN = 1.5
+
+#: Division and roots to 2 bits less, on CUDA.
+_FAST = {"fast_math": True}
+
+
+@wp.struct
+class Cloth:
+    """What kernels are handed. N worlds, V vertices, F triangles, K colours of edges and L of hinges, M
+    candidates, U vertices of grips. Arrays of vertices are (N · V,)."""
+
+    # the state
+    position: wp.array(dtype=wp.vec3)
+    velocity: wp.array(dtype=wp.vec3)
+    force: wp.array(dtype=wp.vec3)
+    side: wp.array(dtype=float)
+    anchor: wp.array(dtype=wp.vec3)  # positions when what may touch was last searched
+    near: wp.array(dtype=int)  # bits of shapes that were near then
+    substep: wp.array(dtype=int)  # done in the present control period, (N,)
+    closed: wp.array2d(dtype=float)  # (N, G)
+    holder: wp.array2d(dtype=int)  # the grip that holds, −1: none, (N, U)
+    held_at: wp.array2d(dtype=wp.vec3)  # in the frame of the grip's tool, (N, U)
+    tools: Tools
+    control: wp.array2d(dtype=float)
+    # the mesh
+    vertices: int
+    faces: int
+    pair: wp.array(dtype=wp.vec2i)
+    rest: wp.array(dtype=float)
+    unit: wp.array(dtype=float)
+    first: wp.array(dtype=int)  # (K + 1,)
+    kind: wp.array(dtype=int)  # (K,)
+    colours: int  # K
+    quad: wp.array(dtype=wp.vec4i)
+    quad_weight: wp.array(dtype=wp.vec4)
+    quad_unit: wp.array(dtype=float)
+    quad_first: wp.array(dtype=int)  # (L + 1,)
+    quad_colours: int  # L
+    inverse_area: wp.array(dtype=float)  # 1/m², 0: pinned
+    face: wp.array(dtype=wp.vec3i)
+    corner_start: wp.array(dtype=int)  # (V + 1,)
+    corner: wp.array(dtype=int)  # (3 F,)
+    grips: int
+    grip_vertices: int  # U
+    grip_tool: wp.array(dtype=int)
+    grip_vertex: wp.array(dtype=int)
+    grip_holds: wp.array2d(dtype=int)  # (U, G)
+    # worlds may differ in these
+    gravity: wp.array(dtype=wp.vec3)
+    friction: wp.array(dtype=float)
+    density: wp.array(dtype=float)
+    stiffness: wp.array2d(dtype=float)  # (N, 3)
+    # the fabric
+    damping: float
+    gap: float
+    longest: float  # edge, m
+    # self-contact
+    thickness: float
+    room: int  # M
+    buckets: int  # a power of 2
+    apart_start: wp.array(dtype=int)
+    apart: wp.array(dtype=int)
+    # solver
+    dt: float
+    substeps: int
+    every: int  # sub-steps between searches
+    # working memory
+    weight: wp.array(dtype=float)  # 1 / area, 0: held or pinned
+    start: wp.array(dtype=wp.vec3)
+    way: wp.array2d(dtype=float)  # how far a shape may go until the next search, (N, S)
+    face_near: wp.array2d(dtype=int)
+    beside: wp.array(dtype=int)  # bits of shapes near a triangle of the vertex
+    corner_push: wp.array(dtype=wp.vec4)  # and its weight, (N · 3 F,)
+    corner_shift: wp.array(dtype=wp.vec3)
+    head: wp.array(dtype=int)  # (N · buckets,)
+    next: wp.array(dtype=int)
+    candidate: wp.array3d(dtype=int)  # (N, V, M)
+    candidates: wp.array(dtype=int)
+    crowd: wp.array(dtype=float)  # 1 / layers that touch
+    push: wp.array(dtype=wp.vec3)
+    shift: wp.array(dtype=wp.vec3)
+    left_out: wp.array(dtype=int)  # candidates for which there was no room, so far
+
+
+@dataclass(frozen=True)
+class Features:
+    """What the kernels of a scene can do, known when they are compiled."""
+
+    shapes: bool
+    grips: bool
+    self_contact: bool
+    shared: int  #: vertices that shared memory has room for; 0: positions are not there
+    threads: int  #: of a block
+
+
+@dataclass(frozen=True)
+class Kernels:
+    block: Any  #: (cloth, sub-steps), tiled by worlds
+    begin: (
+        Any  #: (cloth, whether this resumes), (N, buckets, vertices or shapes, whichever is most)
+    )
+    insert: Any  #: (cloth, whether this resumes), (N, V)
+    search: Any  #: (cloth, whether this resumes), (N, V or F)
+    tools: Any  #: (cloth,), N
+    grip: Any  #: (cloth,), (N, U)
+    predict: Any  #: (cloth,), (N, V)
+    edges: Any  #: (cloth, colour, its first edge), (N, edges)
+    hinges: Any  #: (cloth, colour, its first hinge), (N, hinges)
+    find_layers: Any  #: (cloth,), (N, V)
+    part_layers: Any  #: (cloth,), (N, V)
+    touch: Any  #: (cloth,), (N, F)
+    finish: Any  #: (cloth,), (N, V)
+    count: Any  #: (cloth,), N
+    judge: Any  #: (cloth,), (N, V)
+
+
+packed_address = global_address(wp.vec3)
+
+
+@wp.func_native("return ((const wp::vec_t<3, float>*)memory)[i];")
+def load_packed(memory: wp.uint64, i: int) -> wp.vec3: ...
+
+
+@wp.func_native("((wp::vec_t<3, float>*)memory)[i] = x;")
+def store_packed(memory: wp.uint64, i: int, x: wp.vec3): ...
+
+
+# x, y and z apart, so that threads side by side read numbers side by side
+@wp.func_native(
+    """
+    const float* of = (const float*)memory;
+    return wp::vec_t<3, float>(of[i], of[n + i], of[2 * n + i]);
+"""
+)
+def load_apart(memory: wp.uint64, n: int, i: int) -> wp.vec3: ...
+
+
+@wp.func_native(
+    """
+    float* of = (float*)memory;
+    of[i] = x[0];
+    of[n + i] = x[1];
+    of[2 * n + i] = x[2];
+"""
+)
+def store_apart(memory: wp.uint64, n: int, i: int, x: wp.vec3): ...
+
+
+@wp.func
+def cell_of(x: wp.vec3, size: float) -> wp.vec3i:
+    return wp.vec3i(
+        int(wp.floor(x[0] / size)), int(wp.floor(x[1] / size)), int(wp.floor(x[2] / size))
+    )
+
+
+@wp.func
+def bucket(cell: wp.vec3i, buckets: int) -> int:
+    """`buckets` is a power of two."""
+    return ((cell[0] * 73856093) ^ (cell[1] * 19349663) ^ (cell[2] * 83492791)) & (buckets - 1)
+
+
+@wp.func
+def nearest_in_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
+    """Barycentric coordinates of the point nearest to p (Ericson 2005, Real-time collision detection, 5.1.5)."""
+    ab = b - a
+    ac = c - a
+    ap = p - a
+    d1 = wp.dot(ab, ap)
+    d2 = wp.dot(ac, ap)
+    if d1 <= 0.0 and d2 <= 0.0:
+        return wp.vec3(1.0, 0.0, 0.0)
+    bp = p - b
+    d3 = wp.dot(ab, bp)
+    d4 = wp.dot(ac, bp)
+    if d3 >= 0.0 and d4 <= d3:
+        return wp.vec3(0.0, 1.0, 0.0)
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / wp.max(d1 - d3, 1e-20)
+        return wp.vec3(1.0 - v, v, 0.0)
+    cp = p - c
+    d5 = wp.dot(ab, cp)
+    d6 = wp.dot(ac, cp)
+    if d6 >= 0.0 and d5 <= d6:
+        return wp.vec3(0.0, 0.0, 1.0)
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / wp.max(d2 - d6, 1e-20)
+        return wp.vec3(1.0 - w, 0.0, w)
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / wp.max((d4 - d3) + (d5 - d6), 1e-20)
+        return wp.vec3(0.0, 1.0 - w, w)
+    total = wp.max(va + vb + vc, 1e-20)
+    return wp.vec3(va / total, vb / total, vc / total)
+
+
+@wp.func
+def excess(before: float, change: float) -> float:
+    """How far a push of `change` along its normal would throw off what moved by `before` along it in the
+    sub-step: a contact ends an approach, and gives no speed away from it."""
+    return wp.max(before + change - wp.max(before, 0.0), 0.0)
+
+
+@wp.func
+def carried(tools: Tools, world: int, shape: int, x: wp.vec3) -> wp.vec3:
+    """Where the point x of a shape was when the sub-step began."""
+    local = wp.quat_rotate_inv(
+        tools.shape_rotation[world, shape], x - tools.shape_position[world, shape]
+    )
+    return tools.shape_position_before[world, shape] + wp.quat_rotate(
+        tools.shape_rotation_before[world, shape], local
+    )
+
+
+@wp.func
+def shape_way(c: Cloth, world: int, shape: int):
+    """How far any of its points may go until the next search."""
+    t = c.tools.tool[shape]
+    o = 6 * t
+    target = wp.vec3(c.control[world, o], c.control[world, o + 1], c.control[world, o + 2])
+    turn = wp.vec3(c.control[world, o + 3], c.control[world, o + 4], c.control[world, o + 5])
+    q = rotation(c.tools.orientation[world, t])
+    angle = wp.length(to_rotation_vector(from_rotation_vector(turn) * wp.quat_inverse(q)))
+    arm = wp.length(c.tools.offset[shape]) + wp.length(c.tools.centre[shape]) + c.tools.bound[shape]
+    share = wp.min(float(c.every) / float(c.substeps - c.substep[world]), 1.0)
+    way = wp.length(target - c.tools.position[world, t]) + angle * arm
+    c.way[world, shape] = share * way
+    # where it is now, for who looks for what is near before it moves
+    c.tools.shape_position[world, shape] = c.tools.position[world, t] + wp.quat_rotate(
+        q, c.tools.offset[shape]
+    )
+    c.tools.shape_rotation[world, shape] = q * c.tools.turn[shape]
+
+
+@wp.func
+def shapes_near(c: Cloth, world: int, i: int) -> int:
+    """Bits of the shapes that vertex i, or a triangle of it, may touch until the next search."""
+    o = world * c.vertices + i
+    x = c.anchor[o]
+    own = float(c.every) * c.dt * (wp.length(c.velocity[o]) + _FASTER)
+    reach = c.gap + 0.7 * c.longest + own
+    bits = int(0)
+    for shape in range(c.tools.shapes):
+        q = c.tools.shape_rotation[world, shape]
+        middle = c.tools.shape_position[world, shape] + wp.quat_rotate(q, c.tools.centre[shape])
+        within = reach + c.way[world, shape]
+        if wp.length(x - middle) < c.tools.bound[shape] + within:
+            found = shape_distance(c.tools, world, shape, x)
+            if found[3] < within:
+                bits = bits | (1 << shape)
+    return bits
+
+
+@wp.func
+def face_bits(c: Cloth, world: int, f: int) -> int:
+    ends = c.face[f]
+    o = world * c.vertices
+    return c.near[o + ends[0]] | c.near[o + ends[1]] | c.near[o + ends[2]]
+
+
+@wp.func
+def search_shapes(c: Cloth, world: int, i: int):
+    bits = int(0)
+    for k in range(c.corner_start[i], c.corner_start[i + 1]):
+        bits = bits | face_bits(c, world, c.corner[k] / 3)
+    c.beside[world * c.vertices + i] = bits
+
+
+@wp.func
+def never_touch(c: Cloth, i: int, j: int) -> bool:
+    for k in range(c.apart_start[i], c.apart_start[i + 1]):
+        if c.apart[k] == j:
+            return True
+    return False
+
+
+@wp.func
+def search_layers(c: Cloth, world: int, i: int):
+    """The vertices, nearest first, that vertex i may touch until the next search."""
+    o = world * c.vertices
+    x = c.anchor[o + i]
+    size = wp.static(SEEN) * c.thickness
+    found = int(0)
+    crowd = float(0.0)
+    home = cell_of(x, size)
+    for q in range(27):
+        cell = home + wp.vec3i(q % 3 - 1, (q / 3) % 3 - 1, q / 9 - 1)
+        j = c.head[world * c.buckets + bucket(cell, c.buckets)]
+        while j >= 0:
+            y = c.anchor[o + j]
+            r2 = wp.length_sq(x - y)
+            if j != i and r2 < size * size:
+                # others of this bucket are met, if near, in their own cell
+                if cell_of(y, size) == cell and not never_touch(c, i, j):
+                    if r2 < _CROWDED * _CROWDED * c.thickness * c.thickness:
+                        crowd += 1.0
+                    # where it belongs among those already found; the farthest is left out
+                    k = wp.min(found, c.room)
+                    while k > 0:
+                        other = c.candidate[world, i, k - 1]
+                        theirs = wp.length_sq(x - c.anchor[o + other])
+                        if theirs < r2 or (theirs == r2 and other < j):
+                            break
+                        if k < c.room:
+                            c.candidate[world, i, k] = other
+                        k = k - 1
+                    if k < c.room:
+                        c.candidate[world, i, k] = j
+                    found += 1
+            j = c.next[o + j]
+    c.candidates[o + i] = wp.min(found, c.room)
+    c.crowd[o + i] = 1.0 / wp.max(crowd, 1.0)
+    c.left_out[o + i] += wp.max(found - c.room, 0)
+
+
+@functools.cache
+def build_kernels(features: Features) -> Kernels:
+    """The kernels of all scenes with these `features`."""
+    SHAPES = wp.constant(features.shapes)
+    GRIPS = wp.constant(features.grips)
+    LAYERS = wp.constant(features.self_contact)
+    SHARED = wp.constant(features.shared > 0)
+    LANES = features.threads
+    address = packed_address
+    if features.shared:
+        address = shared_memory(wp.vec3, "float", 3 * features.shared)
+
+    @wp.func
+    def load(m: wp.uint64, c: Cloth, i: int) -> wp.vec3:
+        x = wp.vec3()
+        if wp.static(SHARED):
+            x = load_apart(m, c.vertices, i)
+        else:
+            x = load_packed(m, i)
+        return x
+
+    @wp.func
+    def store(m: wp.uint64, c: Cloth, i: int, x: wp.vec3):
+        if wp.static(SHARED):
+            store_apart(m, c.vertices, i, x)
+        else:
+            store_packed(m, i, x)
+
+    @wp.func
+    def begin_search(c: Cloth, m: wp.uint64, world: int, k: int, resumes: bool):
+        """Where vertices and shapes are now, from which all that is searched follows."""
+        if k < c.vertices and not resumes:
+            c.anchor[world * c.vertices + k] = load(m, c, k)
+        if wp.static(SHAPES):
+            if k < c.tools.shapes and not resumes:
+                shape_way(c, world, k)
+        if wp.static(LAYERS):
+            if k < c.buckets:
+                c.head[world * c.buckets + k] = -1
+
+    @wp.func
+    def insert(c: Cloth, world: int, i: int, resumes: bool):
+        o = world * c.vertices + i
+        if wp.static(SHAPES):
+            if not resumes:
+                c.near[o] = shapes_near(c, world, i)
+        if wp.static(LAYERS):
+            size = wp.static(SEEN) * c.thickness
+            h = bucket(cell_of(c.anchor[o], size), c.buckets)
+            c.next[o] = wp.atomic_exch(c.head, world * c.buckets + h, i)
+
+    @wp.func
+    def search(c: Cloth, world: int, k: int):
+        if k < c.vertices:
+            if wp.static(LAYERS):
+                search_layers(c, world, k)
+            if wp.static(SHAPES):
+                search_shapes(c, world, k)
+        if wp.static(SHAPES):
+            if k < c.faces:
+                c.face_near[world, k] = face_bits(c, world, k)
+
+    @wp.func
+    def grip(c: Cloth, m: wp.uint64, world: int, u: int):
+        """What holds this vertex, and where it is then."""
+        i = c.grip_vertex[u]
+        o = world * c.vertices + i
+        base = 6 * c.tools.tools
+        held = c.holder[world, u]
+        now = int(-1)
+        if held >= 0:
+            if c.control[world, base + held] > 0.5:
+                now = held
+        for g in range(c.grips):
+            if now < 0 and c.grip_holds[u, g] == 1 and c.control[world, base + g] > 0.5:
+                now = g
+        x = load(m, c, i)
+        if now >= 0:
+            t = c.grip_tool[now]
+            if now != held:
+                q = rotation(c.tools.orientation_before[world, t])
+                c.held_at[world, u] = wp.quat_rotate_inv(q, x - c.tools.position_before[world, t])
+            q = rotation(c.tools.orientation[world, t])
+            y = c.tools.position[world, t] + wp.quat_rotate(q, c.held_at[world, u])
+            c.start[o] = x
+            c.velocity[o] = (y - x) / c.dt
+            store(m, c, i, y)
+        c.holder[world, u] = now
+        c.weight[o] = wp.where(now >= 0, 0.0, c.inverse_area[i])
+
+    @wp.func
+    def predict(c: Cloth, m: wp.uint64, world: int, i: int):
+        o = world * c.vertices + i
+        if c.substep[world] == 0:
+            c.force[o] = wp.vec3(0.0)
+        x = load(m, c, i)
+        if c.weight[o] > 0.0:
+            c.start[o] = x
+            v = (c.velocity[o] + c.dt * c.gravity[world]) / (1.0 + c.dt * c.damping)
+            store(m, c, i, x + c.dt * v)
+        elif c.inverse_area[i] == 0.0:
+            c.start[o] = x
+            c.velocity[o] = wp.vec3(0.0)
+
+    @wp.func
+    def softness(c: Cloth, world: int, kind: int) -> float:
+        """Of a constraint with 1 m/N, over that of a vertex with 1 m²: ρ / (k Δt²)."""
+        k = wp.max(c.stiffness[world, kind], 1e-12)
+        return c.density[world] / (k * c.dt * c.dt)
+
+    @wp.func
+    def keep_distance(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
+        """XPBD with one iteration (Macklin et al. 2016, equation 18, with λ = 0), masses over density."""
+        ends = c.pair[k]
+        wi = c.weight[world * c.vertices + ends[0]]
+        wj = c.weight[world * c.vertices + ends[1]]
+        xi = load(m, c, ends[0])
+        xj = load(m, c, ends[1])
+        apart = xi - xj
+        length = wp.length(apart)
+        if length > _NEAR and wi + wj > 0.0:
+            share = (c.rest[k] - length) / (length * (wi + wj + soft * c.unit[k]))
+            store(m, c, ends[0], xi + (share * wi) * apart)
+            store(m, c, ends[1], xj - (share * wj) * apart)
+
+    @wp.func
+    def keep_flat(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
+        """The same for the vector Σ weight_i x_i = 0, whose three components are apart."""
+        ends = c.quad[k]
+        a = c.quad_weight[k]
+        o = world * c.vertices
+        w0 = c.weight[o + ends[0]] * a[0]
+        w1 = c.weight[o + ends[1]] * a[1]
+        w2 = c.weight[o + ends[2]] * a[2]
+        w3 = c.weight[o + ends[3]] * a[3]
+        x0 = load(m, c, ends[0])
+        x1 = load(m, c, ends[1])
+        x2 = load(m, c, ends[2])
+        x3 = load(m, c, ends[3])
+        total = w0 * a[0] + w1 * a[1] + w2 * a[2] + w3 * a[3] + soft * c.quad_unit[k]
+        change = (a[0] * x0 + a[1] * x1 + a[2] * x2 + a[3] * x3) / (-total)
+        store(m, c, ends[0], x0 + w0 * change)
+        store(m, c, ends[1], x1 + w1 * change)
+        store(m, c, ends[2], x2 + w2 * change)
+        store(m, c, ends[3], x3 + w3 * change)
+
+    @wp.func
+    def find_layers(c: Cloth, m: wp.uint64, world: int, i: int):
+        """How other layers push vertex i, and rub on it."""
+        o = world * c.vertices
+        count = c.candidates[o + i]
+        wi = c.weight[o + i]
+        push = wp.vec3(0.0)
+        shift = wp.vec3(0.0)
+        if count > 0 and wi > 0.0:
+            x = load(m, c, i)
+            moved = x - c.start[o + i]
+            rub = wp.vec3(0.0)
+            others = wp.vec3(0.0)
+            total = float(0.0)
+            for k in range(count):
+                j = c.candidate[world, i, k]
+                y = load(m, c, j)
+                apart = x - y
+                r = wp.length(apart)
+                if r < c.thickness:
+                    if r < _NEAR:  # on each other: apart along z, each its own way
+                        r = _NEAR
+                        apart = wp.vec3(0.0, 0.0, wp.where(i < j, -_NEAR, _NEAR))
+                    n = apart / r
+                    share = wp.min(c.crowd[o + i], c.crowd[o + j]) * wi / (wi + c.weight[o + j])
+                    theirs = y - c.start[o + j]
+                    slip = moved - theirs
+                    slip = slip - wp.dot(slip, n) * n
+                    depth = c.thickness - r
+                    mu = c.friction[world]
+                    push += (share * depth) * n
+                    rub += share * friction(slip, depth, mu, mu)
+                    others += share * theirs
+                    total += share
+            if total > 0.0:
+                size = wp.length(push)
+                n = push / wp.max(size, _NEAR)
+                before = wp.dot(moved - others / total, n)
+                shift = excess(before, size) * n
+                push = push - rub
+        c.push[o + i] = push
+        c.shift[o + i] = shift
+
+    @wp.func
+    def part_layers(c: Cloth, m: wp.uint64, world: int, i: int):
+        o = world * c.vertices + i
+        if c.candidates[o] > 0 and c.weight[o] > 0.0:
+            store(m, c, i, load(m, c, i) + c.push[o])
+            c.start[o] = c.start[o] + c.shift[o]
+
+    @wp.func
+    def touch(c: Cloth, m: wp.uint64, world: int, f: int):
+        """Push a triangle out of shapes at the point where it is deepest in each, with friction there."""
+        bits = c.face_near[world, f]
+        if bits != 0:
+            ends = c.face[f]
+            o = world * c.vertices
+            x0 = load(m, c, ends[0])
+            x1 = load(m, c, ends[1])
+            x2 = load(m, c, ends[2])
+            s0 = c.start[o + ends[0]]
+            s1 = c.start[o + ends[1]]
+            s2 = c.start[o + ends[2]]
+            w0 = c.weight[o + ends[0]]
+            w1 = c.weight[o + ends[1]]
+            w2 = c.weight[o + ends[2]]
+            before0 = x0
+            before1 = x1
+            before2 = x2
+            first0 = s0
+            first1 = s1
+            first2 = s2
+            b = wp.vec3(0.0)
+            for shape in range(c.tools.shapes):
+                if ((bits >> shape) & 1) == 1:
+                    at = (x0 + x1 + x2) / 3.0
+                    share = wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
+                    found = shape_distance(c.tools, world, shape, at)
+                    n = xyz(found)
+                    # a convex shape's distance is convex: nowhere is it less than along its slope here
+                    reach = wp.max(
+                        wp.dot(at - x0, n), wp.max(wp.dot(at - x1, n), wp.dot(at - x2, n))
+                    )
+                    if c.tools.kind[shape] == GRID:
+                        reach = wp.max(
+                            wp.length(x0 - at), wp.max(wp.length(x1 - at), wp.length(x2 - at))
+                        )
+                    if found[3] < c.gap + reach:
+                        for _search in range(_SEARCHES):
+                            # towards the middle of the shape: from there, what is nearest is deepest
+                            inner = at - (found[3] + c.tools.core[shape]) * xyz(found)
+                            share = nearest_in_triangle(inner, x0, x1, x2)
+                            at = share[0] * x0 + share[1] * x1 + share[2] * x2
+                            found = shape_distance(c.tools, world, shape, at)
+                        depth = c.gap - found[3]
+                        w = (
+                            share[0] * share[0] * w0
+                            + share[1] * share[1] * w1
+                            + share[2] * share[2] * w2
+                        )
+                        # beside a corner that is held the others cannot do it alone: none goes
+                        # farther than twice the depth
+                        most = wp.max(w0 * share[0], wp.max(w1 * share[1], w2 * share[2]))
+                        w = wp.max(w, 0.5 * most)
+                        if depth > 0.0 and w > 0.0:
+                            n = xyz(found)
+                            was = carried(c.tools, world, shape, at)
+                            body = at - was
+                            slip = was - (share[0] * s0 + share[1] * s1 + share[2] * s2)
+                            slip = slip - wp.dot(slip, n) * n
+                            mu = 0.5 * (c.friction[world] + c.tools.friction[shape])
+                            change = (depth * n - friction(slip, depth, mu, mu)) / w
+                            d0 = (w0 * share[0]) * change
+                            d1 = (w1 * share[1]) * change
+                            d2 = (w2 * share[2]) * change
+                            s0 += excess(wp.dot(x0 - s0 - body, n), wp.dot(d0, n)) * n
+                            s1 += excess(wp.dot(x1 - s1 - body, n), wp.dot(d1, n)) * n
+                            s2 += excess(wp.dot(x2 - s2 - body, n), wp.dot(d2, n)) * n
+                            x0 += d0
+                            x1 += d1
+                            x2 += d2
+                            b += share
+            k = 3 * (world * c.faces + f)
+            d = x0 - before0
+            c.corner_push[k] = wp.vec4(d[0], d[1], d[2], b[0])
+            c.corner_shift[k] = s0 - first0
+            d = x1 - before1
+            c.corner_push[k + 1] = wp.vec4(d[0], d[1], d[2], b[1])
+            c.corner_shift[k + 1] = s1 - first1
+            d = x2 - before2
+            c.corner_push[k + 2] = wp.vec4(d[0], d[1], d[2], b[2])
+            c.corner_shift[k + 2] = s2 - first2
+
+    @wp.func
+    def leave_shapes(c: Cloth, m: wp.uint64, world: int, i: int):
+        """A vertex where its triangles were pushed to, and then out of shapes whole."""
+        o = world * c.vertices + i
+        bits = c.beside[o]
+        if bits != 0:
+            begin = load(m, c, i)
+            first = c.start[o]
+            x = begin
+            start = first
+            push = wp.vec3(0.0)
+            shift = wp.vec3(0.0)
+            total = float(0.0)
+            for k in range(c.corner_start[i], c.corner_start[i + 1]):
+                corner = c.corner[k]
+                if c.face_near[world, corner / 3] != 0:
+                    q = 3 * world * c.faces + corner
+                    theirs = c.corner_push[q]
+                    push += theirs[3] * xyz(theirs)
+                    shift += theirs[3] * c.corner_shift[q]
+                    total += theirs[3]
+            if total > 0.0:
+                x += push / total
+                start += shift / total
+            mu = c.friction[world]
+            rubs = float(1.0)
+            for _again in range(_WEDGED):
+                pushed = int(0)
+                for shape in range(c.tools.shapes):
+                    if ((bits >> shape) & 1) == 1:
+                        found = shape_distance(c.tools, world, shape, x)
+                        depth = c.gap - found[3]
+                        if depth > 0.0:
+                            pushed += 1
+                            n = xyz(found)
+                            was = carried(c.tools, world, shape, x)
+                            slip = was - start
+                            slip = slip - wp.dot(slip, n) * n
+                            both = 0.5 * (mu + c.tools.friction[shape])
+                            rub = rubs * friction(slip, depth, both, both)
+                            start += excess(wp.dot(was - start, n), depth) * n
+                            x += depth * n - rub
+                if pushed < 2:
+                    break
+                rubs = 0.0
+            store(m, c, i, x)
+            c.start[o] = start
+            impulse = (x - begin) - (start - first)
+            scale = c.density[world] / (c.weight[o] * c.dt * c.dt * float(c.substeps))
+            c.force[o] = c.force[o] + scale * impulse
+
+    @wp.func
+    def finish(c: Cloth, m: wp.uint64, world: int, i: int):
+        """Out of shapes, and the new velocity."""
+        o = world * c.vertices + i
+        if c.weight[o] > 0.0:
+            if wp.static(SHAPES):
+                leave_shapes(c, m, world, i)
+            c.velocity[o] = (load(m, c, i) - c.start[o]) / c.dt
+
+    @wp.func
+    def judge(c: Cloth, m: wp.uint64, world: int, i: int):
+        """From which side a vertex is touched."""
+        o = world * c.vertices + i
+        force = c.force[o]
+        side = float(0.0)
+        if wp.dot(force, force) > 0.0:
+            n = wp.vec3(0.0)
+            for k in range(c.corner_start[i], c.corner_start[i + 1]):
+                ends = c.face[c.corner[k] / 3]
+                a = load(m, c, ends[0])
+                n += wp.cross(load(m, c, ends[1]) - a, load(m, c, ends[2]) - a)
+            side = wp.where(wp.dot(force, n) < 0.0, -1.0, 1.0)
+        c.side[o] = side
+
+    @wp.func
+    def advance_tools(c: Cloth, world: int, lane: int, lanes: int):
+        remaining = float(c.substeps - c.substep[world])
+        for tool in range(lane, c.tools.tools, lanes):
+            move_tool(c.tools, c.control, world, tool, remaining, c.dt)
+
+    @wp.func
+    def place_shapes(c: Cloth, world: int, lane: int, lanes: int):
+        for shape in range(lane, c.tools.shapes, lanes):
+            place_shape(c.tools, world, shape)
+
+    @wp.func
+    def count_substep(c: Cloth, world: int):
+        for g in range(c.grips):
+            c.closed[world, g] = wp.where(c.control[world, 6 * c.tools.tools + g] > 0.5, 1.0, 0.0)
+        c.substep[world] = (c.substep[world] + 1) % c.substeps
+
+    # so few registers that a multiprocessor holds as many blocks as make 1024 threads
+    bounds = (LANES, max(1, 1024 // LANES))
+
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=bounds, module_options=_FAST)
+    def block_kernel(c: Cloth, count: int):
+        world, lane = wp.tid()
+        lanes = wp.block_dim()
+        n = c.vertices
+        m = address(c.position, world * n)
+        if wp.static(SHARED):
+            for i in range(lane, n, lanes):
+                store(m, c, i, c.position[world * n + i])
+            wait_for_block()
+        most = wp.max(n, c.faces)
+        resumes = bool(c.substep[world] % c.every != 0)
+        for _substep in range(count):
+            if resumes or c.substep[world] % c.every == 0:
+                for k in range(lane, wp.max(wp.max(n, c.buckets), c.tools.shapes), lanes):
+                    begin_search(c, m, world, k, resumes)
+                wait_for_block()
+                for i in range(lane, n, lanes):
+                    insert(c, world, i, resumes)
+                wait_for_block()
+                for k in range(lane, most, lanes):
+                    search(c, world, k)
+                resumes = False
+            if wp.static(SHAPES or GRIPS):
+                wait_for_block()
+                advance_tools(c, world, lane, lanes)
+                wait_for_block()
+                place_shapes(c, world, lane, lanes)
+            if wp.static(GRIPS):
+                for u in range(lane, c.grip_vertices, lanes):
+                    grip(c, m, world, u)
+            wait_for_block()
+            for i in range(lane, n, lanes):
+                predict(c, m, world, i)
+            wait_for_block()
+            for colour in range(c.colours):
+                soft = softness(c, world, c.kind[colour])
+                for k in range(c.first[colour] + lane, c.first[colour + 1], lanes):
+                    keep_distance(c, m, world, k, soft)
+                wait_for_block()
+            soft = softness(c, world, BENDING)
+            for colour in range(c.quad_colours):
+                for k in range(c.quad_first[colour] + lane, c.quad_first[colour + 1], lanes):
+                    keep_flat(c, m, world, k, soft)
+                wait_for_block()
+            if wp.static(LAYERS):
+                for i in range(lane, n, lanes):
+                    find_layers(c, m, world, i)
+                wait_for_block()
+                for i in range(lane, n, lanes):
+                    part_layers(c, m, world, i)
+                wait_for_block()
+            if wp.static(SHAPES):
+                for f in range(lane, c.faces, lanes):
+                    touch(c, m, world, f)
+                wait_for_block()
+            for i in range(lane, n, lanes):
+                finish(c, m, world, i)
+            if lane == 0:
+                count_substep(c, world)
+            wait_for_block()
+        for i in range(lane, n, lanes):
+            judge(c, m, world, i)
+            if wp.static(SHARED):
+                c.position[world * n + i] = load(m, c, i)
+
+    @wp.func
+    def searches(c: Cloth, world: int, resumes: bool) -> bool:
+        due = c.substep[world] % c.every == 0
+        return due != resumes
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def begin_kernel(c: Cloth, resumes: bool):
+        world, k = wp.tid()
+        if searches(c, world, resumes):
+            begin_search(c, packed_address(c.position, world * c.vertices), world, k, resumes)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def insert_kernel(c: Cloth, resumes: bool):
+        world, i = wp.tid()
+        if searches(c, world, resumes):
+            insert(c, world, i, resumes)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def search_kernel(c: Cloth, resumes: bool):
+        world, k = wp.tid()
+        if searches(c, world, resumes):
+            search(c, world, k)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def tools_kernel(c: Cloth):
+        world = wp.tid()
+        advance_tools(c, world, 0, 1)
+        place_shapes(c, world, 0, 1)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def grip_kernel(c: Cloth):
+        world, u = wp.tid()
+        grip(c, packed_address(c.position, world * c.vertices), world, u)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def predict_kernel(c: Cloth):
+        world, i = wp.tid()
+        predict(c, packed_address(c.position, world * c.vertices), world, i)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def edges_kernel(c: Cloth, colour: int, first: int):
+        world, k = wp.tid()
+        m = packed_address(c.position, world * c.vertices)
+        keep_distance(c, m, world, first + k, softness(c, world, c.kind[colour]))
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def hinges_kernel(c: Cloth, colour: int, first: int):
+        world, k = wp.tid()
+        m = packed_address(c.position, world * c.vertices)
+        keep_flat(c, m, world, first + k, softness(c, world, BENDING))
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def find_layers_kernel(c: Cloth):
+        world, i = wp.tid()
+        find_layers(c, packed_address(c.position, world * c.vertices), world, i)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def part_layers_kernel(c: Cloth):
+        world, i = wp.tid()
+        part_layers(c, packed_address(c.position, world * c.vertices), world, i)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def touch_kernel(c: Cloth):
+        world, f = wp.tid()
+        touch(c, packed_address(c.position, world * c.vertices), world, f)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def finish_kernel(c: Cloth):
+        world, i = wp.tid()
+        finish(c, packed_address(c.position, world * c.vertices), world, i)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def count_kernel(c: Cloth):
+        count_substep(c, wp.tid())
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+    def judge_kernel(c: Cloth):
+        world, i = wp.tid()
+        judge(c, packed_address(c.position, world * c.vertices), world, i)
+
+    return Kernels(
+        block=block_kernel,
+        begin=begin_kernel,
+        insert=insert_kernel,
+        search=search_kernel,
+        tools=tools_kernel,
+        grip=grip_kernel,
+        predict=predict_kernel,
+        edges=edges_kernel,
+        hinges=hinges_kernel,
+        find_layers=find_layers_kernel,
+        part_layers=part_layers_kernel,
+        touch=touch_kernel,
+        finish=finish_kernel,
+        count=count_kernel,
+        judge=judge_kernel,
+    )

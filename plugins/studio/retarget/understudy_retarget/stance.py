@@ -1,0 +1,177 @@
+"""A clip whose zero pose is no stance gets one that is, from how the figure moves.
+
+Files of some programs put the x axis of every joint along its bone: with zero angles the figure is a
+line, and how a thigh or a foot is turned about its bone cannot be read from it. The motion still says
+it: on average a limb is turned as what it hangs on, and a leg that is straight stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.kinematics import forward_kinematics, need_skeleton
+from understudy_retarget.anatomy import SIDES, Parts, path_up
+from understudy_retarget.figure import BONES, Figure
+
+#: Of a foot's length in its shin's: less may be the ankle's height above the sole.
+_FOOT = 0.25
+#: Of the frames of a clip: those with the ankle lowest, in which the foot is flat on the floor.
+_FLAT = 0.1
+#: rad: no leg is turned about itself by so much on average.
+_TWISTED = 1.0
+
+
+def standing(clip: Clip, parts: Parts) -> tuple[Clip, tuple[str, ...]]:
+    """The same motion with a zero pose that is a stance, and which limbs' zero pose was none
+    (``legs``, ``arms``, ``head``).
+
+    Every joint of every frame is where it was. Of limbs that were none, joints are turned in the zero
+    pose as they are on average against their parent, legs straight down, forearms along the upper
+    arm, and feet as they are flat on the floor.
+    """
+    skeleton = need_skeleton(clip)
+    figure, posed = Figure(skeleton, parts), _Posed(clip)
+    limbs = tuple(_no_stance(figure, posed))
+    if not limbs:
+        return clip, ()
+    again = _below(skeleton, figure, limbs)
+    carriers = {joint: segment for segment, joint in reversed(figure.segments.items())}
+    for joint, parent in enumerate(skeleton.parents):
+        if joint not in again:
+            continue
+        above = posed.turns[parent] * posed.fixed[parent]
+        frames, segment = slice(None), carriers.get(joint, "")
+        side, _, name = segment.partition("_")
+        if name == "foot":
+            height = figure.points[f"{side}_ankle"].track(*posed.tracks)[:, 2].numpy()
+            frames, above = height <= np.quantile(height, _FLAT), _flat(above, figure.axes)
+        average = (posed.turns[joint].inv() * above)[frames].mean()
+        wanted = -figure.axes[:, 2] if name in ("thigh", "shin") else None
+        if name == "forearm" and (upper := posed.along(figure, f"{side}_upper_arm")) is not None:
+            carrier = figure.segments[f"{side}_upper_arm"]
+            wanted = posed.fixed[carrier].apply(upper, inverse=True)
+        if wanted is not None and (bone := posed.along(figure, segment)) is not None:
+            average = average * Rotation.align_vectors(average.apply(bone, inverse=True), wanted)[0]
+        posed.fixed[joint] = average
+    return _refixed(clip, skeleton, posed.fixed), limbs
+
+
+class _Posed:
+    """A clip's frames: where its joints are, and by how much each one's frame is turned anew."""
+
+    def __init__(self, clip: Clip) -> None:
+        self.tracks = forward_kinematics(clip)
+        world = self.tracks[1].numpy()
+        self.turns = [Rotation.from_quat(w, scalar_first=True) for w in world.swapaxes(0, 1)]
+        self.fixed = [Rotation.identity()] * len(self.turns)
+
+    def along(self, figure: Figure, bone: str) -> np.ndarray | None:
+        """(3,): the bone's direction in the frame of the joint that carries it, on average."""
+        start, end = BONES[bone]
+        if bone not in figure.segments or not {start, end} <= set(figure.points):
+            return None
+        begins, ends = (figure.points[part].track(*self.tracks).numpy() for part in (start, end))
+        local = self.turns[figure.segments[bone]].apply(ends - begins, inverse=True).mean(axis=0)
+        length = float(np.linalg.norm(local))
+        return local / length if length > 1e-6 else None
+
+
+def _flat(above: Rotation, axes: np.ndarray) -> Rotation:
+    """A foot flat on the floor, below a shin that is turned by `above`; `axes` are the zero pose's."""
+    body = Rotation.from_matrix(axes)
+    forward = (above * body).apply([1.0, 0.0, 0.0])
+    yaw = np.arctan2(forward[:, 1], forward[:, 0])
+    return Rotation.from_euler("z", yaw[:, None]) * body.inv()
+
+
+def _no_stance(figure: Figure, posed: _Posed) -> Iterator[str]:
+    """The limbs of which the zero pose is none that a figure could stand in."""
+
+    def along(start: str, end: str) -> np.ndarray | None:
+        """(3,): the direction in the zero pose: forward, left, up."""
+        if start not in figure.points or end not in figure.points:
+            return None
+        length = figure.length(start, end)
+        return None if length < 1e-6 else figure.between(start, end) / length
+
+    def leg(side: str) -> bool:
+        for bone in (along(f"{side}_hip", f"{side}_knee"), along(f"{side}_knee", f"{side}_ankle")):
+            if bone is not None and bone[2] > -0.5:
+                return False
+        if any(abs(_twist(figure, posed, side, part)) > _TWISTED for part in ("thigh", "shin")):
+            return False
+        foot = along(f"{side}_ankle", f"{side}_toe")
+        if foot is None:
+            return True
+        shin = figure.length(f"{side}_knee", f"{side}_ankle")
+        long = figure.length(f"{side}_ankle", f"{side}_toe") > _FOOT * shin
+        return bool(foot[0] > -0.3 and abs(foot[1]) < 0.8 and foot[2] < 0.7) and not (
+            long and foot[2] < -0.9
+        )
+
+    def arm(side: str) -> bool:
+        upper = along(f"{side}_shoulder", f"{side}_elbow")
+        lower = along(f"{side}_elbow", f"{side}_wrist")
+        if upper is None:
+            return True
+        out = upper[1] if side == "left" else -upper[1]
+        straight = lower is None or float(upper @ lower) > 0.0
+        return bool(upper[2] < 0.5 and out > -0.5 and abs(upper[0]) < 0.9) and straight
+
+    if not all(map(leg, SIDES)):
+        yield "legs"
+    if not all(map(arm, SIDES)):
+        yield "arms"
+    head = along("chest", "head")
+    if head is not None and head[2] < 0.3:
+        yield "head"
+
+
+def _twist(figure: Figure, posed: _Posed, side: str, bone: str) -> float:
+    """rad: by how much the segment is turned about itself against the pelvis, on average."""
+    carrier, pelvis = figure.segments.get(f"{side}_{bone}"), figure.segments.get("pelvis")
+    if carrier is None or pelvis is None or carrier == pelvis:
+        return 0.0
+    body = Rotation.from_matrix(figure.axes)
+    turned = body.inv() * (posed.turns[pelvis].inv() * posed.turns[carrier]).mean() * body
+    w, _, _, z = turned.as_quat(scalar_first=True)
+    return float(2.0 * np.arctan2(z, w) if w >= 0.0 else 2.0 * np.arctan2(-z, -w))
+
+
+def _below(skeleton: Skeleton, figure: Figure, limbs: tuple[str, ...]) -> set[int]:
+    """The joints of these limbs: those that hang on the pelvis, or on the chest, by the limb's first."""
+    first = {"legs": ("hip", "pelvis"), "arms": ("shoulder", "chest"), "head": ("head", "chest")}
+    tops = set()
+    for limb in limbs:
+        part, trunk = first[limb]
+        for name in (part, *(f"{side}_{part}" for side in SIDES)):
+            if name not in figure.parts:
+                continue
+            joint, holds = figure.parts[name][0], figure.parts.get(trunk, (0,))[-1]
+            while skeleton.parents[joint] not in (holds, -1):
+                joint = skeleton.parents[joint]
+            tops.add(joint)
+    tops.discard(0)
+    return {j for j in range(len(skeleton.parents)) if tops & set(path_up(skeleton, j))}
+
+
+def _refixed(clip: Clip, skeleton: Skeleton, fixed: list[Rotation]) -> Clip:
+    """`clip` with each joint's frame turned by `fixed`, in that frame."""
+    locals_, offsets, tips = [], skeleton.offsets.copy(), dict(skeleton.tips)
+    for joint, parent in enumerate(skeleton.parents):
+        turn = Rotation.from_quat(clip.rotations[:, joint].numpy(), scalar_first=True)
+        above = fixed[parent] if parent >= 0 else Rotation.identity()
+        turned = above.inv() * turn * fixed[joint]
+        locals_.append(torch.from_numpy(turned.as_quat(scalar_first=True)))
+        offsets[joint] = above.apply(offsets[joint], inverse=True)
+        name = skeleton.joint_names[joint]
+        if name in tips:
+            tips[name] = fixed[joint].apply(tips[name], inverse=True)
+    own = replace(skeleton, offsets=offsets, tips=tips)
+    return replace(clip, rotations=torch.stack(locals_, dim=1), skeleton=own)

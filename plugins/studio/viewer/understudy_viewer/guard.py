@@ -1,0 +1,65 @@
+"""Who may talk to a page: browsers that were led to it, not pages of others that they have open."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import http
+import ipaddress
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import websockets.asyncio.server as server
+from websockets import Headers
+from websockets.http11 import Request, Response
+
+
+def is_own(headers: Headers, host: str) -> bool:
+    """Whether a request with these `headers` means the page served at `host`.
+
+    It names the page by an address, as a name that someone else gave it (DNS rebinding) does not, by one
+    of this machine's own names, or by `host`; and a browser sends it from no other page.
+    """
+    named, origins = headers.get_all("Host"), headers.get_all("Origin")
+    if len(named) != 1 or len(origins) > 1:
+        return False
+    try:
+        name = urlsplit(f"//{named[0]}").hostname or ""
+        origin = urlsplit(origins[0]) if origins else None
+    except ValueError:
+        return False
+    if origin is not None and (origin.scheme not in ("http", "https") or origin.netloc != named[0]):
+        return False
+    if name in {"localhost", host.lower(), socket.gethostname().lower()}:
+        return True
+    with contextlib.suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return False
+
+
+@contextlib.contextmanager
+def guarded(host: str) -> Iterator[None]:
+    """Inside, servers of viser that begin at `host` refuse whatever :func:`is_own` does not know. viser itself
+    has no such option."""
+    serve = server.serve
+
+    @functools.wraps(serve)
+    def ours(
+        *arguments: Any, process_request: Callable[..., Any] | None = None, **more: Any
+    ) -> Any:
+        def check(connection: server.ServerConnection, request: Request) -> Any:
+            if not is_own(request.headers, host):
+                text = b"This page answers its own address alone.\n"
+                length = Headers({"Content-Length": str(len(text)), "Connection": "close"})
+                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", length, text)
+            return process_request(connection, request) if process_request else None
+
+        return serve(*arguments, process_request=check, **more)
+
+    server.serve = ours  # type: ignore[misc]
+    try:
+        yield
+    finally:
+        server.serve = serve  # type: ignore[misc]

@@ -1,0 +1,138 @@
+"""Robots' own motion tables: columns of angles, which a robot's model makes a motion of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from cases import CASES, needs_cases
+from robots import robot_file
+
+from understudy.command.cli import main
+from understudy.errors import FileError
+from understudy.setup.plugins import installed
+from understudy_basics import rotations
+from understudy_characters.character import Character, load_character
+from understudy_motion.clip import Clip, angle_names
+from understudy_motion.reading import ReadOptions, UnknownFormatError, read_clip
+
+REGISTRY = installed().registry
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return robot_file(tmp_path_factory.mktemp("robot"))
+
+
+@pytest.fixture(scope="module")
+def character(robot: Path) -> Character:
+    return load_character(str(robot), REGISTRY)
+
+
+def moving(character: Character) -> np.ndarray:
+    """(F, nq): the robot going and turning while every hinge swings in its own way."""
+    time = np.arange(FRAMES) / 30.0
+    qpos = np.tile(character.model.qpos0, (FRAMES, 1))
+    qpos[:, 0] += time
+    qpos[:, 3], qpos[:, 6] = np.cos(time / 2), np.sin(time / 2)
+    qpos[:, 7:] = 0.3 * np.sin(3.0 * time[:, None] + np.arange(qpos.shape[1] - 7))
+    return qpos
+
+
+def read(path: Path, **options: float) -> Clip:
+    return read_clip(path, REGISTRY, ReadOptions(**options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", ", ", "  "])
+@pytest.mark.parametrize("scalar_first", [False, True])
+def test_a_table_without_a_header(
+    tmp_path: Path, character: Character, delimiter: str, scalar_first: bool
+) -> None:
+    qpos = moving(character)
+    columns = qpos if scalar_first else qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]]
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join(delimiter.join(f"{v:.9g}" for v in row) for row in columns))
+    clip = read(path)
+    assert angle_names(clip) == tuple(str(n + 1) for n in range(qpos.shape[1] - 7))
+    assert clip.frame_rate == pytest.approx(30.0)
+    torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+    assert read(path, rate=50.0).frame_rate == pytest.approx(50.0)
+    half = character.qpos(clip, clip.times[:-1] + 0.5 / 30.0)  # as a task asks for it
+    between = 0.5 * (qpos[1:] + qpos[:-1])
+    np.testing.assert_allclose(half[:, 7:], between[:, 7:], atol=2e-3)
+
+
+def test_blank_lines_and_delimiters_at_the_end(tmp_path: Path, character: Character) -> None:
+    qpos = moving(character)
+    rows = [",".join(map(str, row)) + "," for row in qpos]
+    path = tmp_path / "x.csv"
+    path.write_text("\n\n" + "\r\n".join(rows) + "\n\n")
+    assert read(path).num_frames == FRAMES
+
+
+def test_another_robots_angles(tmp_path: Path, character: Character) -> None:
+    path = tmp_path / "x.csv"
+    np.savetxt(path, moving(character)[:, :-1], delimiter=",")
+    count = character.model.nq - 7
+    with pytest.raises(
+        FileError, match=f"{count - 1} angles of a robot, and robot has {count} hinges"
+    ):
+        character.qpos(read(path))
+
+
+def test_columns_that_are_no_quaternion(tmp_path: Path, character: Character) -> None:
+    qpos = moving(character)
+    path = tmp_path / "x.csv"
+    qpos[7, 3:7] *= 2.0
+    np.savetxt(path, qpos, delimiter=",")
+    with pytest.raises(FileError, match="frame 7: columns 4 to 7 are no quaternion"):
+        read(path)
+    qpos[0, 3:7] = 3.0
+    np.savetxt(path, qpos, delimiter=",")
+    with pytest.raises(UnknownFormatError):
+        read(path)
+
+
+def test_angles_go_on_over_a_half_turn(tmp_path: Path, character: Character) -> None:
+    qpos = moving(character)
+    free = next(k for k, (low, _) in enumerate(character.model.jnt_range[1:]) if low == 0.0)
+    qpos[:, 7 + free] = np.linspace(0.0, 9.0, FRAMES)
+    path = tmp_path / "x.csv"
+    np.savetxt(path, qpos, delimiter=",")
+    clip = character.posed(read(path))
+    turned = clip.rotations[:, character.joint_names.index(character.joint_names[1 + 0])]
+    assert rotations.angle_between(turned[1:], turned[:-1]).max() < 0.6
+
+
+def test_it_is_learned_and_checked(
+    tmp_path: Path, robot: Path, character: Character, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    qpos = moving(character)
+    qpos[:, 7:] = 0.0
+    np.savetxt(tmp_path / "x.csv", qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]], delimiter=",")  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["motion", "check", "x.csv", "--character", str(robot), "--fix", "y.npz"]) in (0, 1)
+    assert read(tmp_path / "y.npz").joint_names == character.joint_names
+    assert main(["motion", "check", "x.csv"]) in (0, 1)
+    assert "--character ROBOT.xml" in capsys.readouterr().err
+    small = ["num_worlds=2", "budget.samples=8", "learner.rollout_steps=4", "learner.batch_size=4",
+             "learner.minibatches=null", "learner.epochs=1", "evaluation.seconds=0.2", "run.dir=run",
+             "evaluation.episodes=2", "evaluation.final_episodes=2", "run.video_seconds=0"]  # fmt: skip
+    character_is = f"scene.character={robot}"
+    assert (
+        main(["train", "experiment=spacetime/walk", character_is, "motion.file=x.csv", *small]) == 0
+    )
+    assert main(["motion", "retarget", "x.csv", "humanoid", "z.npz"]) == 2
+    assert "motion check x.csv --character ROBOT.xml --fix OUT.npz" in capsys.readouterr().err
+
+
+@needs_cases
+def test_the_reported_case() -> None:
+    clip = read(CASES / "robot-table-without-header" / "input.csv")
+    assert len(angle_names(clip) or ()) == 29
+    assert clip.root_position[1].tolist() == [0.04, 0.0, 0.9]
+    assert clip.rotations[:, 0].tolist() == [[1.0, 0.0, 0.0, 0.0]] * 6

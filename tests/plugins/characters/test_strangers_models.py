@@ -1,0 +1,321 @@
+"""Models as strangers write them: each is a character, on one floor, as MuJoCo has it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from cases import CASES, needs_cases
+from robots import robot_xml
+
+from understudy.errors import ConfigError, FileError
+from understudy.setup.plugins import installed
+from understudy_characters.character import Character, load_character
+from understudy_characters.scene import CharacterScene
+
+TETRAHEDRON = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MESH = (
+    '<asset><mesh name="m" file="m.obj"/></asset>',
+    '<geom type="mesh" mesh="m" mass=".1" contype="0" conaffinity="0"/>',
+)
+
+
+def load(path: Path | str) -> Character:
+    return load_character(str(path), installed().registry)
+
+
+def scene(folder: Path, text: str) -> CharacterScene:
+    (folder / "robot.xml").write_text(text)
+    return CharacterScene(CharacterScene.Options(str(folder / "robot.xml")))
+
+
+def added(before: str, text: str) -> str:
+    """The robot's file with `text` before the first `before`."""
+    return robot_xml().replace(before, text + before, 1)
+
+
+def floors(model: mujoco.MjModel) -> list[str]:
+    """Names of the geoms that stand still and collide."""
+    still = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] == 0]
+    return [model.geom(g).name for g in still if model.geom_contype[g]]
+
+
+@needs_cases
+@pytest.mark.parametrize(
+    "case",
+    [
+        "mjcf-hinges-of-one-body-apart/robot.xml", "mjcf-prop-before-robot/robot.xml",
+        "mjcf-name-taken-material/robot.xml", "mjcf-name-taken-box/robot.xml",
+        "mjcf-name-taken-plane-in-body/robot.xml", "mjcf-nested-include/robot.xml",
+        "mjcf-meshes-beside-folder//mjcf/robot.xml", "mjcf-suffix/ROBOT.XML", "mjcf-suffix/robot.mjcf",
+        "mjcf-latin1/robot.xml", "mjcf-no-gravity/robot.xml",
+    ],
+)  # fmt: skip
+def test_reported_cases(case: str) -> None:
+    found = CharacterScene(CharacterScene.Options(f"{CASES}/{case}"))
+    assert found.character.joint_names[0] == "pelvis"
+    assert (len(found.character.joints), found.model.nu) == (13, 23)
+    assert floors(found.model) == ["floor"]
+
+
+def test_hinges_of_one_body_apart(tmp_path: Path) -> None:
+    """MuJoCo's own humanoid has its ankles' hinges 4 cm apart."""
+    shifted = robot_xml().replace('_ankle_x" axis', '_ankle_x" pos="0 0 .04" axis')
+    character = scene(tmp_path, shifted).character
+    assert character.model.jnt_pos[:, 2].max() == pytest.approx(0.04)
+    plain = scene(tmp_path, robot_xml()).character
+    assert character.joint_names == plain.joint_names
+    np.testing.assert_allclose(character.rest_positions, plain.rest_positions)
+
+
+def test_a_reference_of_hinges_apart_is_where_mujoco_has_it(tmp_path: Path) -> None:
+    shifted = robot_xml().replace('_ankle_x" axis', '_ankle_x" pos="0 0 .2" axis')
+    one = scene(tmp_path, shifted)
+    qpos = torch.tensor(one.model.qpos0)[None]
+    qpos[:, 7:] = 0.4
+    found = one.poses.state(qpos)
+    data = mujoco.MjData(one.model)
+    data.qpos[:] = qpos[0]
+    mujoco.mj_kinematics(one.model, data)
+    mujoco.mj_comPos(one.model, data)
+    com = data.subtree_com[one.layout.root_body]
+    np.testing.assert_allclose(found["com_position"][0], com, atol=1e-9)
+
+
+BALL = '<body name="ball" pos="2 0 1"><freejoint/><geom size=".1"/></body>'
+CART = """<body name="cart" pos="2 0 1"><freejoint/><geom size=".1"/><body name="wheel">
+    <joint name="wheel"/><geom size=".1"/></body></body>"""
+
+
+@pytest.mark.parametrize("prop", [BALL, CART, BALL + CART.replace('pos="2', 'pos="4')])
+def test_the_character_is_what_has_the_most_joints(tmp_path: Path, prop: str) -> None:
+    before = scene(tmp_path, added('<body name="pelvis"', prop))
+    after = scene(tmp_path, robot_xml().replace("</worldbody>", prop + "</worldbody>"))
+    for one in (before, after):
+        assert one.character.joint_names == scene(tmp_path, robot_xml()).character.joint_names
+    assert [before.model.actuator(k).name for k in range(before.model.nu)] == [
+        after.model.actuator(k).name for k in range(after.model.nu)
+    ]
+
+
+def test_a_prop_alone_is_no_character(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="nothing hangs on its free body 'ball' by a joint"):
+        scene(tmp_path, f"<mujoco><worldbody>{BALL}</worldbody></mujoco>")
+
+
+@pytest.mark.parametrize(
+    ("floor", "height"),
+    [
+        ('<geom name="floor" type="plane" size="5 5 1"/>', 0.0),
+        ('<geom name="ground" type="plane" size="0 0 1" pos="0 0 -.79"/>', 0.0),
+        ('<geom name="sky" type="box" size="5 5 .1"/>', -0.1),
+        (
+            '<body name="floor" pos="0 0 .2"><geom name="sun" type="plane" size="5 5 1"/></body>',
+            0.0,
+        ),
+        ('<geom name="floor" type="plane" size="5 5 1" contype="0" conaffinity="0"/>', 0.0),
+        ('<geom name="slab" type="cylinder" size="4 .5" pos="0 0 -3"/>', -0.5),
+        ('<geom name="strip" type="box" fromto="0 0 -3 0 0 -2" size="4"/>', -0.5),
+    ],
+)
+def test_a_floor_that_is_there_is_kept_and_is_at_zero(
+    tmp_path: Path, floor: str, height: float
+) -> None:
+    model = scene(tmp_path, added('<body name="pelvis"', floor)).model
+    (name,) = floors(model)
+    assert f'name="{name}"' in floor
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    assert data.geom(name).xpos[2] == pytest.approx(height, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        '<geom name="floor" type="plane" size="5 5 1" zaxis="1 0 0" pos="-3 0 0"/>',  # a wall
+        '<geom name="floor" type="box" size=".1 .1 .1" pos="1 0 .1"/>',  # a box beside it
+        '<geom name="floor" type="box" size="5 5 .1" pos="0 0 3"/>',  # a ceiling
+        '<body name="floor"><freejoint/><geom name="floor" type="sphere" size=".1"/></body>',
+    ],
+)
+def test_what_is_no_floor_gets_one_of_another_name(tmp_path: Path, other: str) -> None:
+    assets = """<asset><texture name="floor" type="2d" builtin="flat" width="2" height="2"/>
+        <texture name="sky" type="2d" builtin="flat" width="2" height="2"/>
+        <material name="floor"/></asset>"""
+    text = added('<body name="pelvis"', other).replace("<worldbody>", assets + "<worldbody>", 1)
+    model = scene(tmp_path, text).model
+    assert "floor_2" in floors(model)
+    assert model.geom("floor_2").type == mujoco.mjtGeom.mjGEOM_PLANE
+
+
+def test_names_of_servos_are_free(tmp_path: Path) -> None:
+    text = """<mujoco><worldbody><body name="r"><freejoint/><geom size=".1"/>
+        <body name="a"><joint name="a" type="ball"/><geom size=".1"/>
+        <body name="b"><joint name="a_x"/><geom size=".1"/>
+        <body name="c"><joint/><geom size=".1"/><body name="d"><joint name="joint3"/><geom size=".1"/>
+        </body></body></body></body></body></worldbody></mujoco>"""
+    model = scene(tmp_path, text).model
+    assert model.nu == 6
+    assert len({model.actuator(k).name for k in range(model.nu)}) == 6
+
+
+def test_without_gravity_servos_are_as_strong_as_on_earth(tmp_path: Path) -> None:
+    def strength(gravity: str) -> np.ndarray:
+        text = robot_xml().replace(' ctrlrange="-1 1"', "").replace(
+            "<default>", f'<option gravity="{gravity}"/><default>'
+        )  # fmt: skip
+        return scene(tmp_path, text).model.actuator_forcerange
+
+    np.testing.assert_allclose(strength("0 0 0"), strength("0 0 -9.81"))
+
+
+# ------------------------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize("name", ["robot.XML", "robot.mjcf", "ROBOT.MJCF", "robot", "robot.txt"])
+def test_the_content_decides_not_the_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text(robot_xml())
+    assert load(tmp_path / name).joint_names[0] == "pelvis"
+
+
+def test_a_file_that_is_no_model(tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_text("HIERARCHY\n")
+    with pytest.raises(FileError, match="no XML"):
+        load(tmp_path / "walk.bvh")
+    with pytest.raises(FileError, match="cannot be read: there is no file"):
+        load(tmp_path / "none.MJCF")
+
+
+NAMED = '<mujoco model="bipède 步">'
+
+
+@pytest.mark.parametrize(
+    ("encoding", "declared"),
+    [
+        ("latin-1", "ISO-8859-1"), ("cp1252", "windows-1252"), ("gb18030", "GB18030"),
+        ("utf-16", "UTF-16"), ("utf-16", ""), ("utf-8-sig", ""), ("utf-8", "utf-8"), ("latin-1", ""),
+    ],
+)  # fmt: skip
+def test_encodings(tmp_path: Path, encoding: str, declared: str) -> None:
+    header = f'<?xml version="1.0" encoding="{declared}"?>\n' if declared else ""
+    text = header + robot_xml().strip().replace('<mujoco model="robot">', NAMED)
+    (tmp_path / "robot.xml").write_bytes(text.encode(encoding, errors="ignore"))
+    assert load(tmp_path / "robot.xml").joint_names[0] == "pelvis"
+
+
+@pytest.mark.parametrize("start", ["\n\n", "<!-- a -- b -->\n", " \t"])
+def test_what_mujocos_parser_takes_at_the_start(tmp_path: Path, start: str) -> None:
+    (tmp_path / "robot.xml").write_text(start + '<?xml version="1.0"?>' + robot_xml())
+    assert load(tmp_path / "robot.xml").joint_names[0] == "pelvis"
+
+
+def test_a_nested_include_is_looked_for_in_the_models_folder_then_beside(tmp_path: Path) -> None:
+    (tmp_path / "xml").mkdir()
+    (tmp_path / "robot.xml").write_text("<mujoco><include file='xml/main.xml'/></mujoco>")
+    main = robot_xml().replace("<worldbody>", "<include file='extra.xml'/><worldbody>", 1)
+    (tmp_path / "xml" / "main.xml").write_text(main)
+    text = "<mujocoinclude><statistic extent='{}'/></mujocoinclude>"
+    (tmp_path / "xml" / "extra.xml").write_text(text.format(2))
+    assert load(tmp_path / "robot.xml").model.stat.extent == 2
+    (tmp_path / "extra.xml").write_text(text.format(3))
+    assert load(tmp_path / "robot.xml").model.stat.extent == 3
+    file = str(tmp_path / "robot.xml")
+    assert mujoco.MjModel.from_xml_path(file).stat.extent == 3
+
+
+def package(folder: Path, text: str) -> Path:
+    """A package with a model in ``mjcf`` whose mesh is in ``meshes``."""
+    for name in ("mjcf", "meshes"):
+        (folder / "package" / name).mkdir(parents=True)
+    (folder / "package" / "meshes" / "m.obj").write_text(TETRAHEDRON)
+    path = folder / "package" / "mjcf" / "robot.xml"
+    path.write_text(text)
+    return path
+
+
+def with_mesh(compiler: str = "") -> str:
+    text = robot_xml().replace("<default>", MESH[0] + "<default>", 1).replace("angle=", f"{compiler} angle=")  # fmt: skip
+    return text.replace("<freejoint/>", "<freejoint/>" + MESH[1], 1)
+
+
+def test_a_double_slash_names_the_folder_that_a_model_may_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = package(tmp_path, with_mesh('meshdir="../meshes"'))
+    with pytest.raises(FileError, match="refers to other files") as refused:
+        load(path)
+    advice = str(refused.value).split()[-1]  # what the message says to write works
+    assert load(advice).model.nmesh == 1
+    monkeypatch.chdir(tmp_path / "package")
+    assert load(".//mjcf/robot.xml").model.nmesh == 1
+    monkeypatch.chdir(tmp_path)
+    assert load("package//mjcf/robot.xml").model.nmesh == 1
+
+
+def test_beyond_the_double_slash_nothing_is_read(tmp_path: Path) -> None:
+    package(tmp_path, with_mesh('meshdir="../../elsewhere"'))
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "m.obj").write_text(TETRAHEDRON)
+    with pytest.raises(FileError, match="refers to other files"):
+        load(f"{tmp_path}/package//mjcf/robot.xml")
+    os.symlink(tmp_path / "elsewhere", tmp_path / "package" / "linked")
+    path = tmp_path / "package" / "mjcf" / "robot.xml"
+    path.write_text(with_mesh('meshdir="../linked"'))
+    with pytest.raises(FileError, match="refers to other files"):
+        load(f"{tmp_path}/package//mjcf/robot.xml")
+
+
+URDF = """<?xml version="1.0"?><robot name="biped">
+  <link name="pelvis"><inertial><mass value="10"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><mesh filename="package://description/meshes/none.dae"/></geometry></visual>
+    <collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
+  <link name="thigh"><inertial><mass value="2"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><cylinder radius=".05" length=".4"/></geometry></collision></link>
+  <joint name="hip" type="revolute"><parent link="pelvis"/><child link="thigh"/><origin xyz="0 0 -.3"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="33" velocity="3"/></joint>
+  <link name="camera"/><joint name="fixed" type="fixed"><parent link="thigh"/><child link="camera"/></joint>
+</robot>"""  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("mesh", "place"),
+    [
+        ("package://description/meshes/m.obj", "//urdf/robot.urdf"),
+        ("../meshes/m.obj", "//urdf/robot.urdf"),
+        ("m.obj", "/robot.urdf"),
+        ("meshes/m.obj", "/robot.urdf"),
+        ("package://description/m.obj", "/robot.urdf"),
+        ("elsewhere/m.obj", "/robot.urdf"),
+    ],
+)
+def test_a_urdf_is_a_character_with_a_free_first_link(
+    tmp_path: Path, mesh: str, place: str
+) -> None:
+    folder = tmp_path / "description"
+    for name in ("urdf", "meshes"):
+        (folder / name).mkdir(parents=True)
+    for where in ("m.obj", "meshes/m.obj"):
+        (folder / where).write_text(TETRAHEDRON)
+    for where in ("robot.urdf", "urdf/robot.urdf"):
+        (folder / where).write_text(URDF.format(mesh=mesh))
+    character = load(f"{folder}{place}")
+    assert character.joint_names == ("pelvis", "thigh")
+    model = CharacterScene(CharacterScene.Options(f"{folder}{place}")).model
+    assert (model.nmesh, model.nu) == (1, 1)
+    np.testing.assert_allclose(model.actuator_forcerange[0], [-33, 33])
+    np.testing.assert_allclose(model.jnt_range[1], [-1, 1])
+
+
+def test_a_urdf_reads_nothing_outside(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "m.obj").write_text(TETRAHEDRON)
+    (tmp_path / "robot").mkdir()
+    for mesh in ("package://other/m.obj", "../other/m.obj", f"{tmp_path}/other/m.obj"):
+        path = tmp_path / "robot" / "robot.urdf"
+        path.write_text(URDF.format(mesh=mesh))
+        with pytest.raises(FileError, match=r"refers to other files|there is no file"):
+            load(path)

@@ -1,0 +1,157 @@
+"""The derivative by every action, beside autograd through the whole of an imagined trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from understudy.running.reinforcement import Reinforcement
+from understudy_imagination.adjoint import Adjoint, Weights, Window, clean, limited
+from understudy_imagination.errors import model_errors
+from understudy_imagination.learner import Imagination
+
+STEPS = 5
+WEIGHTS = Weights(margins=1.0, actions=0.01, rewards=1.0)
+
+
+def parts(job: Reinforcement) -> tuple[Imagination, Adjoint]:
+    learner = job.learner
+    assert isinstance(learner, Imagination)
+    imagined, rigid = learner.adjoint._imagined, learner.adjoint._rigid
+    with torch.no_grad():
+        learner.model.out.deviation.fill_(3.0)
+        for p in job.policy.actor_parameters():
+            p.mul_(3.0)  # so that feedback counts
+    return learner, Adjoint(
+        rigid, imagined, learner.model, job.policy, WEIGHTS, decay=1.0, clip=1e9
+    )
+
+
+def imagine(
+    job: Reinforcement, learner: Imagination, moved: Tensor, noise: Tensor, ended: Tensor
+) -> tuple[Tensor, Window]:
+    """What a trajectory costs whose decisions the model makes, the actions `moved` (L, N, A) from what
+    policy and noise would do; where `ended` (L, N) what follows begins at the first states again."""
+    table = job.environment.table
+    imagined, rigid = learner.adjoint._imagined, learner.adjoint._rigid
+    first = {name: table[name].clone() for name in learner.records}
+    state, rows = dict(first), []
+    dt, total = job.environment.control_dt, torch.zeros(())
+    for t in range(len(moved)):
+        posed = rigid.posed(state["qpos"], state["qvel"])
+        fields = imagined.fields(posed, imagined.constants(state), noise[t])
+        mean = job.policy.distribution(imagined.observations(fields)).mode() + moved[t]
+        action = mean + noise[t]
+        total = total + WEIGHTS.actions * imagined.offset(mean, fields).square().mean(1).sum()
+        qpos, qvel = learner.model(posed, imagined.control(action, fields))
+        reached = {**state, "qpos": qpos, "qvel": qvel, "episode_time": state["episode_time"] + dt}
+        there = imagined.fields(rigid.posed(qpos, qvel), imagined.constants(reached), action)
+        total = total + WEIGHTS.margins * imagined.used(there).sum()
+        rows.append((state, reached, action))
+        again = ended[t].unsqueeze(1)
+        state = {
+            name: torch.where(again if value.dim() > 1 else ended[t], first[name], value)
+            for name, value in reached.items()
+        }
+    before, reached, actions = zip(*rows, strict=True)
+
+    def stacked(many: tuple[dict[str, Tensor], ...]) -> dict[str, Tensor]:
+        return {name: torch.stack([one[name].detach() for one in many]) for name in many[0]}
+
+    window = Window(stacked(before), stacked(reached), torch.stack(actions).detach(), ended)
+    return total, window
+
+
+@pytest.mark.parametrize("cut", [False, True], ids=["whole", "cut"])
+def test_it_is_the_derivative_of_what_the_model_imagines(
+    job: Callable[..., Reinforcement], cut: bool
+) -> None:
+    made = job()
+    learner, adjoint = parts(made)
+    n, a = made.environment.num_worlds, made.environment.action_size
+    noise = 0.1 * torch.randn(STEPS, n, a, generator=torch.Generator().manual_seed(1))
+    ended = torch.zeros(STEPS, n, dtype=torch.bool)
+    ended[2, 1] = cut
+    moved = torch.zeros(STEPS, n, a, requires_grad=True)
+    total, window = imagine(made, learner, moved, noise, ended)
+    (expected,) = torch.autograd.grad(total, moved)
+    found = adjoint(window)
+    scale = float(expected.abs().max())
+    torch.testing.assert_close(found.actions / scale, expected / scale, rtol=0, atol=2e-4)
+    # The first actions matter by what follows from them, not by themselves alone.
+    alone = adjoint(Window(
+        {k: v[:1] for k, v in window.before.items()}, {k: v[:1] for k, v in window.reached.items()},
+        window.actions[:1], window.ended[:1],
+    )).actions[0]  # fmt: skip
+    assert (found.actions[0] - alone).abs().max() > 0.05 * scale
+    if cut:  # what comes after an end is another episode's
+        torch.testing.assert_close(found.actions[2, 1], adjoint(Window(
+            {k: v[2:3] for k, v in window.before.items()},
+            {k: v[2:3] for k, v in window.reached.items()},
+            window.actions[2:3], window.ended[2:3],
+        )).actions[0, 1])  # fmt: skip
+
+
+def test_what_it_says_of_the_policy_is_what_the_policy_does(
+    job: Callable[..., Reinforcement],
+) -> None:
+    made = job()
+    learner, adjoint = parts(made)
+    rollout = made.collector.collect(STEPS)
+    window = Window(
+        {name: rollout.records[name] for name in learner.records},
+        rollout.reached,
+        rollout.actions,
+        rollout.terminated | rollout.truncated,
+    )
+    found = adjoint(window)
+    assert found.observations.keys() == rollout.observations.keys()
+    for name, value in rollout.observations.items():
+        torch.testing.assert_close(found.observations[name], value, rtol=1e-4, atol=1e-4)
+    with torch.no_grad():
+        means = made.policy.distribution(rollout.observations).mode()
+    torch.testing.assert_close(found.means, means, rtol=1e-4, atol=1e-4)
+
+
+def test_rows_that_are_not_finite_are_zero() -> None:
+    rows = torch.tensor([[1.0, 2.0], [torch.nan, 3.0], [4.0, torch.inf]])
+    assert clean(rows).tolist() == [[1.0, 2.0], [0.0, 0.0], [0.0, 0.0]]
+
+
+def test_long_rows_are_cut_to_medians_of_those_that_are_not_zero() -> None:
+    rows = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [30.0, 40.0]])
+    found = limited(rows, 3.0)
+    assert found[:3].tolist() == rows[:3].tolist()
+    assert found[3].tolist() == pytest.approx([1.8, 2.4])
+    assert limited(torch.zeros(2, 3), 3.0).tolist() == torch.zeros(2, 3).tolist()
+
+
+def test_a_models_error_is_how_far_bodies_are_off(job: Callable[..., Reinforcement]) -> None:
+    """None of what the model itself imagined; as much as the trajectory is moved, before it ends."""
+    made = job()
+    learner, _ = parts(made)
+    rigid, imagined = learner.adjoint._rigid, learner.adjoint._imagined
+    n, a = made.environment.num_worlds, made.environment.action_size
+    ended = torch.zeros(STEPS, n, dtype=torch.bool)
+    with torch.no_grad():
+        _, window = imagine(
+            made, learner, torch.zeros(STEPS, n, a), torch.zeros(STEPS, n, a), ended
+        )
+    found = model_errors(rigid, imagined, learner.model, window)
+    assert list(found) == [1, 4]
+    for off in found.values():
+        assert off[1:].max() < 1e-3
+    moved = window.reached["qpos"].clone()
+    moved[3, 0, 0] += 0.5  # of one world, 4 decisions ahead
+    shifted = replace(window, reached={**window.reached, "qpos": moved})
+    found = model_errors(rigid, imagined, learner.model, shifted)
+    assert found[4][1:].tolist() == pytest.approx(
+        [0.5 / n] * (rigid.fields["xpos"][0] - 1), abs=1e-3
+    )
+    ended[1, 0] = True  # and its episode does not last so long
+    found = model_errors(rigid, imagined, learner.model, replace(shifted, ended=ended))
+    assert found[4][1:].max() < 1e-3

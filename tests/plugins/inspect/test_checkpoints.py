@@ -1,0 +1,47 @@
+"""Which checkpoint ``checkpoint=best`` is, and what counts as a share."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from understudy_inspect.judging import _best, _share
+
+
+def run(*rows: dict[str, float]) -> Any:
+    return SimpleNamespace(metrics=lambda: list(rows))
+
+
+def judged(
+    iteration: int, rate: float, figure: str = "evaluation/success_rate"
+) -> dict[str, float]:
+    return {"iteration": iteration, figure: rate}
+
+
+def test_the_best_is_the_one_that_was_judged_best() -> None:
+    rows = judged(3, 0.2), judged(10, 0.9), judged(19, 0.4)
+    assert _best(run(*rows), [0, 5, 12, 20]) == 12
+    assert _best(run(*rows), [0, 20]) == 20, "its last evaluation counts"
+    assert _best(run(judged(5, 0.5), judged(20, 0.5)), [0, 5, 20]) == 20, "of equals the later"
+
+
+def test_evaluations_that_were_given_up_count_by_what_they_can_be() -> None:
+    rows = judged(5, 0.6, "evaluation/success_rate_at_most"), judged(20, 0.3)
+    assert _best(run(*rows), [0, 5, 20]) == 5
+
+
+def test_without_evaluations_returns_decide() -> None:
+    rows = [judged(1, 5.0, "episode/return"), judged(2, 7.0, "episode/return"), judged(3, float("nan"), "episode/return")]  # fmt: skip
+    assert _best(run(*rows), [0, 1, 2, 3]) == 2
+    assert _best(run(), [0, 4]) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "share"),
+    [("0.5", 0.5), (".25", 0.25), ("50%", 0.5), ("0%", 0.0), ("1.0", 1.0), ("12.5%", 0.125),
+     ("90", None), ("1", None), ("1.5", None), ("200%", None), ("last", None), ("00000090.safetensors", None)],
+)  # fmt: skip
+def test_shares(text: str, share: float | None) -> None:
+    assert _share(text) == share

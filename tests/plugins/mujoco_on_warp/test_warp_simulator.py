@@ -1,0 +1,78 @@
+"""The engine on Warp's CPU device, against plain MuJoCo."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from arena import arena, check_derived, check_fields, check_parameters, states
+
+pytest.importorskip(
+    "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
+)
+
+from repeatable import repeatable  # noqa: F401 - a fixture
+
+from understudy.task import Context, Simulator
+from understudy.testing import check_simulator
+from understudy_mujoco.scene import MujocoScene
+from understudy_mujoco_warp.simulator import MujocoWarpSimulator
+
+DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
+
+
+def build(context: Context) -> MujocoWarpSimulator:
+    return MujocoWarpSimulator(MujocoWarpSimulator.Options(), context)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_conforms(device: str, request: pytest.FixtureRequest) -> None:
+    if device == "cuda":
+        request.getfixturevalue("repeatable")
+    check_simulator(
+        build(arena(4, device)), 4, ["mocap_pos/hand", "geom_size/box", "gravity", "active/shelf"]
+    )
+
+
+class PlainScene(MujocoScene):
+    """A ball in the air: no sensor, no actuator, no contact."""
+
+    def spec(self) -> mujoco.MjSpec:
+        ball = '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
+        return mujoco.MjSpec.from_string(f"<mujoco><worldbody>{ball}</worldbody></mujoco>")
+
+
+def test_conforms_with_next_to_nothing_in_the_scene() -> None:
+    context = arena(2)
+    context.scene = PlainScene()
+    check_simulator(build(context), 2, ["body_mass", "geom_size"])
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_fields_of_all_stages_are_those_of_plain_mujoco(device: str) -> None:
+    check_fields(build(arena(6, device)), atol=2e-3, rtol=2e-3)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_parameters_are_as_plain_mujoco_computes_them(device: str) -> None:
+    check_parameters(build, device, steps=20, atol=1e-3)
+
+
+def test_what_derives_from_a_parameter_follows_it() -> None:
+    def field(simulator: Simulator, name: str, world: int) -> np.ndarray:
+        assert isinstance(simulator, MujocoWarpSimulator)
+        array = getattr(simulator._m, name).numpy()
+        return array[world % len(array)]
+
+    check_derived(build, field)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_acceleration_is_computed_only_once_it_is_read(device: str) -> None:
+    simulator = build(arena(2, device))
+    simulator.step(torch.ones(2, 1, device=device))
+    force = simulator._views["actuator_force"].clone()
+    simulator.set_state(torch.ones(2, dtype=torch.bool, device=device), states(2, device))
+    assert torch.equal(simulator._views["actuator_force"], force), "work that nobody asked for"
+    assert not torch.equal(simulator.read("actuator_force"), force)

@@ -1,0 +1,111 @@
+"""Clips whose zero pose is no stance: the same positions in, the same pose out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from cases import CASES, needs_cases
+from scipy.spatial.transform import Rotation
+
+from understudy.setup.plugins import installed
+from understudy_basics import rotations
+from understudy_characters.character import load_character
+from understudy_motion import library
+from understudy_motion.clip import Clip
+from understudy_motion.kinematics import forward_kinematics
+from understudy_motion.reading import ReadOptions, read_clip
+from understudy_retarget.anatomy import find_parts
+from understudy_retarget.retarget import retarget
+from understudy_retarget.stance import standing
+
+REGISTRY = installed().registry
+LIMBS = {"legs": ("hip", "knee", "ankle"), "arms": ("shoulder", "elbow")}
+
+
+def along_bones(clip: Clip, limbs: tuple[str, ...], axis: np.ndarray, mirrored: bool) -> Clip:
+    """The same motion with the joints' frames of some limbs, and all below, turned about a random angle
+    and so that `axis` lies along their bones (against them on the right if `mirrored`)."""
+    skeleton = clip.skeleton
+    assert skeleton is not None
+    names, rng = skeleton.joint_names, np.random.default_rng(3)
+    fixed = [Rotation.identity()] * len(names)
+    for joint, name in enumerate(names):
+        if not any(name.endswith(part) for limb in limbs for part in LIMBS[limb]):
+            continue
+        below = [j for j, parent in enumerate(skeleton.parents) if parent == joint]
+        bone = skeleton.offsets[below[0]] if below else skeleton.tips[name]
+        sign = -1.0 if mirrored and name.startswith("right") else 1.0
+        turn = Rotation.align_vectors(bone, sign * axis)[0]
+        fixed[joint] = turn * Rotation.from_rotvec(rng.uniform(-3, 3) * axis)
+    turned, offsets, tips = [], skeleton.offsets.copy(), dict(skeleton.tips)
+    for joint, parent in enumerate(skeleton.parents):
+        above = fixed[parent] if parent >= 0 else Rotation.identity()
+        local = Rotation.from_quat(clip.rotations[:, joint].numpy(), scalar_first=True)
+        again = above.inv() * local * fixed[joint]
+        turned.append(torch.from_numpy(again.as_quat(scalar_first=True)))
+        offsets[joint] = above.inv().apply(offsets[joint])
+        if names[joint] in tips:
+            tips[names[joint]] = fixed[joint].inv().apply(tips[names[joint]])
+    own = replace(skeleton, offsets=offsets, tips=tips)
+    return replace(clip, rotations=torch.stack(turned, dim=1), skeleton=own)
+
+
+def apart(one: Clip, other: Clip) -> dict[str, float]:
+    """By joint: degrees between the two, on average over the frames."""
+    angles = rotations.angle_between(forward_kinematics(one)[1], forward_kinematics(other)[1])
+    return dict(zip(one.joint_names, np.degrees(angles.mean(0).numpy()).tolist(), strict=True))
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "turn_left"])
+@pytest.mark.parametrize(
+    ("limbs", "axis", "mirrored"),
+    [
+        (("legs",), (1, 0, 0), False),
+        (("legs", "arms"), (1, 0, 0), True),
+        (("legs", "arms"), (0, 1, 0), False),
+        (("legs", "arms"), (0, 0, 1), False),
+        (("legs",), (0, 0, -1), False),
+        (("arms",), (0, 1, 0), False),
+    ],
+)
+def test_frames_along_the_bones_make_no_difference(
+    name: str, limbs: tuple[str, ...], axis: tuple[int, ...], mirrored: bool
+) -> None:
+    humanoid = load_character("humanoid", REGISTRY)
+    plain = library.find(name, REGISTRY)
+    clip = humanoid.clip(humanoid.qpos(plain), plain.times, name=name, loop=plain.loop)
+    turned = along_bones(clip, limbs, np.array(axis, dtype=float), mirrored)
+    places, same = (forward_kinematics(c)[0] for c in (clip, turned))
+    torch.testing.assert_close(places, same)  # every joint of every frame is where it was
+    plain, as_usual = retarget(clip, humanoid)
+    found, report = retarget(turned, humanoid)
+    assert as_usual.no_stance == ()
+    assert set(report.no_stance) >= set(limbs)
+    angles = apart(plain, found)
+    assert max(angles.values()) < 15.0, angles
+
+
+@needs_cases
+@pytest.mark.parametrize("case", ["x", "legs"])
+def test_reported_cases(case: str) -> None:
+    folder, options = CASES / f"retarget-zero-pose-is-no-stance-{case}", ReadOptions("cm", "y")
+    humanoid = load_character("humanoid", REGISTRY)
+    (one, _), (other, report) = (
+        retarget(read_clip(folder / f"{file}.bvh", REGISTRY, options), humanoid)
+        for file in ("reference", "input")
+    )
+    assert max(apart(one, other).values()) < 10.0
+    assert "legs" in report.no_stance
+
+
+@pytest.mark.parametrize(
+    "name", ["walk", "run", "hop", "turn_left", "sit", "cartwheel", "backflip"]
+)
+def test_a_stance_is_left_as_it_is(name: str) -> None:
+    clip = library.find(name, REGISTRY)
+    assert clip.skeleton is not None
+    again, limbs = standing(clip, find_parts(clip.skeleton, {}, name))
+    assert (again is clip, limbs) == (True, ())

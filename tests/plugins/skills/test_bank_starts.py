@@ -1,0 +1,69 @@
+"""Episodes that begin in a bank; what does not fit is refused in one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, FileError
+from understudy.running.environment import Environment
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import Plugins
+from understudy.testing.fake import FAKE_TASK
+from understudy_skills import bank
+
+STATES = {
+    "qpos": torch.tensor([[0.5], [1.5], [-1.0]]),
+    "qvel": torch.tensor([[1.0], [2.0], [3.0]]),
+    "hat": torch.tensor([5.0, 6.0, 7.0]),
+}
+
+
+def made(plugins: Plugins, states: dict[str, Tensor], path: Path, *more: str) -> Environment:
+    bank.save(path / "some", states, {})
+    own = f"++initial_states={{name: bank, file: {path / 'some'}}}"
+    overrides = [*FAKE_TASK[:-1], own, "num_worlds=64", *more]
+    return build_environment(load_experiment(overrides, plugins)).environment
+
+
+def test_every_state_is_drawn_whole(plugins: Plugins, tmp_path: Path) -> None:
+    environment = made(plugins, STATES, tmp_path)
+    environment.reset(seed=1)
+    table = environment.table
+    drawn = torch.cat([table["qpos"], table["qvel"], table["hat"].unsqueeze(1)], dim=1)
+    rows = {tuple(row) for row in drawn.tolist()}
+    assert rows == {(0.5, 1.0, 5.0), (1.5, 2.0, 6.0), (-1.0, 3.0, 7.0)}
+    environment.step(torch.ones(64, 1))
+    assert torch.equal(table["hat"], drawn[:, 2]), "constant over the episode"
+
+
+def test_fields_may_be_left(plugins: Plugins, tmp_path: Path) -> None:
+    environment = made(plugins, STATES, tmp_path, "initial_states.leave=[hat]")
+    environment.reset()
+    assert "hat" not in environment.table.shapes
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"qvel": None}, "'qvel' is missing there and"),
+        ({"qpos": torch.zeros(3, 2)}, r"'qpos' is \(2,\) there and \(1,\) here"),
+        ({"action": torch.zeros(3, 1)}, "provides the field 'action'"),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    plugins: Plugins, tmp_path: Path, change: dict[str, Tensor | None], sentence: str
+) -> None:
+    states = {k: v for k, v in {**STATES, **change}.items() if v is not None}
+    with pytest.raises(ConfigError, match=sentence):
+        made(plugins, states, tmp_path)
+
+
+def test_a_missing_bank_is_named(plugins: Plugins, tmp_path: Path) -> None:
+    own = f"++initial_states={{name: bank, file: {tmp_path / 'none'}}}"
+    with pytest.raises(FileError, match="cannot be used"):
+        build_environment(load_experiment([*FAKE_TASK[:-1], own], plugins))

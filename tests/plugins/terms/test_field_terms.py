@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import torch
+
+from understudy_terms.terms import beyond, reached, value, value_where
+
+VECTOR = torch.tensor([[1.0, 2.0], [3.0, 0.5]])
+NUMBER = torch.tensor([1.0, 3.0])
+
+
+def test_value_is_the_field_or_one_of_its_numbers() -> None:
+    assert value(NUMBER).tolist() == [1.0, 3.0]
+    assert value(VECTOR, index=1).tolist() == [2.0, 0.5]
+    assert value(NUMBER > 2).tolist() == [0.0, 1.0]
+
+
+def test_a_value_where_another_field_is_zero_is_none() -> None:
+    where = torch.tensor([0.0, 1.0])
+    found = value_where(NUMBER, where)
+    assert found[0].isnan()
+    assert found[1] == 3.0
+    assert value_where(VECTOR, where > 0, index=1).nan_to_num(-1.0).tolist() == [-1.0, 0.5]
+
+
+def test_thresholds() -> None:
+    assert reached(NUMBER, within=1.0).tolist() == [True, False]
+    assert reached(VECTOR, within=2.0).tolist() == [True, False]
+    assert reached(VECTOR, within=1.0, index=1).tolist() == [False, True]
+    assert beyond(NUMBER, limit=3.0).tolist() == [False, True]
+    assert beyond(VECTOR, limit=2.0).tolist() == [True, True]
+    assert beyond(VECTOR, limit=2.0, index=0).tolist() == [False, True]
