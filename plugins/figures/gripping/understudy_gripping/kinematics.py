@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_hand.scene import HandScene
+from understudy_tensors import rotations
 
 
 @dataclass(frozen=True)

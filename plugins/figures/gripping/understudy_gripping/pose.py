@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
 from understudy_gripping.descent import minimise
 from understudy_gripping.distances import (
     at,
@@ -27,6 +26,7 @@ from understudy_gripping.styles import LOWER, UPPER, Style, check_style
 from understudy_hand.scene import HandScene
 from understudy_hand.table import FINGERS
 from understudy_hand.tools import HALF_LENGTH, RADIUS, upper_pose
+from understudy_tensors import rotations
 
 #: m, rad: where the lower stick lies in a human palm, about which it is searched (the release's grip).
 _PLACE = (0.0355, -0.0611, 0.0910)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy_basics import rotations
+from understudy_tensors import rotations
 
 Tool = Literal["sticks", "tongs", "none"]
 

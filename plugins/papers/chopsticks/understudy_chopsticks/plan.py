@@ -19,12 +19,12 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Shape
-from understudy_basics import rotations
 from understudy_gripping.grip import Grip
 from understudy_gripping.hold import hold, placed
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import upper_pose
+from understudy_tensors import rotations
 
 #: How far ahead a policy sees the plan, s: six frames every 0.05 s (section 5.4.2).
 AHEAD = tuple(0.05 * k for k in range(1, 7))
