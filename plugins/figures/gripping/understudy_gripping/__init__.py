@@ -4,7 +4,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "hand", "mujoco")
+REQUIRES = ("hand", "mujoco", "tensors")
 
 _HERE = "understudy_gripping"
 

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "gripping", "hand", "mujoco", "ppo")
+REQUIRES = ("gripping", "hand", "mujoco", "networks", "ppo", "tensors", "terms")
 
 _HERE = "understudy_chopsticks"
 

@@ -154,44 +154,39 @@ def sticks(
     stick_turn: Tensor,
     stick_rotation: Tensor,
     *,
-    distance: float = 40.0,
-    turn: float = 10.0,
+    distance: float = 40.0,  #: 1/m, of the middles' distances (eq. 5.3)
+    turn: float = 10.0,  #: 1/rad, of the angles Θ (eq. 5.3)
+    #: Whether Θ counts a stick's turn about its own axis, as the thesis' angle between quaternions does.
     spin: bool = False,
 ) -> Tensor:
-    """exp of eq. 5.3: both sticks as planned, exp(-40 Σ ‖p - p̃‖ - 10 Σ Θ).
-
-    Args:
-        distance: 1/m.
-        turn: 1/rad.
-        spin: whether Θ counts a stick's turn about its own axis, as an angle between quaternions does.
-    """
+    """exp of eq. 5.3: both sticks as planned, exp(-40 Σ ‖p - p̃‖ - 10 Σ Θ)."""
     angle = stick_rotation if spin else stick_turn
     return torch.exp(-distance * stick_distance.sum(1) - turn * angle.sum(1))
 
 
 @ranges(0.0, 1.0)
-def contact(tip_distance: Tensor, *, scale: float = 10.0) -> Tensor:
-    """exp of eq. 5.5: fingertips at their places on the sticks, exp(-10 Σ d).
-
-    Args:
-        scale: 1/m.
-    """
+def contact(
+    tip_distance: Tensor,
+    *,
+    scale: float = 10.0,  #: 1/m, of the tips' distances from their places (eq. 5.5)
+) -> Tensor:
+    """exp of eq. 5.5: fingertips at their places on the sticks, exp(-10 Σ d)."""
     return torch.exp(-scale * tip_distance.sum(1))
 
 
-def dropped(stick_distance: Tensor, *, distance: float = 0.03) -> Tensor:
-    """A stick is far from where it is planned; it has fallen, or will.
-
-    Args:
-        distance: m. The thesis names no early ending; so far off, no grip was seen to recover.
-    """
+def dropped(
+    stick_distance: Tensor,
+    *,
+    distance: float = 0.03,  #: m; the thesis names no early ending, this one is chosen
+) -> Tensor:
+    """A stick is far from where it is planned; it has fallen, or will."""
     return (stick_distance > distance).any(dim=1)
 
 
-def contact_lost(tip_distance: Tensor, *, distance: float = 0.035) -> Tensor:
-    """Fingertips have left their places on the sticks.
-
-    Args:
-        distance: m, of all together; at the release's, exp(-20 Σ d) is 0.5.
-    """
+def contact_lost(
+    tip_distance: Tensor,
+    *,
+    distance: float = 0.035,  #: m, of all tips together; the release's, where exp(-20 Σ d) is 0.5
+) -> Tensor:
+    """Fingertips have left their places on the sticks."""
     return tip_distance.sum(1) > distance

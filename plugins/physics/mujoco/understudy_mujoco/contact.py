@@ -35,6 +35,7 @@ class Contact:
     servos and firm contacts bear each other, as long as no servo is at its limit.
     """
 
+    #: MuJoCo's integrator.
     integrator: Literal["euler", "rk4", "implicit", "implicitfast", "discrete"] | None = None
     cone: Literal["pyramidal", "elliptic"] | None = None  #: of friction
     impratio: float | None = (
