@@ -237,7 +237,7 @@ MUTANTS = (
     Mutant("a journal's overrides are resolved", JOURNAL, '                    refuse_resolvers(event.overrides, "A journal")', "                    pass", f"{F21} -k journal"),
     # What the second attack found to be held by no test.
     Mutant("a harvest keeps what went wrong", "plugins/learning/skills/understudy_skills/harvest.py", "counts & ~step.unsound, step", "counts, step",
-           "tests/plugins/basics/test_harvest.py"),
+           "tests/plugins/skills/test_harvest.py"),
     Mutant("a late trial has no grace", POOL, "                running.deadline += self._limits.grace\n", "", f"{EXECUTORS} -k grace"),
     Mutant("a late trial is not told to save", POOL, """                running.deadline += self._limits.grace
                 running.host.save()""", "                running.deadline += self._limits.grace", f"{EXECUTORS} -k grace"),

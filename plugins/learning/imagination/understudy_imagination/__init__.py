@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("basics", "mujoco")
+REQUIRES = ("networks", "tensors", "mujoco")
 
 
 @hookimpl
