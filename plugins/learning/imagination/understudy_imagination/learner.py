@@ -49,7 +49,7 @@ class ModelOptions:
     first_updates: int = 400  #: optimiser steps when it is first trained
     updates: int = 60  #: optimiser steps of an iteration
     batch_size: int = 512  #: decisions of an optimiser step
-    learning_rate: float = 1e-3
+    learning_rate: float = 1e-3  #: of the model, by Adam
 
     def __post_init__(self) -> None:
         check_units("hidden", self.hidden)
@@ -106,10 +106,10 @@ class Imagination(Learner):
         #: Of the mean square of actions, from the middle of their space in units of their reach.
         action_weight: float = 0.012
         reward_weight: float = 1.0  #: of rewards that have a derivative
-        model: ModelOptions = field(default_factory=ModelOptions)
+        model: ModelOptions = field(default_factory=ModelOptions)  #: of the character, learned
         gamma: float = 0.95  #: of the returns that critic and initial states learn from
         td_lambda: float = 0.95  #: of these
-        critic_learning_rate: float = 3e-4
+        critic_learning_rate: float = 3e-4  #: of the critic, by Adam
         patience: int = 20  #: non-finite optimiser steps in a row after which the training stops
 
         def __post_init__(self) -> None:
