@@ -119,7 +119,8 @@ def test_derived_numbers(plugins: Plugins, where: str, value: float) -> None:
 
 
 def test_nothing_reaches_the_learner(plugins: Plugins) -> None:
-    training = make_training(plugins, [*FAKE_TASK, *SMALL])
+    """Most episodes end soundly, or the training would stop (`test_01_unsound_episodes.py`)."""
+    training = make_training(plugins, [*FAKE_TASK, *SMALL, "episode.seconds=0.1"])
     simulator, update = training.job.environment.parts.simulator, training.job.learner.update
     step, count = simulator.step, 0
 

@@ -43,15 +43,12 @@ def test_it_counts_by_several_measures(tmp_path: Path, capsys: pytest.CaptureFix
     assert rows[1] == [first, "5", "2", "3"]
     assert rows[2] == [second, "2", "2", "2"]
     assert rows[3][0] == "mean"
-    reach = 12.706 * math.sqrt(0.5) / math.sqrt(2)
-    assert rows[3][-6:] == [
-        "2.0",
-        "[2.0,",
-        "2.0]",
-        "2.5",
-        f"[{2.5 - reach:.1f},",
-        f"{2.5 + reach:.1f}]",
-    ]
+    assert " ".join(rows[3][-6:]) == "2.0 (2 searches) 2.5 (2 searches)"  # too few for an interval
+    third = searched(tmp_path / "c", [0.5, -0.5])
+    assert main(["diversity", "count", first, second, third, *words]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    reach = 4.303 * math.sqrt(1 / 3) / math.sqrt(3)  # of 3, 2, 2 kinds
+    assert " ".join(rows[4][-3:]) == f"{7 / 3:.1f} [{7 / 3 - reach:.1f}, {7 / 3 + reach:.1f}]"
     assert main(["diversity", "count", first, *words[:3], "--success", "0.2"]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert rows[1:] == [[first, "5", "3"], ["mean", "5.0", "3.0"]]

@@ -83,5 +83,6 @@ def _counts(folder: str, measures: Sequence[_Measure]) -> list[int]:
 def _mean(values: Sequence[int]) -> str:
     mean = mean_of(values)
     assert mean is not None
-    interval = "" if mean.low is None else f" [{mean.low:.1f}, {mean.high:.1f}]"
-    return f"{mean.value:.1f}{interval}"
+    if mean.low is None or mean.high is None:
+        return f"{mean.value:.1f}" + (" (2 searches)" if mean.count == 2 else "")
+    return f"{mean.value:.1f} [{mean.low:.1f}, {mean.high:.1f}]"
