@@ -20,7 +20,7 @@ from understudy_inspect.completion import words
         ("understudy tra", ["train"]),
         ("understudy motion ", ["check", "export", "fetch", "learned", "retarget", "view"]),
         ("understudy train exp", ["experiment="]),
-        ("understudy train experiment=spacetime/w", ["experiment=spacetime/walk"]),
+        ("understudy train experiment=spacetime/w", ["experiment=spacetime/walk", "experiment=spacetime/walk_imagined"]),
         ("understudy config learner=tr", ["learner=trpo"]),
         ("understudy describe simulator/m", ["simulator/mujoco", "simulator/mujoco_warp"]),
         ("understudy completion z", ["zsh"]),
@@ -45,7 +45,7 @@ def test_what_is_offered_can_be_composed() -> None:
     ("line", "expected"),
     [
         ("understudy tra", "train"),
-        ("understudy train experiment=spacetime/wa", "spacetime/walk"),
+        ("understudy train experiment=spacetime/jo", "spacetime/jog"),
         ("understudy train exp", "experiment="),
     ],
 )

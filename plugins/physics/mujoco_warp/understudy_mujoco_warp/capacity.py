@@ -49,4 +49,4 @@ def constraint_capacity(model: mujoco.MjModel, contacts: int) -> int:
     limits = int(model.jnt_limited.sum()) + 2 * int(model.tendon_limited.sum())
     losses = np.count_nonzero(model.dof_frictionloss) + np.count_nonzero(model.tendon_frictionloss)
     equalities = 6 * model.neq  # a weld's; no other has more
-    return rows * contacts + limits + losses + equalities
+    return rows * contacts + limits + int(losses) + equalities  # Warp takes no number of numpy's
