@@ -29,6 +29,8 @@ def _quietly(arguments: tuple[str, ...]) -> None:
     import torch
 
     torch.set_num_threads(1)
+    # Whoever started the server may have blocked what terminals send.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGHUP})
     null = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(null, stream)

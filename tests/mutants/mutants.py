@@ -241,8 +241,8 @@ MUTANTS = (
     Mutant("a late trial has no grace", POOL, "                running.deadline += self._limits.grace\n", "", f"{EXECUTORS} -k grace"),
     Mutant("a late trial is not told to save", POOL, """                running.deadline += self._limits.grace
                 running.host.save()""", "                running.deadline += self._limits.grace", f"{EXECUTORS} -k grace"),
-    Mutant("Ctrl-C reaches the fork server", PROCESSES, "of_terminals = {signal.SIGINT, signal.SIGHUP}", "of_terminals = {signal.SIGHUP}", f"{EXECUTORS} -k fork_server"),
-    Mutant("a terminal's end reaches the fork server", PROCESSES, "of_terminals = {signal.SIGINT, signal.SIGHUP}", "of_terminals = {signal.SIGINT}", f"{EXECUTORS} -k fork_server"),
+    Mutant("Ctrl-C reaches the fork server", PROCESSES, "_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}", "_OF_TERMINALS = {signal.SIGHUP}", f"{EXECUTORS} -k fork_server"),
+    Mutant("a terminal's end reaches the fork server", PROCESSES, "_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}", "_OF_TERMINALS = {signal.SIGINT}", f"{EXECUTORS} -k fork_server"),
     Mutant("a trial is of its sweep's session", PROCESSES, "    os.setsid()  #", "    pass  #", f"{EXECUTORS} -k session"),
     Mutant("nobody waits for who holds a folder", SWEEP_TRIAL, "            if time.monotonic() > deadline:", "            if True:", f"{EXECUTORS} -k waits_for"),
     Mutant("the wait for a folder has no end", SWEEP_TRIAL, "            if time.monotonic() > deadline:", "            if False:", f"{EXECUTORS} -k waits_for"),

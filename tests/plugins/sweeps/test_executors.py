@@ -87,10 +87,10 @@ def test_a_defect_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
     """A trial whose folder holds something else: no finding of the trial."""
     path = folder_of("a", tmp_path)
     path.mkdir(parents=True)
-    (path / "metrics.jsonl").mkdir()
+    (path / ".lock").mkdir()
     (last,) = executors.carry_out(built("processes", retries=1)(work(tmp_path)), [Trial("a")])
     assert last.status.startswith("failed 2 times: its process ended with status 1 (")
-    assert "metrics.jsonl" in last.status
+    assert "Is a directory" in last.status
     assert "It goes on from its last checkpoint (try 2 of 2)" in capfd.readouterr().err
 
 

@@ -37,6 +37,8 @@ _VISIBLE = "CUDA_VISIBLE_DEVICES"
 _ORPHANED = 30.0
 #: What the server imports: all that takes long, torch's compiler (which its optimisers touch) included.
 _PRELOADED = ["torch._dynamo", "understudy_sweeps.processes"]
+#: What a terminal sends to all processes of a command.
+_OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}
 
 
 class Processes:
@@ -133,11 +135,10 @@ def _server() -> Any:
     """What forks the trials; what a terminal sends to all (Ctrl-C, its end) is the sweep's alone."""
     server = multiprocessing.get_context("forkserver")
     server.set_forkserver_preload(_PRELOADED)
-    of_terminals = {signal.SIGINT, signal.SIGHUP}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, of_terminals)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINALS)
     try:
         resource_tracker.ensure_running()  # first, since it lets SIGINT through again
-        signal.pthread_sigmask(signal.SIG_BLOCK, of_terminals)
+        signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINALS)
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -197,6 +198,7 @@ def _await(hosts: Sequence[Host], seconds: float) -> Sequence[Host]:
 
 def _carry_out(pipe: Connection, text: str, output: str, gpu: str | None) -> None:
     os.setsid()  # Ctrl-C is the sweep's, which then lets this save
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _OF_TERMINALS)  # as the server has them
     if gpu is not None:  # before anything asks for a GPU, which is when CUDA reads it
         os.environ[_VISIBLE] = gpu
     Path(output).parent.mkdir(parents=True, exist_ok=True)
