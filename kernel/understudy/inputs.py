@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from understudy.errors import RunError
-from understudy.records.folders import opened
+from understudy.folders import opened
 
 
 @dataclass

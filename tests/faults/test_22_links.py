@@ -13,8 +13,8 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import RunError
+from understudy.folders import check_within, open_lock
 from understudy.records import runs
-from understudy.records.folders import check_within, open_lock
 
 SMALL = ("budget.samples=200", "run.video_seconds=0", "evaluation.criterion=null")
 

@@ -15,9 +15,9 @@ from worlds import SMALL, make_training
 
 from understudy.command.cli import main
 from understudy.errors import RunError, UnderstudyError
+from understudy.folders import read
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
-from understudy.records.folders import read
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_sweeps.journal import Journal

@@ -17,7 +17,7 @@ ROOT = Path(understudy.__file__).parent
 #: ``setup.building`` makes environments and ``records`` describe experiments, so modules of
 #: ``running``, ``setup`` and ``records`` interleave; that there is no circle among them is tested.
 FLOORS = (
-    {"errors", "options", "distributed", "random", "inputs", "signals"},
+    {"errors", "options", "distributed", "random", "folders", "inputs", "signals"},
     {"task"},
     {"running", "setup", "records"},
     {"outer"},

@@ -46,7 +46,7 @@ POSES, SITTING_TRIALS = (
     "plugins/papers/sitting/understudy_sitting/trials.py",
 )
 ATTEMPT = "plugins/papers/jumping/understudy_jumping/attempt.py"
-FOLDERS, COMPOSITION = f"{KERNEL}/records/folders.py", f"{KERNEL}/setup/composition.py"
+FOLDERS, COMPOSITION = f"{KERNEL}/folders.py", f"{KERNEL}/setup/composition.py"
 GUARD, GUARDED = (
     "plugins/studio/viewer/understudy_viewer/guard.py",
     "tests/plugins/viewer/test_guard.py",

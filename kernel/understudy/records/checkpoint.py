@@ -26,7 +26,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from understudy.errors import RunError
-from understudy.records.folders import opened, read
+from understudy.folders import opened, read
 
 #: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
 FORMAT = 3

@@ -32,10 +32,10 @@ from typing import Any
 import torch
 
 from understudy.errors import RunError
+from understudy.folders import check_within, open_lock, opened, read
 from understudy.inputs import Inputs
 from understudy.records import checkpoint
 from understudy.records.checkpoint import write_atomically
-from understudy.records.folders import check_within, open_lock, opened, read
 from understudy.setup import plugins
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.registry import Registry

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pluggy
 
 from understudy.errors import PluginError, RunError, said, suggestion
-from understudy.records.folders import read
+from understudy.folders import read
 from understudy.setup.registry import Registrar, Registry
 from understudy.signals import is_stop
 

@@ -58,7 +58,7 @@ def test_measured() -> None:
     assert none.as_json()["mean"] is None
     unknown = Evaluation(2, measures={"least": none, "return": none}, objective="least")
     assert unknown.objective_value is None, "a measure that no episode has is not 0"
-    assert unknown.sentence() == "."
+    assert unknown.sentence() == "nothing was measured."
 
 
 @pytest.mark.parametrize(

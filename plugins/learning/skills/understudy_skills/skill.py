@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError, suggestion
+from understudy.folders import read
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
-from understudy.records.folders import read
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment, build_policy
 from understudy.setup.composition import compose_raw

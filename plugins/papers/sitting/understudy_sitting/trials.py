@@ -23,8 +23,8 @@ from torch import Tensor
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError, RunError
+from understudy.folders import read
 from understudy.records import runs
-from understudy.records.folders import read
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
 from understudy.running.evaluation import wilson_interval

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from understudy import __version__
+from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
-from understudy.records.folders import read
 from understudy_report import words
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from understudy.command.command import Command
 from understudy.errors import UnderstudyError
-from understudy.records.folders import check_within
+from understudy.folders import check_within
 from understudy.setup.composition import replaced
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card

@@ -16,8 +16,8 @@ from typing import Any
 from urllib.parse import quote
 
 from understudy.errors import ConfigError, RunError
+from understudy.folders import read
 from understudy.records.checkpoint import sync, write_atomically
-from understudy.records.folders import read
 from understudy.running.trials import Report, Trial
 from understudy.setup.composition import refuse_resolvers
 

@@ -22,9 +22,9 @@ import torch
 
 from understudy import distributed
 from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
+from understudy.folders import read
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
-from understudy.records.folders import read
 from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment

@@ -15,9 +15,9 @@ from urllib.parse import quote
 from hydra.core.override_parser.types import Quote, QuotedString
 
 from understudy.errors import ConfigError, FileError, RunError, TrainingError
+from understudy.folders import read
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
-from understudy.records.folders import read
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation
 from understudy.running.reinforcement import Reinforcement

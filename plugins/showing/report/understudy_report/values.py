@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from understudy.records.folders import read
+from understudy.folders import read
 from understudy.records.runs import Run
 
 Row = Mapping[str, Any]
