@@ -257,8 +257,8 @@ MUTANTS = (
     Mutant("a policy may have more", SITTING_TRIALS, "misfits = misfits or [", "misfits = misfits or [][:0] and [", "tests/plugins/sitting/test_trials.py"),
     Mutant("what has crashed lands", ATTEMPT, "(landed & beyond & ~crashed)", "(landed & beyond)", "tests/plugins/jumping/test_attempt.py"),
     Mutant("a landing is undone", ATTEMPT, '(wrong & (kept["landed"] == 0))', "wrong", "tests/plugins/jumping/test_attempt.py"),
-    Mutant("particles forget what varies", "plugins/physics/pbd/understudy_pbd/simulator.py",
-           "                put_rows(self._known[name], worlds, snapshot[name])\n", "                pass\n", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
+    Mutant("particles forget what varies", "plugins/physics/warp_torch/understudy_warp_torch/world_state.py",
+           "        self._put_varied(worlds, snapshot)\n", "", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
     Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
     check_within(path)
 """, """        raise RunError(f"{path} is no run folder: it has no run.json.")

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from understudy.errors import ConfigError, suggestion
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_cloth.checking import check_mesh
@@ -27,8 +27,9 @@ from understudy_cloth.mesh import (
 )
 from understudy_cloth.scene import ClothModel, ClothScene
 from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
-from understudy_warp_torch.kernels import Kernels, put_rows
+from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.shapes import build_tools
+from understudy_warp_torch.world_state import WorldState
 
 #: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged.
 _EXTENT, _SPEED = 1e3, 1e3
@@ -114,16 +115,14 @@ class ClothSimulator(Simulator):
             hidden["holder"] = (wp.to_torch(c.holder), (c.grip_vertices,))
             hidden["held_at"] = (wp.to_torch(c.held_at), (c.grip_vertices, 3))
         self.fields: Mapping[str, Shape] = {name: shape for name, (_, shape) in views.items()}
-        self._state = {
+        state = {
             name: view.view(self._n, *shape) for name, (view, shape) in {**views, **hidden}.items()
         }
-        self._views = {name: self._state[name] for name in views}
         self.state_fields = ("cloth_position", "cloth_velocity")
         if t:
             self.state_fields += ("tool_position", "tool_orientation")
-        self._initial = {name: view[:1].clone() for name, view in self._state.items()}
         stiffness = wp.to_torch(c.stiffness)
-        self._known = {
+        parameters = {
             "gravity": wp.to_torch(c.gravity),
             "friction": wp.to_torch(c.friction),
             "density": wp.to_torch(c.density),
@@ -132,9 +131,8 @@ class ClothSimulator(Simulator):
             **({"bending": stiffness[:, 2]} if model.fabric.bending else {}),
         }
         self.parameters: Mapping[str, Shape] = {
-            name: tuple(view.shape[1:]) for name, view in self._known.items()
+            name: tuple(view.shape[1:]) for name, view in parameters.items()
         }
-        self._varied: tuple[str, ...] = ()
         # torch makes no view of an array without elements on a GPU
         self._control = (
             wp.to_torch(c.control)
@@ -142,9 +140,16 @@ class ClothSimulator(Simulator):
             else torch.zeros(self._n, 0, device=self._device)
         )
         self._left_out = wp.to_torch(c.left_out)
-        #: (N,) worlds that began a step with numbers that the step may hide: it moves the tools anew.
-        self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
-        self._asked = False  #: whether anybody was told of those
+        self._worlds = WorldState(
+            "cloth",
+            views={name: state[name] for name in views},
+            state=state,
+            initial={name: view[:1].clone() for name, view in state.items()},
+            set_by=self.state_fields,
+            parameters=parameters,
+            extent=_EXTENT,
+            speed=_SPEED,
+        )
 
     def _build(self, model: ClothModel) -> tuple[Any, Features, tuple[np.ndarray, np.ndarray]]:
         """The cloth on Warp's present device, what its kernels have to know, and where colours begin."""
@@ -314,64 +319,29 @@ class ClothSimulator(Simulator):
     # ------------------------------------------------------------------ Simulator
 
     def vary(self, names: Sequence[str]) -> None:
-        for name in names:
-            if name not in self.parameters:
-                known = suggestion(name, self.parameters)
-                raise ConfigError(
-                    f"simulator 'cloth' has no parameter '{name}' in which worlds may differ.{known}"
-                )
-        self._varied = tuple(names)
-        self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
-        self._views.update({name: self._known[name] for name in names})
+        self.fields = {**self.fields, **self._worlds.vary(names)}
 
     def read(self, name: str) -> Tensor:
-        return self._views[name]
+        return self._worlds.views[name]
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        self._bad &= ~worlds
-        for name in self._varied:
-            if name in state:
-                put_rows(self._known[name], worlds, state[name])
-        for name, view in self._state.items():
-            put_rows(
-                view, worlds, state[name] if name in self.state_fields else self._initial[name]
-            )
+        self._worlds.set(worlds, state)
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         count = self._substeps if substeps is None else substeps
-        if self._asked:
-            self._bad.zero_()
-            self._asked = False
-        self._bad |= ~self._sound()
+        self._worlds.begin_step()
         self._control.copy_(control)
-        changed = (*self._state.values(), self._left_out)
+        changed = (*self._worlds.state.values(), self._left_out)
         self._warp.run(count, lambda: self._advance(count), changed)
 
     def failed(self) -> Tensor:
-        self._asked = True
-        return self._bad | ~self._sound()
-
-    def _sound(self) -> Tensor:
-        """(N,) bool: the state is finite, and vertices are near and slow enough."""
-        sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
-        for name in self.state_fields:
-            limit = _SPEED if name.endswith("velocity") else _EXTENT
-            sound &= (self._views[name].abs() < limit).flatten(1).all(dim=1)  # false for NaN
-        return sound
+        return self._worlds.failed()
 
     def snapshot(self) -> dict[str, Tensor]:
-        varied = {name: self._known[name] for name in self._varied}
-        return {name: view.clone() for name, view in {**self._state, **varied}.items()}
+        return self._worlds.snapshot()
 
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        if worlds is None:
-            worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
-        self._bad &= ~worlds
-        for name in self._varied:
-            if name in snapshot:
-                put_rows(self._known[name], worlds, snapshot[name])
-        for name, view in self._state.items():
-            put_rows(view, worlds, snapshot[name])
+        self._worlds.restore(snapshot, worlds)
 
     def report(self) -> dict[str, int]:
         count = int(self._left_out.sum())

@@ -12,14 +12,15 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from understudy.errors import ConfigError, suggestion
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
-from understudy_warp_torch.kernels import Kernels, put_rows
+from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.shapes import build_tools
+from understudy_warp_torch.world_state import WorldState
 
 #: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged: tables are a
 #: few metres wide, and at this speed a particle passes them within a control period.
@@ -100,25 +101,21 @@ class ParticleSimulator(Simulator):
             views["tool_orientation"] = (wp.to_torch(tools.orientation), (*lead, 4))
             views["tool_velocity"] = (wp.to_torch(tools.velocity), (*lead, 3))
             views["tool_angular_velocity"] = (wp.to_torch(tools.angular_velocity), (*lead, 3))
-        self._views = {name: view.view(self._n, *shape) for name, (view, shape) in views.items()}
+        read = {name: view.view(self._n, *shape) for name, (view, shape) in views.items()}
         self.fields: Mapping[str, Shape] = {name: shape for name, (_, shape) in views.items()}
         self.state_fields = ("particle_position", "particle_velocity")
         if t:
             self.state_fields += ("tool_position", "tool_orientation")
-        q = len(model.materials)
-        self._known = {
-            "active_particles": self._views["active_particles"],
+        parameters = {
+            "active_particles": read["active_particles"],
             "gravity": wp.to_torch(system.gravity),
             "friction": wp.to_torch(system.friction),
             "cohesion": wp.to_torch(system.cohesion),
             "viscosity": wp.to_torch(system.viscosity),
         }
         self.parameters: Mapping[str, Shape] = {
-            "active_particles": (p,),
-            "gravity": (3,),
-            **dict.fromkeys(("friction", "cohesion", "viscosity"), (q,)),
+            name: tuple(view.shape[1:]) for name, view in parameters.items()
         }
-        self._varied: tuple[str, ...] = ()
         self._particles = self._seen_by_rules()
         with self._warp.scope():
             for rule in model.rules:
@@ -130,23 +127,30 @@ class ParticleSimulator(Simulator):
             for name, view in rule.state().items()
         }
         #: All that decides the future, beside varied parameters.
-        self._state = {
-            **{n: v for n, v in self._views.items() if n != "active_particles"},
+        state = {
+            **{n: v for n, v in read.items() if n != "active_particles"},
             "substep": wp.to_torch(system.substep),
             **kept,
         }
-        self._initial = {name: view[:1].clone() for name, view in self._state.items()}
+        initial = {name: view[:1].clone() for name, view in state.items()}
         for name in ("tool_velocity", "tool_angular_velocity", "particle_velocity", *kept):
-            if name in self._initial:
-                self._initial[name].zero_()
+            if name in initial:
+                initial[name].zero_()
         # torch makes no view of an array without elements on a GPU
         self._control = (
             wp.to_torch(system.control) if t else torch.zeros(self._n, 0, device=self._device)
         )
         self._overflow = wp.to_torch(system.overflow)
-        #: (N,) worlds that began a step with numbers that the step may hide: it moves the tools anew.
-        self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
-        self._asked = False  #: whether anybody was told of those
+        self._worlds = WorldState(
+            "pbd",
+            views=read,
+            state=state,
+            initial=initial,
+            set_by=self.state_fields,
+            parameters=parameters,
+            extent=_EXTENT,
+            speed=_SPEED,
+        )
 
     def _build(self, model: ParticleModel) -> tuple[Any, Features]:
         """The system on Warp's present device, and what its kernels have to know."""
@@ -308,64 +312,29 @@ class ParticleSimulator(Simulator):
     # ------------------------------------------------------------------ Simulator
 
     def vary(self, names: Sequence[str]) -> None:
-        for name in names:
-            if name not in self.parameters:
-                known = suggestion(name, self.parameters)
-                raise ConfigError(
-                    f"simulator 'pbd' has no parameter '{name}' in which worlds may differ.{known}"
-                )
-        self._varied = tuple(names)
-        self.fields = {**self.fields, **{name: self.parameters[name] for name in names}}
-        self._views.update({name: self._known[name] for name in names})
+        self.fields = {**self.fields, **self._worlds.vary(names)}
 
     def read(self, name: str) -> Tensor:
-        return self._views[name]
+        return self._worlds.views[name]
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        self._bad &= ~worlds
-        for name in self._varied:
-            if name in state:
-                put_rows(self._known[name], worlds, state[name])
-        for name, view in self._state.items():
-            put_rows(
-                view, worlds, state[name] if name in self.state_fields else self._initial[name]
-            )
+        self._worlds.set(worlds, state)
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:
         count = self._substeps if substeps is None else substeps
-        if self._asked:
-            self._bad.zero_()
-            self._asked = False
-        self._bad |= ~self._sound()
+        self._worlds.begin_step()
         self._control.copy_(control)
-        changed = (*self._state.values(), self._overflow)
+        changed = (*self._worlds.state.values(), self._overflow)
         self._warp.run(count, lambda: self._advance(count), changed)
 
     def failed(self) -> Tensor:
-        self._asked = True
-        return self._bad | ~self._sound()
-
-    def _sound(self) -> Tensor:
-        """(N,) bool: the state is finite, and particles are near and slow enough."""
-        sound = torch.ones(self._n, dtype=torch.bool, device=self._device)
-        for name in self.state_fields:
-            limit = _SPEED if name.endswith("velocity") else _EXTENT
-            sound &= (self._views[name].abs() < limit).flatten(1).all(dim=1)  # false for NaN
-        return sound
+        return self._worlds.failed()
 
     def snapshot(self) -> dict[str, Tensor]:
-        varied = {name: self._known[name] for name in self._varied}
-        return {name: view.clone() for name, view in {**self._state, **varied}.items()}
+        return self._worlds.snapshot()
 
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        if worlds is None:
-            worlds = torch.ones(self._n, dtype=torch.bool, device=self._device)
-        self._bad &= ~worlds
-        for name in self._varied:
-            if name in snapshot:
-                put_rows(self._known[name], worlds, snapshot[name])
-        for name, view in self._state.items():
-            put_rows(view, worlds, snapshot[name])
+        self._worlds.restore(snapshot, worlds)
 
     def report(self) -> dict[str, int]:
         count = int(self._overflow.sum())
