@@ -53,7 +53,7 @@ def test_setting_begins_the_chosen_worlds_anew(
 
 
 def test_what_varies_is_read_set_and_kept(worlds: WorldState, memory: dict[str, Tensor]) -> None:
-    with pytest.raises(ConfigError, match="no parameter 'fricton'.*Did you mean 'friction'"):
+    with pytest.raises(ConfigError, match=r"no parameter 'fricton'.*Did you mean 'friction'"):
         worlds.vary(["fricton"])
     assert "friction" not in worlds.views
     assert worlds.vary(["friction"]) == {"friction": (1,)}
