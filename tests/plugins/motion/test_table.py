@@ -112,6 +112,15 @@ def test_csv_keeps_the_motion(tmp_path: Path, clip: Clip, data: st.DataObject) -
     torch.testing.assert_close(back.rotations, clip.rotations, rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("name", [";;", ";0;", "a;b;c;d;e;f;g;h"])
+def test_csv_keeps_names_with_another_delimiter_in_them(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "clip.csv"
+    clip = Clip("", torch.zeros(1, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64),
+                torch.tensor([[[1.0, 0, 0, 0]]], dtype=torch.float64), (name,), loop=False)  # fmt: skip
+    CsvWriter().write(clip, path)
+    assert CsvReader().read(path).joint_names == (name,)
+
+
 def test_npz_is_the_same_bytes_each_time(tmp_path: Path) -> None:
     assert write_npz(tmp_path).read_bytes() == write_npz(tmp_path).read_bytes()
 

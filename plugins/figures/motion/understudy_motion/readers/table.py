@@ -118,7 +118,7 @@ class CsvReader(ClipReader):
         said, start = _comments(lines)
         header = lines[start] if start < len(lines) else ""
         delimiter = _delimiter(header) or ","
-        columns = [name.strip().strip('"').strip() for name in header.split(delimiter)]
+        columns = _cells(header, delimiter)
         body = lines[start + 1 :]
         columns, body = _plain(path, columns, body, delimiter)
         joints = _joint_columns(path, columns)
@@ -151,8 +151,14 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
 
 
 def _delimiter(header: str) -> str:
-    """What stands between the column names; none if nothing does."""
-    return max(DELIMITERS, key=header.count) if any(d in header for d in DELIMITERS) else ""
+    """What stands between the column names, which may have others in them; none if nothing does."""
+    found = [d for d in DELIMITERS if d in header]
+    parting = [d for d in found if ROOT_POSITION[0] in _cells(header, d)]
+    return max(parting or found, key=header.count, default="")
+
+
+def _cells(header: str, delimiter: str) -> list[str]:
+    return [name.strip().strip('"').strip() for name in header.split(delimiter)]
 
 
 def _plain(
