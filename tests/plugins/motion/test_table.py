@@ -115,8 +115,14 @@ def test_csv_keeps_the_motion(tmp_path: Path, clip: Clip, data: st.DataObject) -
 @pytest.mark.parametrize("name", [";;", ";0;", "a;b;c;d;e;f;g;h"])
 def test_csv_keeps_names_with_another_delimiter_in_them(tmp_path: Path, name: str) -> None:
     path = tmp_path / "clip.csv"
-    clip = Clip("", torch.zeros(1, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64),
-                torch.tensor([[[1.0, 0, 0, 0]]], dtype=torch.float64), (name,), loop=False)  # fmt: skip
+    clip = Clip(
+        "clip",
+        times=torch.tensor([0.0, 0.1], dtype=torch.float64),
+        root_position=torch.zeros(2, 3, dtype=torch.float64),
+        rotations=torch.tensor([[[1.0, 0, 0, 0]]] * 2, dtype=torch.float64),
+        joint_names=(name,),
+        loop=False,
+    )
     CsvWriter().write(clip, path)
     assert CsvReader().read(path).joint_names == (name,)
 
