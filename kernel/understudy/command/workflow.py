@@ -17,6 +17,8 @@ from understudy.setup.config import Experiment, at, validate
 from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
 
+__all__ = ["judge", "tell"]
+
 
 def tell(text: str) -> None:
     """A message to whoever runs the command."""

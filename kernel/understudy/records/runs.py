@@ -40,6 +40,8 @@ from understudy.setup import plugins
 from understudy.setup.config import Experiment, refuse_code, validate
 from understudy.setup.registry import Registry
 
+__all__ = ["Run", "cores", "create", "differences", "open_run"]
+
 #: Version of the folder's layout.
 LAYOUT = 3
 _METRICS, _ROW = 2**30, 2**20  #: most bytes of the metrics file, and of a row of it

@@ -14,6 +14,8 @@ from understudy.records import runs
 from understudy.setup.config import StartOptions
 from understudy.task import Curriculum, InitialStates, Policy, State
 
+__all__ = ["load_part", "misshapen", "newest_state"]
+
 
 def policy_parts(policy: Policy) -> dict[str, set[str]]:
     """Which entries of the policy's state belong to its actor, its critic, and its normaliser."""

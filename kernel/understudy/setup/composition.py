@@ -29,6 +29,18 @@ from understudy.setup.config import (
 )
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 
+__all__ = [
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "option_directories",
+    "options",
+    "refuse_resolvers",
+    "replaced",
+    "sorts",
+]
+
 
 @contextlib.contextmanager
 def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:

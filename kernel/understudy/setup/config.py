@@ -19,6 +19,18 @@ from understudy.options import Option, check_range, checked_options, make_option
 from understudy.setup.registry import Component, Registry, Slot
 from understudy.task.terms import Outcome, Reduction
 
+__all__ = [
+    "EXTRAS",
+    "Chosen",
+    "Experiment",
+    "Part",
+    "Root",
+    "at",
+    "refuse_code",
+    "root_keys",
+    "validate",
+]
+
 #: The most steps of physics in a decision, and decisions in an episode of an evaluation.
 _STEPS, _DECISIONS = 100_000, 1_000_000
 

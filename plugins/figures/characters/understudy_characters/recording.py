@@ -22,6 +22,17 @@ from understudy_motion.reading import MAX_ROTATIONS
 from understudy_motion.writing import Shown
 from understudy_mujoco.scene import MujocoScene
 
+__all__ = [
+    "WITH_SURROUNDINGS",
+    "check_frames",
+    "recorded_clips",
+    "recorded_fields",
+    "recorded_scene",
+    "recorded_surroundings",
+    "run_character",
+    "unsimulated",
+]
+
 #: Endings of files that hold several motions, so that a run's surroundings go into them, too.
 WITH_SURROUNDINGS = (".glb", ".gltf")
 

@@ -25,6 +25,8 @@ from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy.task import Policy
 
+__all__ = ["Skill", "names", "open_skill", "pack", "rounded", "unpack"]
+
 #: Of each row of a matrix: the largest weight.
 _STEPS = 127
 #: Overrides that say where and how a run was carried out, not what it was.

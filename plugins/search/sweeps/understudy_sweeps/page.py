@@ -30,6 +30,8 @@ from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result, Results, Variant, best_of, objective_of, variants_of
 from understudy_sweeps.tables import Table
 
+__all__ = ["STYLE", "SweepPage"]
+
 #: CSS of all that a sweep draws, beside the report's.
 STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 _INTERVALS = (

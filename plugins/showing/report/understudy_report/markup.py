@@ -10,6 +10,8 @@ from typing import Any
 from understudy_report import words
 from understudy_report.stick_figures import PLAYER_SCRIPT
 
+__all__ = ["check_markup", "grid"]
+
 
 def table(rows: Iterable[tuple[Any, str]]) -> str:
     """A table of names, which are escaped, and of values that are HTML already."""

@@ -22,6 +22,8 @@ from understudy_report.section import ReportSection
 from understudy_report.stick_figures import PLAYER_SCRIPT
 from understudy_report.values import mapping, sequence
 
+__all__ = ["html_page"]
+
 _HERE = Path(__file__).parent
 _PAGE = Template((_HERE / "page.html").read_text(encoding="utf-8"))
 _STYLE = (_HERE / "page.css").read_text(encoding="utf-8")

@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 
 from understudy.records.runs import Run
 
+__all__ = ["ReportSection"]
+
 
 class ReportSection(ABC):
     """One part of the page, made without arguments and from the run folder alone.
