@@ -11,7 +11,7 @@ from torch import Tensor
 
 from understudy.errors import RunError
 from understudy.records import runs
-from understudy.setup.config import StartOptions
+from understudy.setup.root import StartOptions
 from understudy.task import Curriculum, InitialStates, Policy, State
 
 __all__ = ["load_part", "misshapen", "newest_state"]

@@ -19,8 +19,8 @@ from understudy.errors import ConfigError
 from understudy.records.checkpoint import write_atomically
 from understudy.running.trials import OuterLoop, Report
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.config import validate
 from understudy.setup.plugins import installed
+from understudy.setup.validation import validate
 from understudy_report import words
 from understudy_report.charts import Chart, Series, draw_series
 from understudy_report.markup import check_markup

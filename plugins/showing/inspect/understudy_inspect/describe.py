@@ -15,9 +15,10 @@ import yaml
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import REQUIRED, Option, options_of, schema_of, sentences
-from understudy.setup.config import EXTRAS, Root
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
+from understudy.setup.root import Root
+from understudy.setup.validation import EXTRAS
 from understudy_inspect.catalogue import Offer, offers
 
 #: What components of a kind take besides their own options.
