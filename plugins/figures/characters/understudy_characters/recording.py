@@ -30,6 +30,7 @@ __all__ = [
     "recorded_scene",
     "recorded_surroundings",
     "run_character",
+    "scene_of",
     "unsimulated",
 ]
 
@@ -139,7 +140,7 @@ def recorded_scene(run: Run) -> Scene:
         for name, options in experiment.sections.items()
         if name != "motion"  # its clip may not be there any more
     }
-    return _scene(experiment, sections)
+    return scene_of(experiment, sections)
 
 
 def recorded_fields(run: Run, scene: CharacterScene) -> dict[str, np.ndarray]:
@@ -194,7 +195,8 @@ def unsimulated(run: Run) -> Experiment:
     return run.experiment(config=config)
 
 
-def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
+def scene_of(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
+    """The scene of `experiment` on the CPU, as for one world, with the `sections` that it needs."""
     control = experiment.root.control
     context = Context(
         seed=0,
@@ -210,7 +212,7 @@ def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
 
 
 def _character(experiment: Experiment) -> Character:
-    scene, name = _scene(experiment, {}), experiment.need("scene").component.name
+    scene, name = scene_of(experiment, {}), experiment.need("scene").component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
     if isinstance(scene, CharacterScene):
