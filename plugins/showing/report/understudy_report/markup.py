@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 from understudy_report import words
 from understudy_report.stick_figures import PLAYER_SCRIPT
 
-__all__ = ["check_markup", "grid"]
+__all__ = ["bar", "check_markup", "grid", "nested", "piece", "table"]
 
 
 _TEMPLATES = Environment(
