@@ -53,7 +53,9 @@ class Grains(ParticleScene):
     def model(self) -> ParticleModel:
         x = np.stack(np.meshgrid(*[0.02 * np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)
         blade = Tool((Box((0.01, 0.05, 0.03)),), (0.2, 0.0, 0.9))
-        return ParticleModel(x + [0.3, -0.2, 0.8], 0.01, 0.01, tools=(blade,), table=Table())
+        return ParticleModel(
+            x + np.array([0.3, -0.2, 0.8]), 0.01, 0.01, tools=(blade,), table=Table()
+        )
 
 
 class Towel(ClothScene):
@@ -212,9 +214,7 @@ def test_a_part_finds_the_member_that_it_needs() -> None:
     assert here.scene is not None
     assert here.need_scene(Towel, "it") is here.scene.members["other"]
     assert here.need_scene(MujocoScene, "it") is here.scene.members["cook"]
-    with pytest.raises(
-        ConfigError, match="needs a scene of type FakeScene, but the task has Composite"
-    ):
+    with pytest.raises(ConfigError, match="needs a scene of type FakeScene"):
         here.need_scene(FakeScene, "it")
     twice = context(cook=Cook, other=Cook, follow=None)
     with pytest.raises(
@@ -260,7 +260,7 @@ def test_what_does_not_go_together_is_refused() -> None:
             follow=ToolsFollow.Options("towel", "other", (TOOL,)))  # fmt: skip
     with pytest.raises(ConfigError, match="has no member 'cook2'"):
         context(cook=Cook, other=Towel, steps={"cook2": 2})
-    with pytest.raises(ValueError, match="steps.a=0 is not possible"):
+    with pytest.raises(ValueError, match=r"steps\.a=0 is not possible"):
         CompositeScene.Options({"a": 0})
     lacking = context(cook=Cook, other=Towel)
     lacking.chosen = {**lacking.chosen, "simulators": lacking.chosen["simulators"][:1]}
