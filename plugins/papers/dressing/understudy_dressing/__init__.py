@@ -16,9 +16,19 @@ _HERE = "understudy_dressing"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     add = register.component
-    add("scene", "dressing/person", f"{_HERE}.person:PersonScene", "a torso with arms, and a gripper")
+    add(
+        "scene",
+        "dressing/person",
+        f"{_HERE}.person:PersonScene",
+        "a torso with arms, and a gripper",
+    )
     add("scene", "dressing/sleeve", f"{_HERE}.sleeve:SleeveScene", "a sleeve that a gripper holds")
-    add("fields", "dressing/sleeve_state", f"{_HERE}.state:SleeveState", "touch and limb in a sleeve")
+    add(
+        "fields",
+        "dressing/sleeve_state",
+        f"{_HERE}.state:SleeveState",
+        "touch and limb in a sleeve",
+    )
     add("encoder", "dressing/sleeve", f"{_HERE}.parts:SleeveObservation", "equations 2 to 7")
     add("actuation", "dressing/torques", f"{_HERE}.parts:Torques", "the joints' torques")
     add("initial_states", "dressing/track", f"{_HERE}.initial_states:Track", "a sleeve on its way")

@@ -26,14 +26,14 @@ class SleeveScene(ClothScene):
     the person puts a hand in at x = 0. The gripper holds the upper part of the entrance and a strip along
     the top, as if it hung from a rail."""
 
-    recorded = ("cloth_position",)
-
     @dataclass(frozen=True)
     class Options:
         around: float = 0.46  #: m, perimeter (the 2018 code's gown: 0.46)
         length: float = 0.30  #: m
         edge: float = 0.012  #: m, of triangles, about
-        middle: float = 0.06  #: m, from the entrance to the loop that is observed (facts of the shirt)
+        middle: float = (
+            0.06  #: m, from the entrance to the loop that is observed (facts of the shirt)
+        )
         held: float = 75.0  #: degrees, to either side of the top, of the entrance that is held
         strip: float = 20.0  #: degrees, to either side of the top, held all along
         #: what it is made of; without bending the hinges cost nothing
@@ -60,7 +60,9 @@ class SleeveScene(ClothScene):
         radius = self.options.around / (2 * np.pi)
         x, a = np.meshgrid(np.linspace(0, self.options.length, rows), angle, indexing="ij")
         points = np.stack([x, radius * np.sin(a), radius * (np.cos(a) - 1)], -1).reshape(-1, 3)
-        r, k = (i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(around), indexing="ij"))
+        r, k = (
+            i.ravel() for i in np.meshgrid(np.arange(rows - 1), np.arange(around), indexing="ij")
+        )
         p, q = r * around + k, r * around + (k + 1) % around
         s, t = p + around, q + around
         faces = np.stack([np.stack([p, s, q], 1), np.stack([q, s, t], 1)], 1).reshape(-1, 3)
@@ -162,4 +164,3 @@ def geodesic(positions: np.ndarray, faces: np.ndarray, loop: np.ndarray) -> Geod
         vertex, first = np.unique(both[order, 0], return_index=True)
         towards[side, vertex] = both[order[first], 1]
     return Geodesic(distance, towards)
-

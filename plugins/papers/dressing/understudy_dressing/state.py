@@ -157,7 +157,9 @@ class SleeveState(Fields):
             return cloth_position.gather(1, index.unsqueeze(-1).expand(-1, -1, 3)).squeeze(1)
 
         along = torch.where(touching.unsqueeze(1), at(then) - at(vertex), feature - tip)
-        vector = torch.where(contained.unsqueeze(1), normal, torch.nn.functional.normalize(along, dim=1))
+        vector = torch.where(
+            contained.unsqueeze(1), normal, torch.nn.functional.normalize(along, dim=1)
+        )
         return {
             "sensor_force": force,
             "sensor_sign": sign,

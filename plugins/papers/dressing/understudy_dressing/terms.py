@@ -60,7 +60,9 @@ class Upright:
         person = context.need_scene(PersonScene, "reward 'dressing/upright'")
         found = [i for i, hinge in enumerate(person.hinges) if hinge.name.startswith(options.part)]
         if not found:
-            raise ConfigError(f"reward 'dressing/upright': no hinge that moves begins with '{options.part}'.")
+            raise ConfigError(
+                f"reward 'dressing/upright': no hinge that moves begins with '{options.part}'."
+            )
         self._hinges, self._least = torch.tensor(found, device=context.device), options.least
 
     def __call__(self, qpos: Tensor) -> Tensor:
