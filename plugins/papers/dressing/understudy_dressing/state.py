@@ -94,6 +94,7 @@ class SleeveState(Fields):
 
         felt = sensors()
         self._sensors, self._limb = places(felt), places(limb(options.side))
+        self._number = torch.arange(len(felt), device=device).unsqueeze(1)
         self._tip = max(i for i, one in enumerate(felt) if one[0] == f"{options.side}_hand")
         self._loops = {
             name: torch.from_numpy(loop.copy()).to(device) for name, loop in sleeve.loops.items()
@@ -128,12 +129,13 @@ class SleeveState(Fields):
 
         felt, bones = world(self._sensors), world(self._limb)
         touched = contact_force.norm(dim=-1) > _TOUCH
-        nearest = torch.cdist(cloth_position, felt).argmin(dim=2)
-        force = torch.zeros_like(felt).scatter_add_(
-            1, nearest.unsqueeze(-1).expand(-1, -1, 3), -contact_force
-        )
+        apart = torch.cdist(cloth_position, felt, compute_mode="donot_use_mm_for_euclid_dist")
+        nearest = apart.argmin(dim=2)
+        # products, not scatter_add, whose order differs from run to run on a GPU
+        to = (nearest.unsqueeze(1) == self._number).float()  # (N, S, V)
+        force = to @ -contact_force
         side = torch.where(touched, contact_side, 0.0)
-        sign = torch.zeros_like(felt[..., 0]).scatter_add_(1, nearest, side).sign()
+        sign = (to @ side.unsqueeze(-1)).squeeze(-1).sign()
 
         tip = bones[:, 0]
         entrance = cloth_position[:, self._loops["entrance"]]
