@@ -31,10 +31,10 @@ class Coupling(ABC):
     sets: tuple[str, ...] = ()
 
     @abstractmethod
-    def control(self, **fields: Tensor) -> Tensor:
+    def control(self, *args: Any, **fields: Any) -> Tensor:
         """(N, C), before each of the target's steps."""
 
-    def state(self, **fields: Tensor) -> Mapping[str, Tensor]:
+    def state(self, *args: Any, **fields: Any) -> Mapping[str, Tensor]:
         """The fields of ``sets``, each (N, …), where an episode begins."""
         return {}
 
@@ -73,15 +73,14 @@ class ToolsFollow(Coupling):
                 )
         ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, n) for n in options.bodies]
         self._bodies = torch.tensor(ids, device=context.device)
-        fields: Any = simulators[self.target].fields
-        shape = fields.get("tool_position")
-        tools = 0 if shape is None else (shape[0] if len(shape) == 2 else 1)
+        shape = simulators[self.target].fields.get("tool_position", (0, 3))
+        self._lead = tuple(shape[:-1])  # a single tool has none
+        tools = self._lead[0] if self._lead else 1
         if tools != len(ids):
             raise ConfigError(
                 f"coupling 'composite/tools' names {len(ids)} bodies, and member '{self.target}' has {tools} "
                 "tools: name one for each."
             )
-        self._shape = tuple(shape[:-1])
         self.columns = range(6 * tools)
         self.sets = ("tool_position", "tool_orientation")
 
@@ -92,6 +91,6 @@ class ToolsFollow(Coupling):
     def state(self, xpos: Tensor, xquat: Tensor) -> Mapping[str, Tensor]:
         n = len(xpos)
         return {
-            "tool_position": xpos[:, self._bodies].view(n, *self._shape, 3),
-            "tool_orientation": xquat[:, self._bodies].view(n, *self._shape, 4),
+            "tool_position": xpos[:, self._bodies].view(n, *self._lead, 3),
+            "tool_orientation": xquat[:, self._bodies].view(n, *self._lead, 4),
         }
