@@ -62,6 +62,10 @@ def experiment_of(name: str, runs: Path | None) -> Experiment:
     found = load_experiment(overrides, PLUGINS)
     if found.one("job") is None and found.need("simulator").component.name == "mujoco_warp":
         found = load_experiment([*overrides, "simulator=mujoco"], PLUGINS)
+    members = [m.name for m in found.many("simulators") if m.component.name == "mujoco_warp"]
+    if members:  # of a composite; its cloth in as few steps as a small one's
+        coarse = [f"simulators.{name}={{name: mujoco}}" for name in members]
+        found = load_experiment([*overrides, *coarse, "scene.steps.cloth=3"], PLUGINS)
     return found
 
 

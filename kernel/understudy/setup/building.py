@@ -94,6 +94,7 @@ def build_environment(
         own_substeps=root.control.substeps,
         registry=registry,
         sections=sections or build_sections(experiment),
+        chosen=experiment.choices,
         inputs=experiment.inputs,
     )
     context.scene = scene or experiment.need("scene").build(context)

@@ -13,6 +13,7 @@ from understudy.inputs import Inputs
 
 if TYPE_CHECKING:
     from understudy.running.promises import Parts
+    from understudy.setup.config import Chosen
     from understudy.setup.registry import Registry
     from understudy.task.actions import ActionSpace
     from understudy.task.physics import Scene, Simulator
@@ -46,6 +47,8 @@ class Context:
     own_substeps: int | None = None
     registry: Registry | None = None  #: for parts that are made of other runs' parts
     sections: Mapping[str, Any] = field(default_factory=dict)
+    #: What the configuration chooses, by slot: for slots of plugins' own.
+    chosen: Mapping[str, tuple[Chosen, ...]] = field(default_factory=dict)
     inputs: Inputs = field(default_factory=Inputs)  #: through which parts read files
     scene: Scene | None = None
     simulator: Simulator | None = None
@@ -79,14 +82,16 @@ class Context:
         return self._shared[key]
 
     def need_scene(self, kind: type[T], who: str) -> T:
-        """The scene, which must be a `kind`; else an error naming `who` needs it."""
-        if not isinstance(self.scene, kind):
-            have = type(self.scene).__name__ if self.scene is not None else "no scene"
+        """The scene, or the one of its members, that is a `kind`; else an error naming `who` needs it."""
+        scenes = [self.scene, *(self.scene.members.values() if self.scene else ())]
+        found = [scene for scene in scenes if isinstance(scene, kind)]
+        if len(found) != 1:
+            have = ", ".join(type(s).__name__ for s in found or scenes if s) or "no scene"
             raise ConfigError(
-                f"{who} needs a scene of type {kind.__name__}, but the task has {have}. "
-                "Choose a scene and a simulator that belong together (scene=…, simulator=…)."
+                f"{who} needs {'one' if found else 'a'} scene of type {kind.__name__}, but the task has "
+                f"{have}. Choose a scene and a simulator that belong together (scene=…, simulator=…)."
             )
-        return self.scene
+        return found[0]
 
     def need_section(self, name: str, kind: type[T], who: str) -> T:
         """The object built from the config section `name`; else an error naming `who` needs it."""

@@ -19,6 +19,7 @@ class Scene(ABC):
     #: Fields of one world that :meth:`draw` and :meth:`outlines` want recorded, where the task has them.
     recorded: tuple[str, ...] = ()
     azimuth: float | None = None  #: where :meth:`draw` looks, degrees from x; None is its own
+    members: Mapping[str, Scene] = {}  #: by name, the scenes that it consists of
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:

@@ -15,6 +15,7 @@ def understudy_register(register: Registrar) -> None:
     add = register.component
     add("initial_states", "bank", "understudy_skills.banks:Bank", "where other episodes ended")
     add("job", "harvest", "understudy_skills.harvest:Harvest", "keeps states of ended episodes")
+    add("job", "settle", "understudy_skills.settle:Settle", "keeps starts that came to rest")
     add("job", "judge", "understudy_skills.judge:Judge", "judges what another run learned")
     add(
         "actuation", "controllers", "understudy_skills.controllers:Controllers",

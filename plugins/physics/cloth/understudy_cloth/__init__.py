@@ -5,8 +5,8 @@ from pathlib import Path
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
-#: Plugins that this one builds on.
-REQUIRES = ("warp_torch",)
+#: Plugins that this one builds on: pictures are drawn with the renderer that `mujoco` has chosen.
+REQUIRES = ("mujoco", "warp_torch")
 
 
 @hookimpl

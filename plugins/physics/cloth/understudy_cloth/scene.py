@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,6 +72,14 @@ class ClothScene(Scene):
     @abstractmethod
     def model(self) -> ClothModel:
         """The scene, the same at each call."""
+
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
+    ) -> Iterator[np.ndarray]:
+        """The garment and the bodies that it meets."""
+        from understudy_cloth.drawing import draw
+
+        yield from draw(self.model(), tracks, width, height, self.azimuth)
 
     def describe(self) -> dict[str, Any]:
         model = self.model()

@@ -1,0 +1,137 @@
+"""A job that lets a task's starts come to rest, without a policy, and keeps them for others to begin in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from understudy.errors import ConfigError, TrainingError, suggestion
+from understudy.options import check_range
+from understudy.records.runs import Run
+from understudy.running.environment import Environment
+from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.jobs import Job
+from understudy.setup.building import Built, build_environment, device_of
+from understudy.setup.config import Experiment
+from understudy.task import State
+from understudy_skills import bank
+
+
+class Settle(Job):
+    """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of those that did not
+    end. A termination of any outcome discards; so do numbers that go wrong. It leaves the bank ``bank`` in its
+    folder.
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        count: int = 1024  #: how many states
+        seconds: float = 1.0  #: for which each is simulated (dressing: 1 s)
+        fields: tuple[str, ...] = ()  #: kept beside the simulator's state
+        patience: int = 20  #: iterations without any state after which there is no hope
+
+        def __post_init__(self) -> None:
+            check_range(self, "count", "patience", least=1)
+            check_range(self, "seconds", above=0, most=3600)
+
+    environment: Environment
+
+    def __init__(self, options: Options, experiment: Experiment) -> None:
+        self.options, self._experiment = options, experiment
+        self.device = device_of(experiment.root.device)
+        self._built: Built | None = None
+        self._found: dict[str, Tensor] = {}
+        self._barren = 0  #: iterations in a row that found nothing
+
+    def prepare(self) -> None:
+        seconds = self.options.seconds
+        self._built = build_environment(self._experiment, episode_seconds=2.0 * seconds)
+        self.environment = environment = self._built.environment
+        self._decisions = max(1, math.ceil(seconds / environment.control_dt / environment.decision))
+        state = environment.parts.simulator.state_fields
+        self._names = list(dict.fromkeys((*state, *self.options.fields)))
+        for name in self._names:
+            if name not in environment.table.shapes:
+                raise ConfigError(
+                    f"job.fields names '{name}', which is no field of this task."
+                    + suggestion(name, environment.table.shapes)
+                )
+        environment.reset()
+
+    @torch.no_grad()
+    def iterate(self, samples: int) -> dict[str, Any]:
+        environment = self.environment
+        count, device = environment.num_worlds, environment.device
+        environment.begin(torch.ones(count, dtype=torch.bool, device=device))
+        still = torch.zeros(count, environment.action_size, device=device)
+        gone = torch.zeros(count, dtype=torch.bool, device=device)
+        for _ in range(self._decisions):
+            gone |= environment.advance(still).ended  # which go on, and count no more
+        new = {name: environment.table[name][~gone].cpu() for name in self._names}
+        self._found = {
+            name: torch.cat([self._found[name], value]) if self._found else value
+            for name, value in new.items()
+        }
+        self._barren = self._barren + 1 if bool(gone.all()) else 0
+        if self._barren >= self.options.patience:
+            raise TrainingError(
+                f"No start of this task stays {self.options.seconds:g} s without an end, in {self._barren} times "
+                f"{count} worlds. Shorten job.seconds, or choose other initial states or terminations."
+            )
+        return {
+            "consumed": self._decisions * count,
+            "states": self._count,
+            "discarded": float(gone.float().mean()),
+        }
+
+    @property
+    def _count(self) -> int:
+        return len(next(iter(self._found.values()))) if self._found else 0
+
+    def finished(self) -> bool:
+        return self._count >= self.options.count
+
+    def stage(self) -> str:
+        return f"{min(self._count, self.options.count)} of {self.options.count} states"
+
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        """How many states there are; they need no other judgement."""
+        states = torch.tensor([float(min(self._count, self.options.count))])
+        return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
+
+    def products(self, run: Run) -> None:
+        if self._count:
+            states = {name: value[: self.options.count] for name, value in self._found.items()}
+            about = {"settled": f"{self.options.seconds:g} s"}
+            bank.save(run.path / bank.NAME, states, about)
+
+    def report(self) -> Mapping[str, int]:
+        return self._built.environment.parts.simulator.report() if self._built else {}
+
+    def state_dict(self) -> State:
+        return {
+            "environment": self.environment.state_dict(),
+            "found": dict(self._found),
+            "barren": self._barren,
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self.environment.load_state_dict(state["environment"])
+        self.load_learned(state, 0)
+
+    def load_learned(self, state: State, samples: int) -> None:
+        self._found, self._barren = dict(state["found"]), state["barren"]
+
+    def forget_worlds(self) -> None:
+        self.environment.reset()
+
+    def close(self) -> None:
+        if self._built is not None:
+            self._built.environment.close()

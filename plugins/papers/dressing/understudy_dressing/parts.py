@@ -1,0 +1,63 @@
+"""What the policy sees and does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Actuation, Context, Encoder, box
+from understudy_dressing.person import PersonScene, sensors
+
+
+class SleeveObservation(Encoder):
+    """[cos q, sin q, q̇, haptics, feature and its displacement from the fingertip, task vector, signs]: 163 numbers
+    with all 22 hinges (section 6). The gripper is not seen."""
+
+    @dataclass(frozen=True)
+    class Options:
+        force: float = 1.0  #: N that is 1 to the policy; the paper's unit is not known
+        #: without them the paper's ablations: haptics and signs, the task vector
+        haptics: bool = True  #: whether forces and signs are seen
+        task_vector: bool = True  #: whether the task vector is
+
+        def __post_init__(self) -> None:
+            check_range(self, "force", above=0)
+
+    reads = (
+        "qpos", "qvel", "sensor_force", "sensor_sign", "fingertip", "feature", "task_vector",
+    )  # fmt: skip
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self.options = options
+        self._hinges = len(context.need_scene(PersonScene, "encoder 'dressing/sleeve'").hinges)
+        felt = 4 * len(sensors()) if options.haptics else 0
+        self.shape = (3 * self._hinges + felt + 6 + (3 if options.task_vector else 0),)
+
+    def encode(
+        self, qpos: Tensor, qvel: Tensor, sensor_force: Tensor, sensor_sign: Tensor, fingertip: Tensor,
+        feature: Tensor, task_vector: Tensor,
+    ) -> Tensor:  # fmt: skip
+        q, rate = qpos[:, : self._hinges], qvel[:, : self._hinges]
+        parts = [q.cos(), q.sin(), rate]
+        if self.options.haptics:
+            parts.append(sensor_force.flatten(1) / self.options.force)
+        parts += [feature, fingertip - feature]
+        if self.options.task_vector:
+            parts.append(task_vector)
+        if self.options.haptics:
+            parts.append(sensor_sign)
+        return torch.cat(parts, dim=1)
+
+
+class Torques(Actuation):
+    """Torques of the hinges that move, in shares of their largest, cut at ±1; the gripper holds on."""
+
+    def __init__(self, options: None, context: Context) -> None:
+        person = context.need_scene(PersonScene, "actuation 'dressing/torques'")
+        self.action_space = box(len(person.hinges))
+
+    def control(self, action: Tensor) -> Tensor:
+        return torch.cat([action.clamp(-1.0, 1.0), torch.ones_like(action[:, :1])], dim=1)

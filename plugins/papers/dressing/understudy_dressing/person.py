@@ -1,0 +1,213 @@
+"""The person: pelvis fixed, 22 hinges driven by torques, no gravity; and a gripper that floats.
+
+Sizes, masses, ranges and damping are those of the 2018 code (docs/papers/dressing.md). Metres, z up; the
+person looks along x, its left is y, the base of its neck is the origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from understudy.options import check_range
+from understudy.task import Context
+from understudy_mujoco.scene import MujocoScene
+from understudy_warp_torch.tools import Shape, TaperedCapsule, Tool
+
+Vector = tuple[float, float, float]
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+GRIPPER = "gripper"
+_FREE = 1e3  #: rad, of a hinge without limits
+#: Friction of a body: with the fabric's 0.5, the mean is the 2018 code's.
+_FRICTION = 0.5
+_SKIN, _STEEL = (0.85, 0.62, 0.45, 1.0), (0.45, 0.50, 0.56, 1.0)
+
+
+@dataclass(frozen=True)
+class Hinge:
+    name: str
+    axis: Vector
+    low: float  #: rad
+    high: float  #: rad
+    damping: float = 1.0  #: N m s
+    torque: float = 12.0  #: N m, at an action of 1
+
+
+@dataclass(frozen=True)
+class Link:
+    """A body, and the tapered capsules of it that cloth meets, each (radius, from, radius, to) in its frame."""
+
+    name: str
+    parent: str | None
+    position: Vector  #: m, in the parent's frame
+    mass: float  #: kg
+    hinges: tuple[Hinge, ...]
+    shapes: tuple[tuple[float, Vector, float, Vector], ...] = ()
+
+
+def _arm(side: Side) -> tuple[Link, ...]:
+    s = 1.0 if side == "left" else -1.0  # of y, and of turns about x and z
+    low, high = (-2.09, 1.0) if side == "left" else (-1.0, 2.09)
+    out: Vector = (0.0, 0.21 * s, 0.0)
+
+    def hinge(name: str, axis: Vector, low: float, high: float, damping: float = 1.0) -> Hinge:
+        return Hinge(f"{side}_{name}", axis, low, high, damping)
+
+    return (
+        Link(f"{side}_clavicle", "spine", (0, 0, 0), 3.0, (
+            hinge("clavicle_raise", (-s, 0, 0), -0.25, 0.25),
+            hinge("clavicle_swing", (0, 0, s), -0.25, 0.25),
+        ), ((0.07, (0, 0, 0), 0.065, out),)),
+        Link(f"{side}_upper_arm", f"{side}_clavicle", out, 1.9, (
+            hinge("shoulder_spread", (-s, 0, 0), -_FREE, _FREE, 0.1),
+            hinge("shoulder_swing", (0, 1, 0), -_FREE, _FREE, 0.1),
+            hinge("shoulder_twist", (0, 0, 1), low, high, 0.1),
+        ), ((0.065, (0, 0, 0), 0.05, (0, 0, -0.30)),)),
+        Link(f"{side}_forearm", f"{side}_upper_arm", (0, 0, -0.30), 1.0, (
+            hinge("elbow", (0, -1, 0), 0.2, 2.9),
+        ), ((0.05, (0, 0, 0), 0.0365, (0, 0, -0.35)),)),
+        Link(f"{side}_hand", f"{side}_forearm", (0, 0, -0.35), 0.5, (
+            hinge("wrist_bend", (-s, 0, 0), -0.6, 0.6),
+            hinge("wrist_tilt", (0, -1, 0), -0.6, 0.6),
+        ), (
+            (0.0365, (0, 0, 0), 0.04, (0, 0, -0.04)),
+            (0.04, (0, 0, -0.04), 0.046, (0, 0, -0.10)),
+        )),
+    )  # fmt: skip
+
+
+#: Pelvis to head, then the arms.
+_TRUNK = (
+    Link("torso", None, (0, 0, -0.45), 30.0, (
+        Hinge("torso_lean", (-1, 0, 0), -0.5, 0.5, torque=50.0),
+        Hinge("torso_bend", (0, 1, 0), -0.5, 1.0, torque=50.0),
+    ), ((0.15, (0, 0, 0), 0.07, (0, 0, 0.45)),)),
+    Link("spine", "torso", (0, 0, 0.45), 0.01, (Hinge("spine_twist", (0, 0, 1), -1.0, 1.0),)),
+    Link("neck", "spine", (0, 0, 0), 1.6, (
+        Hinge("neck_lean", (-1, 0, 0), -0.6, 0.6), Hinge("neck_bend", (0, -1, 0), -0.6, 0.6),
+    ), ((0.07, (0, 0, 0), 0.10, (0, 0, 0.15)),)),
+    Link("head", "neck", (0, 0, 0.15), 4.0, (Hinge("head_turn", (0, 0, 1), -1.0, 1.0),),
+         ((0.10, (0, 0, 0), 0.10, (0, 0, 0.175)),)),
+)  # fmt: skip
+LINKS = (*_TRUNK, *_arm("left"), *_arm("right"))
+#: The fingertip's, in the hand's frame; and (link, place) of the limb from it to the base of the neck.
+TIP: Vector = (0.0, 0.0, -0.10)
+
+
+def limb(side: Side) -> tuple[tuple[str, Vector], ...]:
+    """Fingertip, fingers, wrist, elbow, shoulder, base of the neck."""
+    hand, fingers = f"{side}_hand", (0.0, 0.0, -0.04)
+    rest = (hand, f"{side}_forearm", f"{side}_upper_arm", f"{side}_clavicle")
+    return ((hand, TIP), (hand, fingers), *((name, (0.0, 0.0, 0.0)) for name in rest))
+
+
+def sensors() -> tuple[tuple[str, Vector], ...]:
+    """The 22 places on the medial axis where the person feels (section 6.3), fingertips the last of each arm."""
+    places: list[tuple[str, Vector]] = [
+        ("torso", (0, 0, 0)), ("spine", (0, 0, 0)), ("head", (0, 0, 0)), ("head", (0, 0, 0.175)),
+    ]  # fmt: skip
+    for side in SIDES:
+        upper, fore, hand = (f"{side}_{name}" for name in ("upper_arm", "forearm", "hand"))
+        places += [(upper, (0, 0, -0.30 * share)) for share in (0.0, 0.33, 0.66)]
+        places += [(fore, (0, 0, -0.35 * share)) for share in (0.0, 0.33, 0.66)]
+        places += [(hand, (0, 0, 0)), (hand, (0, 0, -0.04)), (hand, TIP)]
+    return tuple(places)
+
+
+def tools() -> tuple[Tool, ...]:
+    """What cloth meets: a tool for each link with a shape, in their order, then the gripper, which has none."""
+
+    def shape(ra: float, a: Vector, rb: float, b: Vector) -> Shape:
+        way = np.subtract(b, a)
+        length = float(np.linalg.norm(way))
+        turn = np.array([length + way[2], -way[1], way[0], 0.0])  # from z to the way, half-way
+        turn = turn / np.linalg.norm(turn) if way[2] > -length + 1e-9 else np.array([0, 1, 0, 0.0])
+        middle = tuple(np.add(a, b) / 2)
+        return TaperedCapsule((ra, rb), length / 2, middle, tuple(turn.tolist()))  # type: ignore[arg-type]
+
+    bodies = [
+        Tool(tuple(shape(*one) for one in link.shapes), friction=_FRICTION)
+        for link in LINKS
+        if link.shapes
+    ]
+    return (*bodies, Tool(()))
+
+
+def tool_bodies() -> tuple[str, ...]:
+    """The body that each of :func:`tools` follows."""
+    return (*(link.name for link in LINKS if link.shapes), GRIPPER)
+
+
+class PersonScene(MujocoScene):
+    """The person of the 2018 paper, 22 hinges, and a gripper of 1 kg that nothing holds back."""
+
+    recorded = ("qpos",)
+
+    @dataclass(frozen=True)
+    class Options:
+        #: hinges that have no torque and no freedom but stay as they are; a prefix names several
+        still: tuple[str, ...] = ()
+        damping: float | None = 3.0  #: N m s, of all hinges; null is each one's own (gown: 3)
+
+        def __post_init__(self) -> None:
+            check_range(self, "damping", least=0)
+            names = [hinge.name for link in LINKS for hinge in link.hinges]
+            for one in self.still:
+                if not any(name.startswith(one) for name in names):
+                    raise ValueError(
+                        f"still names '{one}', with which no hinge begins. They are {', '.join(names)}."
+                    )
+
+    def __init__(self, options: Options, context: Context | None = None) -> None:
+        self.options = options
+        #: Those that move, in the order of ``qpos``.
+        self.hinges = tuple(
+            hinge for link in LINKS for hinge in link.hinges
+            if not any(hinge.name.startswith(one) for one in options.still)
+        )  # fmt: skip
+
+    def spec(self) -> mujoco.MjSpec:
+        spec = mujoco.MjSpec()
+        spec.option.gravity = [0, 0, 0]
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.compiler.degree = False
+        spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+        bodies = {}
+        for link in LINKS:
+            parent = bodies[link.parent] if link.parent else spec.worldbody
+            body = bodies[link.name] = parent.add_body(name=link.name, pos=link.position)
+            for hinge in link.hinges:
+                if hinge in self.hinges:
+                    self._add(spec, body, hinge)
+            for ra, a, rb, b in link.shapes:
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[(ra + rb) / 2, 0, 0],
+                    mass=link.mass / len(link.shapes), contype=0, conaffinity=0, rgba=_SKIN,
+                )  # fmt: skip
+            if not link.shapes:
+                body.explicitinertial, body.mass = True, link.mass
+                body.inertia = [1e-3] * 3
+        gripper = spec.worldbody.add_body(name=GRIPPER)
+        gripper.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.05, 0.01], mass=1.0,
+                         contype=0, conaffinity=0, rgba=_STEEL)  # fmt: skip
+        for axis in np.eye(3):
+            gripper.add_joint(
+                name=f"{GRIPPER}_{'xyz'[int(axis.argmax())]}", axis=axis,
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+            )  # fmt: skip
+        return spec
+
+    def _add(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, hinge: Hinge) -> None:
+        damping = hinge.damping if self.options.damping is None else self.options.damping
+        body.add_joint(
+            name=hinge.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=hinge.axis, damping=[damping, 0, 0],
+            armature=1e-3, limited=hinge.high < _FREE, range=[hinge.low, hinge.high],
+        )  # fmt: skip
+        motor = spec.add_actuator(name=hinge.name, target=hinge.name)
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        motor.gear[0] = hinge.torque
+        motor.ctrllimited, motor.ctrlrange = True, [-1, 1]

@@ -1,0 +1,177 @@
+"""What person and sleeve have to do with each other: touch, the limb in the opening, the task vector."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import torch
+from torch import Tensor
+
+from understudy.task import Context, Fields, Shape
+from understudy_dressing.person import PersonScene, Side, Vector, limb, sensors
+from understudy_dressing.sleeve import SleeveScene, geodesic
+from understudy_tensors import rotations
+
+#: N: a vertex with less force is not touched.
+_TOUCH = 1e-6
+
+
+def centre_and_normal(loop: Tensor) -> tuple[Tensor, Tensor]:
+    """Centroid (N, 3) and unit normal (N, 3) of the plane that best fits a loop's vertices (N, L, 3): its
+    area vector, so the vertices turn about it by the right hand."""
+    centre = loop.mean(dim=1)
+    from_centre = loop - centre.unsqueeze(1)
+    area = torch.linalg.cross(from_centre, from_centre.roll(-1, dims=1)).sum(dim=1)
+    return centre, torch.nn.functional.normalize(area, dim=1)
+
+
+def passes(limb: Tensor, loop: Tensor) -> tuple[Tensor, Tensor]:
+    """Equations 9 and 10: which bones of a limb go through a loop's polygon in its best-fit plane, along the
+    normal, hand first.
+
+    `limb` (N, K + 1, 3) are the places from the hand inwards, `loop` (N, L, 3). Returns (N, K) bool, and (N, K)
+    m: how much of the limb is beyond, if this bone is the one.
+    """
+    centre, normal = centre_and_normal(loop)
+    height = ((limb - centre.unsqueeze(1)) * normal.unsqueeze(1)).sum(-1)  # (N, K + 1)
+    far, near = height[:, :-1], height[:, 1:]
+    crosses = (far > 0) & (near <= 0)
+    share = torch.where(crosses, far / (far - near).clamp(min=1e-9), torch.zeros_like(far))
+    at = limb[:, :-1] + share.unsqueeze(-1) * (limb[:, 1:] - limb[:, :-1])  # (N, K, 3)
+    to = loop.unsqueeze(1) - at.unsqueeze(2)  # (N, K, L, 3)
+    n = normal[:, None, None]
+    flat = to - (to * n).sum(-1, keepdim=True) * n
+    following = flat.roll(-1, dims=2)
+    sine = (torch.linalg.cross(flat, following) * n).sum(-1)
+    around = torch.atan2(sine, (flat * following).sum(-1)).sum(-1)  # ±2π inside, 0 outside
+    length = (limb[:, :-1] - limb[:, 1:]).norm(dim=-1)
+    before = length.cumsum(1) - length
+    return crosses & (around.abs() > math.pi), before + share * length
+
+
+class SleeveState(Fields):
+    """Sections 6.2 to 7.1 for a sleeve. S sensors; forces are the cloth's on the person, mean of the last step.
+
+    =========================  ==================================================================
+    field                      shape
+    =========================  ==================================================================
+    ``sensor_force``           (S, 3) N, world frame, equation 4: each contact goes to the nearest sensor
+    ``sensor_sign``            (S,) equation 6: 1 touched from inside, −1 from outside, 0 not
+    ``fingertip``              (3,) m
+    ``fingertip_offset``       (3,) m, from the shoulder
+    ``feature``                (3,) m, the centroid of the sleeve's middle loop
+    ``task_vector``            (3,) unit, equation 7
+    ``contained``              () 1 while a bone goes through the entrance, hand first; equation 9
+    ``progress``               () equation 11: share of the limb that is in, or minus the fingertip's
+                               distance to the entrance, m
+    ``touched_geodesic``       () of the touched vertex that is nearest to the loop along the cloth, as a
+                               share of the farthest; 1 where the fingertip touches nothing
+    ``touching``               () 1 while the fingertip touches
+    ``area_ratio``             () equation 12: the largest of any triangle, over its area at rest
+    =========================  ==================================================================
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        side: Side = "right"  #: the arm that goes in; the gown's track ends at the right shoulder
+
+    reads = ("xpos", "xquat", "cloth_position", "contact_force", "contact_side")
+
+    def __init__(self, options: Options, context: Context) -> None:
+        who = "fields 'dressing/sleeve_state'"
+        sleeve = context.need_scene(SleeveScene, who)
+        person = context.need_scene(PersonScene, who)
+        device = context.device
+        model = person.spec().compile()
+
+        def places(named: Sequence[tuple[str, Vector]]) -> tuple[Tensor, Tensor]:
+            ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name, _ in named]
+            points = torch.tensor([point for _, point in named], dtype=torch.float32)
+            return torch.tensor(ids, device=device), points.to(device)
+
+        felt = sensors()
+        self._sensors, self._limb = places(felt), places(limb(options.side))
+        self._number = torch.arange(len(felt), device=device).unsqueeze(1)
+        self._tip = max(i for i, one in enumerate(felt) if one[0] == f"{options.side}_hand")
+        self._loops = {
+            name: torch.from_numpy(loop.copy()).to(device) for name, loop in sleeve.loops.items()
+        }
+        points, faces, _ = sleeve.mesh
+        rest = torch.tensor(points, dtype=torch.float32, device=device)
+        self._faces = torch.tensor(faces, device=device)
+        self._area = self._areas(rest[None])
+        along = geodesic(points, faces, sleeve.loops["middle"])
+        self._distance = torch.tensor(along.distance, dtype=torch.float32, device=device)
+        self._towards = torch.tensor(along.towards, device=device)
+        vector: Shape = (3,)
+        self.provides = {
+            "sensor_force": (len(felt), 3), "sensor_sign": (len(felt),), "fingertip": vector,
+            "fingertip_offset": vector, "feature": vector, "task_vector": vector, "contained": (),
+            "progress": (), "touched_geodesic": (), "touching": (), "area_ratio": (),
+        }  # fmt: skip
+
+    def _areas(self, positions: Tensor) -> Tensor:
+        """(N, F) m², twice the triangles'."""
+        a, b, c = (positions[:, self._faces[:, k]] for k in range(3))
+        return torch.linalg.cross(b - a, c - a).norm(dim=-1)
+
+    def compute(
+        self, xpos: Tensor, xquat: Tensor, cloth_position: Tensor, contact_force: Tensor, contact_side: Tensor
+    ) -> Mapping[str, Tensor]:  # fmt: skip
+        n = len(xpos)
+
+        def world(places: tuple[Tensor, Tensor]) -> Tensor:
+            bodies, points = places
+            return xpos[:, bodies] + rotations.rotate(xquat[:, bodies], points.expand(n, -1, -1))
+
+        felt, bones = world(self._sensors), world(self._limb)
+        touched = contact_force.norm(dim=-1) > _TOUCH
+        apart = torch.cdist(cloth_position, felt, compute_mode="donot_use_mm_for_euclid_dist")
+        nearest = apart.argmin(dim=2)
+        # products, not scatter_add, whose order differs from run to run on a GPU
+        to = (nearest.unsqueeze(1) == self._number).float()  # (N, S, V)
+        force = to @ -contact_force
+        side = torch.where(touched, contact_side, 0.0)
+        sign = (to @ side.unsqueeze(-1)).squeeze(-1).sign()
+
+        tip = bones[:, 0]
+        entrance = cloth_position[:, self._loops["entrance"]]
+        through, depth = passes(bones, entrance)
+        length = (bones[:, :-1] - bones[:, 1:]).norm(dim=-1).sum(1)
+        contained = through.any(dim=1)
+        first = through.float().argmax(dim=1, keepdim=True)
+        inside = depth.gather(1, first).squeeze(1) / length
+        outside = -(tip - entrance.mean(dim=1)).norm(dim=1)
+
+        feature, normal = centre_and_normal(cloth_position[:, self._loops["middle"]])
+        by_tip = touched & (nearest == self._tip)
+        inner = (contact_side > 0).long()  # pushed outwards: touched from inside
+        distance = torch.where(inner == 1, self._distance[1], self._distance[0])
+        least, vertex = torch.where(by_tip, distance, 2.0).min(dim=1)
+        touching = least < 1.5
+        vertex = vertex.unsqueeze(1)
+        then = torch.where(inner == 1, self._towards[1], self._towards[0]).gather(1, vertex)
+
+        def at(index: Tensor) -> Tensor:
+            return cloth_position.gather(1, index.unsqueeze(-1).expand(-1, -1, 3)).squeeze(1)
+
+        along = torch.where(touching.unsqueeze(1), at(then) - at(vertex), feature - tip)
+        vector = torch.where(
+            contained.unsqueeze(1), normal, torch.nn.functional.normalize(along, dim=1)
+        )
+        return {
+            "sensor_force": force,
+            "sensor_sign": sign,
+            "fingertip": tip,
+            "fingertip_offset": tip - bones[:, 4],
+            "feature": feature,
+            "task_vector": vector,
+            "contained": contained.float(),
+            "progress": torch.where(contained, inside, outside),
+            "touched_geodesic": torch.where(touching, least, 1.0),
+            "touching": touching.float(),
+            "area_ratio": (self._areas(cloth_position) / self._area).amax(dim=1),
+        }

@@ -1,0 +1,109 @@
+"""Pictures of cloth and of the bodies that it meets, with MuJoCo's renderer."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+
+import mujoco
+import numpy as np
+
+from understudy_cloth.scene import Box, Capsule, ClothModel, TaperedCapsule
+from understudy_mujoco.drawing import open_renderer
+
+_BODY, _CLOTH = (0.85, 0.62, 0.45, 1.0), (0.35, 0.55, 0.78, 1.0)
+_FLOOR = (0.90, 0.90, 0.89, 1.0)
+#: Pieces of a tapered capsule, which MuJoCo has not: capsules whose radii follow it.
+_PIECES = 12
+
+
+def _spec(model: ClothModel, width: int, height: int) -> mujoco.MjSpec:
+    """A mocap body for each tool, and the garment as a flex of the world."""
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.45] * 3
+    spec.visual.headlight.specular = [0.05] * 3
+    spec.visual.quality.offsamples = 4
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=64, height=64,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=[0.95, 0.96, 0.97], rgb2=[0.78, 0.82, 0.87],
+    )  # fmt: skip
+    spec.worldbody.add_light(pos=[2, -2, 4], dir=[-0.4, 0.4, -1], diffuse=[0.4, 0.4, 0.4])
+    for number, tool in enumerate(model.tools):
+        body = spec.worldbody.add_body(name=f"tool{number}", mocap=True)
+        for shape in tool.shapes:
+            if isinstance(shape, Box):
+                body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=shape.half_extents, rgba=_BODY,
+                              pos=shape.position, quat=shape.orientation)  # fmt: skip
+                continue
+            if not isinstance(shape, (Capsule, TaperedCapsule)):
+                continue  # a grid of distances has no surface to draw
+            radii = shape.radii if isinstance(shape, TaperedCapsule) else (shape.radius,) * 2
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, np.asarray(shape.orientation, float))
+            axis = turn.reshape(3, 3)[:, 2]
+            ends = np.linspace(-shape.half_length, shape.half_length, _PIECES + 1)
+            for low, high in itertools.pairwise(ends):
+                share = (0.5 * (low + high) + shape.half_length) / max(2 * shape.half_length, 1e-9)
+                a, b = (np.asarray(shape.position) + axis * end for end in (low, high))
+                radius = radii[0] + share * (radii[1] - radii[0])
+                if high - low < 1e-9:
+                    body.add_geom(
+                        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=a, rgba=_BODY
+                    )
+                    break
+                body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius, 0, 0],
+                              fromto=[*a, *b], rgba=_BODY)  # fmt: skip
+    flex = spec.add_flex(name="cloth", dim=2, radius=1e-3, rgba=_CLOTH, flatskin=False)
+    flex.vertbody = ["world"]
+    flex.vert = np.asarray(model.positions, float).ravel()
+    flex.elem = np.asarray(model.faces, np.int32).ravel()
+    flex.contype = flex.conaffinity = 0
+    return spec
+
+
+def draw(
+    model: ClothModel,
+    tracks: Mapping[str, np.ndarray],
+    width: int,
+    height: int,
+    azimuth: float | None = None,
+) -> Iterator[np.ndarray]:
+    """Frames (height, width, 3) uint8 of the recorded ``cloth_position`` (T, V, 3), and of tools where they are
+    recorded.
+
+    Raises
+    ------
+    UnderstudyError
+        if there is no OpenGL to draw with.
+    """
+    cloth = tracks["cloth_position"]
+    compiled = _spec(model, width, height).compile()
+    data = mujoco.MjData(compiled)
+    seen = [cloth.reshape(-1, 3)]
+    if model.tools and "tool_position" in tracks:
+        seen.append(tracks["tool_position"].reshape(-1, 3))
+    points = np.concatenate(seen)
+    low, high = np.quantile(points, (0.01, 0.99), axis=0)
+    size = float(np.linalg.norm(high - low))
+    compiled.stat.extent, compiled.stat.center[:] = size, 0.5 * (low + high)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = 0.5 * (low + high)
+    camera.distance, camera.elevation = 1.3 * size, -15.0
+    camera.azimuth = 130.0 if azimuth is None else azimuth
+    renderer = open_renderer(compiled, width, height, compiled.ngeom + 64)
+    option = mujoco.MjvOption()
+    option.flags[mujoco.mjtVisFlag.mjVIS_FLEXSKIN] = True
+    try:
+        for frame, here in enumerate(cloth):
+            if model.tools and "tool_position" in tracks and "tool_orientation" in tracks:
+                data.mocap_pos[:] = tracks["tool_position"][frame].reshape(-1, 3)
+                data.mocap_quat[:] = tracks["tool_orientation"][frame].reshape(-1, 4)
+            mujoco.mj_kinematics(compiled, data)
+            mujoco.mj_camlight(compiled, data)
+            mujoco.mj_flex(compiled, data)
+            data.flexvert_xpos[:] = here
+            renderer.update_scene(data, camera, option)
+            yield renderer.render()
+    finally:
+        renderer.close()
