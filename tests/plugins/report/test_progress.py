@@ -26,7 +26,12 @@ def test_share(budget: dict[str, float | None], expected: tuple[float, float | N
 @pytest.mark.parametrize(
     ("criterion", "usual", "left", "words"),
     [
-        (0.9, 1000, 3891.0, "until 90 % succeed, usually in 0:15"),  # at the newest speed; not "at most 1:04:51"
+        (
+            0.9,
+            1000,
+            3891.0,
+            "until 90 % succeed, usually in 0:15",
+        ),  # at the newest speed; not "at most 1:04:51"
         (0.9, 1250, 3891.0, "until 90 % succeed"),  # too early to tell
         (0.9, 200, 30.0, "until 90 % succeed, at most 0:30 left"),  # it takes longer than usual
         (0.9, 1000, 12.0, "until 90 % succeed, at most 0:12 left"),  # the budget ends it before
