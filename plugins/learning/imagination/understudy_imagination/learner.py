@@ -261,10 +261,10 @@ class Imagination(Learner):
             return {}
         found = model_errors(self._rigid, self._imagined, self.model, window)
         return {
-            f"model_error/{name}/{horizon}": float(off[body])
-            for horizon, off in found.items()
+            f"model_error/{name}/{horizon}": off[body]
+            for horizon, off in ((h, o.tolist()) for h, o in found.items())
             for body, name in self._bodies.items()
-            if off[body].isfinite()
+            if math.isfinite(off[body])
         }
 
     def _settle(self) -> None:
