@@ -61,6 +61,7 @@ test-gpu: install
 check: install
 	$(BIN)/ruff format --check kernel plugins tests benchmarks
 	$(BIN)/ruff check kernel plugins tests benchmarks
+	$(BIN)/typos
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/python -m pytest -q tests/plugins/test_every_component.py
 

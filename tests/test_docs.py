@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+import yaml
 
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, installed, load
@@ -100,6 +101,28 @@ def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
             term.component.name for term in experiment.many("reward.terms")
         ]
     check_plugin("balance", balance)
+
+
+def test_the_term_in_the_readme_is_the_tutorials() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown: dict[str, Any] = {}
+    exec(re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)[0], shown)
+    taught: dict[str, Any] = {}
+    exec(tutorial_files()["src/understudy_balance/terms.py"], taught)
+    rotation = torch.nn.functional.normalize(
+        torch.tensor([[1.0, 0, 0, 0], [0.9, 0.1, 0.3, 0.2]]), dim=1
+    )
+    assert torch.equal(shown["upright"](rotation), taught["upright"](rotation))
+    named = yaml.safe_load(re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S)[0])
+    assert named == {"reward": {"terms": {"upright": {"name": "balance/upright", "scale": 1.0}}}}
+
+
+def test_the_dark_figure_differs_in_its_colours_alone() -> None:
+    light, dark = (
+        re.sub(r"#[0-9a-f]{6}", "COLOUR", (ROOT / f"docs/media/{name}.svg").read_text("utf-8"))
+        for name in ("design", "design-dark")
+    )
+    assert light == dark
 
 
 def snippets(page: Path) -> list[str]:

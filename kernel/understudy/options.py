@@ -20,6 +20,17 @@ from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 
+__all__ = [
+    "REQUIRED",
+    "Option",
+    "check_range",
+    "checked_options",
+    "make_options",
+    "options_of",
+    "schema_of",
+    "sentences",
+]
+
 
 @dataclass(frozen=True)
 class Option:

@@ -7,6 +7,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
+__all__ = ["Command"]
+
 
 class Command(ABC):
     """A command of the command line, registered as a ``command`` named by its words: the component

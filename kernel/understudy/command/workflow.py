@@ -13,9 +13,12 @@ from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment
-from understudy.setup.config import Experiment, at, validate
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
+from understudy.setup.validation import at, validate
 from understudy.signals import StopRequest
+
+__all__ = ["judge", "tell"]
 
 
 def tell(text: str) -> None:

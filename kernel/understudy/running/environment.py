@@ -32,6 +32,8 @@ from understudy.task import (
 )
 from understudy.task.terms import Term, Wired
 
+__all__ = ["OWN_FIELDS", "Environment", "Step", "rows", "sound"]
+
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
 #: term or one that only reports) are set once this step's terminations are known, so only rewards

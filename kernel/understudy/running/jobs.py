@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from understudy.records.runs import Run
     from understudy.running.evaluation import Evaluation
 
+__all__ = ["Job"]
+
 
 class Job(ABC):
     """Reinforcement learning, an auto-encoder, a planner's networks, a harvest of states.

@@ -23,6 +23,8 @@ from understudy.setup.building import Built, build_environment, build_policy, de
 from understudy.setup.config import Experiment
 from understudy.task import Learner, Policy, State
 
+__all__ = ["Reinforcement"]
+
 #: The world that is recorded and drawn.
 _SHOWN = 0
 #: Decisions for which is looked for the part whose numbers go wrong.

@@ -11,8 +11,10 @@ from torch import Tensor
 
 from understudy.errors import RunError
 from understudy.records import runs
-from understudy.setup.config import StartOptions
+from understudy.setup.root import StartOptions
 from understudy.task import Curriculum, InitialStates, Policy, State
+
+__all__ = ["load_part", "misshapen", "newest_state"]
 
 
 def policy_parts(policy: Policy) -> dict[str, set[str]]:

@@ -18,16 +18,22 @@ from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
-from understudy.setup.config import (
-    GROUPS,
-    Experiment,
-    Root,
-    at,
-    refuse_code,
-    unknown_key,
-    validate,
-)
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, installed, kernel_conf
+from understudy.setup.root import Root
+from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
+
+__all__ = [
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "option_directories",
+    "options",
+    "refuse_resolvers",
+    "replaced",
+    "sorts",
+]
 
 
 @contextlib.contextmanager

@@ -18,6 +18,8 @@ from understudy.inputs import Inputs
 from understudy.options import Option, options_of
 from understudy.signals import is_stop
 
+__all__ = ["Component", "Registrar", "Registry"]
+
 
 @dataclass(frozen=True)
 class Slot:

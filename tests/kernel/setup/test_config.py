@@ -12,8 +12,9 @@ from worlds import SMALL, make_training
 from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.setup.composition import compose_raw, load_experiment, readable, replaced
-from understudy.setup.config import Root, refuse_code, validate
 from understudy.setup.plugins import Plugins, load
+from understudy.setup.root import Root
+from understudy.setup.validation import refuse_code, validate
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.origins import origins

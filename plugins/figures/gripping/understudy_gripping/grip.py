@@ -24,6 +24,8 @@ from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE, Measures
 from understudy_hand.tools import upper_pose
 
+__all__ = ["Grip"]
+
 #: rad: angles at which a grip is solved. The sticks touch at 0.154.
 ANGLES = (0.0, 0.04, 0.08, 0.12, 0.15)
 #: N, wanted and least, of each contact; 2 and 0.5 lose the sticks under 40 mrad of noise, these do not at 60.

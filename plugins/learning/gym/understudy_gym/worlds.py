@@ -17,6 +17,8 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import ActionSpace, Box
 
+__all__ = ["Worlds", "flattened"]
+
 Actions = Literal["scaled", "raw"]
 #: What ``render`` can give.
 RENDER_MODES = ("rgb_array",)

@@ -31,6 +31,8 @@ from understudy_networks.nn import (
     scaled,
 )
 
+__all__ = ["MLPPolicy", "action_space", "check_units", "observation_size"]
+
 ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {"relu": relu, "elu": nn.ELU, "tanh": nn.Tanh}
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from understudy import random
 from understudy.options import check_range
 from understudy.running.trials import Trial
-from understudy.setup.config import Part
+from understudy.setup.root import Part
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, climb, highest, upper_bound
 from understudy_bayes.book import Book, SearchOptions

@@ -9,6 +9,8 @@ import mujoco
 
 from understudy.task import Shape
 
+__all__ = ["Stage", "readable"]
+
 
 class Stage(IntEnum):
     """How far the forward computation must have gone for a field to be right."""

@@ -17,6 +17,8 @@ from understudy_mujoco.contact import Contact
 from understudy_mujoco.mjcf import read_mjcf, split_root
 from understudy_mujoco.trial import spec_of, try_out
 
+__all__ = ["MjcfFile", "MujocoScene"]
+
 
 def _log_nothing() -> None:
     """Keep MuJoCo from writing each warning to the console and, without end, to MUJOCO_LOG.TXT in

@@ -17,6 +17,8 @@ from understudy.running.trials import Report, Trial
 from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.space import Parameter, Space, check_paths
 
+__all__ = ["Book", "SearchOptions"]
+
 
 @dataclass(frozen=True)
 class SearchOptions:

@@ -8,15 +8,16 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
 
 from understudy import __version__
 from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
 from understudy_report import words
-from understudy_report.markup import check_markup
+from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_report.values import mapping
 from understudy_reproduce.tables import Figure, PaperTable, variant_name
@@ -141,12 +142,11 @@ class Card:
             *(["## Known deviations", "\n".join(f"- {in_markdown(d)}" for d in deviations)] if deviations else []),
             f"`understudy reproduce {self.name}`, understudy {__version__}.",
         ]  # fmt: skip
-        sections = [f'<p class="headline">{escape(table.source)}. {escape(self.headline())}</p>']
-        sections += [f"<section><h2>{escape(h)}</h2>{t.html()}</section>" for h, t in tables]
-        sections.append(f"<p>{escape(_INTERVALS)}</p>")
+        sections = [piece("headline", f"{table.source}. {self.headline()}")]
+        sections += [piece("section", h, Markup(t.html())) for h, t in tables]
+        sections.append(piece("paragraphs", [_INTERVALS]))
         if deviations:
-            items = "".join(f"<li>{escape(d)}</li>" for d in deviations)
-            sections.append(f"<section><h2>Known deviations</h2><ul>{items}</ul></section>")
+            sections.append(piece("section", "Known deviations", piece("items", deviations)))
         content = "".join(sections)
         check_markup(content)
         over = f"understudy reproduce {self.name} · {__version__}"

@@ -8,22 +8,22 @@ import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from understudy import __version__
 from understudy.errors import ConfigError
 from understudy.records.checkpoint import write_atomically
 from understudy.running.trials import OuterLoop, Report
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.config import validate
 from understudy.setup.plugins import installed
+from understudy.setup.validation import validate
 from understudy_report import words
 from understudy_report.charts import Chart, Series, draw_series
-from understudy_report.markup import check_markup
+from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_reproduce.tables import PaperTable, variant_name
 from understudy_sweeps.curves import legend, mean_curve, style_of
@@ -178,17 +178,13 @@ class Comparison:
               if table.deviations else []),
             f"`understudy reproduce {self.name}`, understudy {__version__}.",
         ]  # fmt: skip
-        sections = [f'<p class="headline">{escape(table.source)}. {escape(self.headline())}</p>']
+        sections = [piece("headline", f"{table.source}. {self.headline()}")]
         for title, shown in self.tables():
-            pictures = f'<div class="pair">{self._charts(title)}</div>'
-            sections.append(
-                f"<section><h2>{escape(title)}</h2>{legend(list(table.columns))}{pictures}"
-                f"{shown.html()}</section>"
-            )
-        sections += [f"<p>{escape(note)}</p>" for note in _NOTES]
+            charts = f'{legend(list(table.columns))}<div class="pair">{self._charts(title)}</div>'
+            sections.append(piece("section", title, Markup(charts + shown.html())))
+        sections.append(piece("paragraphs", _NOTES))
         if table.deviations:
-            items = "".join(f"<li>{escape(d)}</li>" for d in table.deviations)
-            sections.append(f"<section><h2>Known deviations</h2><ul>{items}</ul></section>")
+            sections.append(piece("section", "Known deviations", piece("items", table.deviations)))
         content = "".join(sections)
         check_markup(content)
         created = time.strftime("%Y-%m-%d %H:%M")

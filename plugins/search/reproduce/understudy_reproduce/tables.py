@@ -14,6 +14,8 @@ from understudy.options import make_options
 from understudy.setup.composition import option_directories
 from understudy.setup.plugins import Plugins
 
+__all__ = ["load_table"]
+
 FOLDER = "reproduction"
 
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from scipy.special import stdtrit
 
+__all__ = ["mean_of", "paired_difference"]
+
 
 @dataclass(frozen=True)
 class Mean:

@@ -16,11 +16,13 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from understudy import __version__
 from understudy.errors import UnderstudyError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
-from understudy_report.markup import check_markup
+from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_report.values import Row, mapping
 from understudy_sweeps import search, tables
@@ -29,6 +31,8 @@ from understudy_sweeps.film import Tile, columns_of, make_film
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result, Results, Variant, best_of, objective_of, variants_of
 from understudy_sweeps.tables import Table
+
+__all__ = ["STYLE", "SweepPage"]
 
 #: CSS of all that a sweep draws, beside the report's.
 STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
@@ -139,7 +143,7 @@ class Page:
             return "<p>The video is drawn when all trials are finished.</p>"
         tiles, reason = self._film
         if reason:
-            return f'<p class="failed">There is no video: {escape(reason)}.</p>'
+            return piece("failed", f"There is no video: {reason}.")
         columns = columns_of(len(tiles))
         rows = -(-len(tiles) // columns)
         names = "".join(
@@ -162,9 +166,7 @@ class Page:
         failed = [[r.trial.key, r.report.status] for r in results if r.report and not r.ok]
         if failed:
             sections.append(_Section("What failed", table=Table(["trial", "why"], failed)))
-        content = f'<p class="headline">{escape(headline)}</p>' + "".join(
-            s.html() for s in sections
-        )
+        content = "".join([piece("headline", headline), *(s.html() for s in sections)])
         check_markup(content)
         created = time.strftime("%Y-%m-%d %H:%M")
         over = f"understudy sweep · {__version__}"
@@ -226,8 +228,8 @@ class _Section:
 
     def html(self) -> str:
         table = self.table.html() if self.table else ""
-        body = self.pictures + table + _paragraphs(self.notes)
-        return f"<section><h2>{escape(self.title)}</h2>{body}</section>"
+        body = "".join([self.pictures, table, piece("paragraphs", self.notes)])
+        return str(piece("section", self.title, Markup(body)))
 
     def markdown(self) -> str:
         if self.table is None:
@@ -284,7 +286,3 @@ def _published(paper: Mapping[str, Any] | None, variants: Sequence[Variant]) -> 
     names = {v.name for v in variants}
     others = [f"{k} {v:g}" for k, v in mapping(paper.get("values")).items() if k not in names]
     return notes + ([f"It also has: {', '.join(others)}."] if others else [])
-
-
-def _paragraphs(texts: Sequence[str]) -> str:
-    return "".join(f"<p>{escape(text)}</p>" for text in texts)

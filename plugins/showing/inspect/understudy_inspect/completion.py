@@ -115,7 +115,7 @@ def _keys(given: Sequence[str], last: str, plugins: Plugins) -> Iterator[str]:
     """Keys of the configuration that `given` composes; those with a dot once one is typed."""
     # Imported where they are needed: they import torch, and somebody is waiting.
     from understudy.setup.composition import compose_raw
-    from understudy.setup.config import root_keys, validate
+    from understudy.setup.validation import root_keys, validate
     from understudy_inspect.origins import paths
 
     groups = ["experiment", "task", "ablation", "search", *plugins.registry.slots]

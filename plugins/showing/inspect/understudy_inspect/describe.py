@@ -9,15 +9,17 @@ import re
 import textwrap
 import typing
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import yaml
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import REQUIRED, Option, options_of, schema_of, sentences
-from understudy.setup.config import EXTRAS, Root
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
+from understudy.setup.root import Root
+from understudy.setup.validation import EXTRAS
 from understudy_inspect.catalogue import Offer, offers
 
 #: What components of a kind take besides their own options.
@@ -87,7 +89,8 @@ def _component(component: Component, plugins: Plugins) -> str:
     comments = sentences(factory)
     parts = [
         f"{component.kind}/{component.name}: {component.summary}".rstrip(": "),
-        f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")"),
+        f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")")
+        + _place(factory),
         *_paragraphs(factory),
         *(_paragraphs(schema) if schema is not None and "(" not in (schema.__doc__ or "(") else []),
     ]  # fmt: skip
@@ -114,6 +117,17 @@ def _component(component: Component, plugins: Plugins) -> str:
     if cited:
         parts.append("\n".join(["Please cite", *(f"  {text}" for text in cited)]))
     return "\n\n".join(part for part in parts if part)
+
+
+def _place(factory: Any) -> str:
+    """A line that says in which file `factory` is, from the working folder where it is below that."""
+    thing = inspect.unwrap(factory)
+    try:
+        file, line = Path(inspect.getfile(thing)), inspect.getsourcelines(thing)[1]
+    except (OSError, TypeError):  # there is no source
+        return ""
+    here = Path.cwd()
+    return f"\nin {file.relative_to(here) if file.is_relative_to(here) else file}, line {line}"
 
 
 def _offer(group: str, offer: Offer, plugins: Plugins) -> str:

@@ -25,6 +25,8 @@ from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
 from understudy_inspect.half_step import compared
 
+__all__ = ["load"]
+
 #: Words for what one changes of an evaluation most often, and the keys that they stand for.
 _EVALUATION = {"episodes": "evaluation.final_episodes", "seconds": "evaluation.seconds"}
 _PICTURE = {

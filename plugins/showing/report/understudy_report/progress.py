@@ -12,6 +12,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 
+__all__ = ["clock"]
+
 #: Seconds between lines where there is no terminal.
 _PAUSE = 10.0
 #: Share of the usual samples before which no time is told from them: learners that first gather are fast at first.

@@ -23,6 +23,8 @@ from understudy_doctor.measurements import Measurements
 from understudy_doctor.proportions import check_proportions, leg_scale, scaled
 from understudy_motion.clip import Clip
 
+__all__ = ["foot_contacts"]
+
 NEEDS_CHARACTER = (
     "ground, feet, joint limits, torques: the clip's joints are those of no known character "
     "(give one with --character, or retarget the clip)"

@@ -18,6 +18,8 @@ from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
 from understudy_skills.skill import Skill, names, open_skill, pack, rounded, unpack
 
+__all__ = ["add_page_arguments", "film", "record", "serve"]
+
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0
 #: Of a video, in pixels.

@@ -15,6 +15,8 @@ from understudy.setup.config import Experiment
 from understudy_mujoco.scene import MujocoScene
 from understudy_skills.skill import Skill
 
+__all__ = ["World"]
+
 #: Seconds: no episode is cut.
 _ENDLESS = 86400.0
 #: m: so far from its character the reference stays where it is; pushed farther, it goes along.
