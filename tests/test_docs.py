@@ -54,11 +54,11 @@ def test_commands_compose(overrides: list[str]) -> None:
     load_experiment(overrides, installed())
 
 
-def test_the_demo_is_the_one_that_the_readme_names() -> None:
+def test_the_demo_is_the_one_that_the_page_names() -> None:
     recipe = re.search(r"^demo:.*\n\t\S+understudy (.+)$", (ROOT / "Makefile").read_text(), re.M)
     assert recipe is not None
     named = re.search(
-        r"^understudy (.+) seed=3 +# the demo", (ROOT / "README.md").read_text(), re.M
+        r"^understudy (.+) seed=3 +# the demo", (ROOT / "docs" / "using.md").read_text(), re.M
     )
     assert named is not None
     assert named[1] == recipe[1]
