@@ -34,7 +34,7 @@ $(VENV)/.installed: $(VENV)/.small
 
 # Train the walk on the CPU, evaluate it, leave video and report.
 demo: $(VENV)/.small
-	$(BIN)/understudy train experiment=spacetime/walk
+	$(BIN)/understudy train experiment=spacetime/walk_imagined
 
 # A trained walk in the browser.
 play: $(VENV)/.small

@@ -54,6 +54,16 @@ def test_commands_compose(overrides: list[str]) -> None:
     load_experiment(overrides, installed())
 
 
+def test_the_demo_is_the_one_that_the_page_names() -> None:
+    recipe = re.search(r"^demo:.*\n\t\S+understudy (.+)$", (ROOT / "Makefile").read_text(), re.M)
+    assert recipe is not None
+    named = re.search(
+        r"^understudy (.+) seed=3 +# the demo", (ROOT / "docs" / "using.md").read_text(), re.M
+    )
+    assert named is not None
+    assert named[1] == recipe[1]
+
+
 def tutorial_files() -> dict[str, str]:
     """The files that the tutorial shows, by path."""
     text = TUTORIAL.read_text(encoding="utf-8")

@@ -134,10 +134,10 @@ def test_a_share_of_episodes_is_in_per_cent_and_within_them() -> None:
 
 def test_an_unfinished_table_has_a_card(tmp_path: Path) -> None:
     table = PaperTable("A title", "a paper", {"a": ("experiment=miniature/go",)})
-    card = Card("mine/one", table, tmp_path)
+    card = Card("mine/one", table, tmp_path / "none")
     assert "0 of 3 trainings are finished" in card.headline()
     assert card.write().exists()
-    check_markup((tmp_path / "card.html").read_text().partition("<main")[2].partition(">")[2].partition("</main>")[0])  # fmt: skip
+    check_markup((tmp_path / "none" / "card.html").read_text().partition("<main")[2].partition(">")[2].partition("</main>")[0])  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -155,6 +155,7 @@ class Card:
             "card.csv": self._csv().encode(errors="replace"),
             "card.md": "\n\n".join(markdown).encode(errors="replace") + b"\n",
         }
+        self.folder.mkdir(parents=True, exist_ok=True)
         for name, data in files.items():
             write_atomically(self.folder / name, data)
         return self.folder / "card.md"
