@@ -72,7 +72,7 @@ def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[s
     rollout = job.collector.collect(length)
     learning = rate(lambda: job.learner.update(rollout), 3) * worlds * length
     everything = rate(training.iterate, 3) * worlds * length
-    if int(environment.quarantined) or simulator.report():
+    if int(environment.quarantined) or "contact_or_constraint_overflows" in simulator.report():
         raise SystemExit(f"{scene} × {worlds}: numbers left the finite or contacts were dropped.")
     free, total = torch.cuda.mem_get_info()
     training.close()
