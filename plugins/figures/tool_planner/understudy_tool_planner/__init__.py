@@ -10,6 +10,7 @@ REQUIRES = ("gripping", "hand", "mujoco", "tensors")
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.citation(
-        "todorov2018analytic",
-        "Todorov. Goal directed dynamics. IEEE International Conference on Robotics and Automation, 2018.",
+        "tolani1996arm",
+        "Tolani, Badler. Real-time inverse kinematics of the human arm. Presence: Teleoperators and Virtual "
+        "Environments 5(4), 1996.",
     )

@@ -1,8 +1,8 @@
 """Inverse kinematics of the arm, in closed form: seven hinges, so one turn, the swivel, is free.
 
 The elbow follows from how far the wrist is from the shoulder. The swivel turns the elbow about the line between
-them; for each the shoulder's and the wrist's three angles are those of two rotations. Todorov's analytic
-solution, of which the thesis (section 5.6.2) takes the one nearest to the last frame. m, rad.
+them; for each the shoulder's and the wrist's three angles are those of two rotations (Tolani and Badler 1996, whom
+the thesis follows in section 5.6). m, rad.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def swivel_of(pose: Tensor) -> Tensor:
     fore = upper @ _about(pose[..., 3], 0)
     elbow = HALF * upper[..., 1]
     out = elbow + HALF * fore[..., 2]
-    away, side, up = _frame(out)
+    _, side, up = _frame(out)
     return torch.atan2((elbow * side).sum(-1), (elbow * up).sum(-1))
 
 

@@ -74,9 +74,7 @@ def orientations() -> Tensor:
     roll = torch.arange(about, dtype=torch.float64) * (2.0 * math.pi / about)
     e, a, r = (g.flatten() for g in torch.meshgrid(elevation, azimuth, roll, indexing="ij"))
     axes = torch.eye(3, dtype=torch.float64)
-    tilted = rotations.multiply(
-        rotations.from_heading(a), rotations.from_axis_angle(-axes[1], e)
-    )
+    tilted = rotations.multiply(rotations.from_heading(a), rotations.from_axis_angle(-axes[1], e))
     return rotations.multiply(tilted, rotations.from_axis_angle(axes[0], r))
 
 
@@ -136,7 +134,9 @@ def choose(
     palm, hand = holder.palm(place, turns)
     solved = arm.solve(palm[..., None, :], hand[..., None, :, :], SWIVELS)
     inside = solved.inside.amax(-1).amin(1)
-    beyond = (palm - arm.PALM * hand[..., 2] - palm.new_tensor(arm.SHOULDER)).square().sum(-1).sqrt()
+    beyond = (
+        (palm - arm.PALM * hand[..., 2] - palm.new_tensor(arm.SHOULDER)).square().sum(-1).sqrt()
+    )
     reach = 2.0 * arm.HALF - beyond.amax(1)
     _some(reach, "reaching", "the arm is too short")
     if not (inside >= INSIDE).any():
@@ -164,9 +164,7 @@ def choose(
 
 def _table(matrix: Tensor, angle: Tensor, middle: Tensor) -> Tensor:
     place = gripper.placed(matrix, angle, middle)
-    low, _ = of_sticks(
-        gripper.middles(place, matrix, angle), gripper.axes(matrix, angle), None
-    )
+    low, _ = of_sticks(gripper.middles(place, matrix, angle), gripper.axes(matrix, angle), None)
     return low.amin(-1)
 
 

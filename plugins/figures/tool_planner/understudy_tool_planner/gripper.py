@@ -47,9 +47,10 @@ def width(shape: Shape, ways: Tensor) -> Tensor:
     if shape.kind == "capsule":
         # beside its cylinder, or out of an end
         beside = shape.rounding / across
-        end = sizes[0] * ways[..., 0].abs() + (
-            shape.rounding**2 - (sizes[0] * across).square()
-        ).clamp(min=0.0).sqrt()
+        end = (
+            sizes[0] * ways[..., 0].abs()
+            + (shape.rounding**2 - (sizes[0] * across).square()).clamp(min=0.0).sqrt()
+        )
         return 2.0 * torch.where(beside * ways[..., 0].abs() <= sizes[0], beside, end)
     return torch.full_like(across, 2.0 * shape.rounding)
 

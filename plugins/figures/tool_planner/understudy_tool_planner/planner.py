@@ -25,7 +25,7 @@ from understudy_tool_planner.configuration import (
     NoPlan,
     choose,
 )
-from understudy_tool_planner.objects import Shape, Things, upright
+from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.trajectory import Frames, Pose, Way
 
 #: s of a frame; m/s and s: speed of the sticks (thesis), and the least that a phase takes (release).
@@ -35,8 +35,10 @@ CLOSING = 0.15
 PHASES = ("approach", "close", "relocate", "release")
 #: rad: how far a hinge of the arm may go in a frame.
 STEP = 0.15
-#: Configurations whose ways are looked for side by side, and how many such groups are tried.
-_TOGETHER, _GROUPS = 1, 4
+#: m: how deep what is carried may be in what it lies on.
+SUNK = 1e-4
+#: Configurations that are tried, the best first; starts of a way that the first one did not find clear.
+_TRIED, _STARTS = 6, 4
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,9 @@ class Planner:
             lower[:3],
             rotations.to_matrix(rotations.normalize(lower[3:])),
             torch.cat([shapes.ends[0].flatten(0, 1), boxes.flatten(0, 1)]),
-            torch.cat([hand.radii.repeat_interleave(2), torch.zeros(boxes[..., 0].numel()).double()]),
+            torch.cat(
+                [hand.radii.repeat_interleave(2), torch.zeros(boxes[..., 0].numel()).double()]
+            ),
         )
         self._lower = rotations.normalize(lower[3:])
 
@@ -123,18 +127,20 @@ class Planner:
         """
         heading = torch.tensor(task.heading, dtype=torch.float64)
         last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
-        start, goal = (heading.new_tensor((*at, task.shape.height)) for at in (task.start, task.goal))
-        found = choose(
-            task.shape, start, heading, goal, last, now.lower[3:], others, self._holder
+        start, goal = (
+            heading.new_tensor((*at, task.shape.height)) for at in (task.start, task.goal)
         )
+        found = choose(task.shape, start, heading, goal, last, now.lower[3:], others, self._holder)
         own = Things.of([task.shape], start[None, :2], heading[None])
         everything = Things(
             *(torch.cat(pair) for pair in zip(_fields(others), _fields(own), strict=True))
         )
         worst: NoPlan | None = None
-        for row in range(min(_GROUPS, len(found.score))):
+        for row in range(min(_TRIED, len(found.score))):
             try:
-                return self._complete(task, now, found, row, start, goal, heading, last, others, everything)
+                return self._complete(
+                    task, now, found, row, start, goal, heading, last, others, everything
+                )
             except NoPlan as error:
                 worst = worst or error
         assert worst is not None
@@ -164,11 +170,13 @@ class Planner:
             Way(begin, pose(takes, wide, start), everything),
             Way(pose(takes, closed, start), pose(puts, closed, goal), others, task.shape.reach),
         ]
-        with torch.enable_grad():
-            inner, value = trajectory.find(ways)
+        inner, value = trajectory.find(ways, 1)
         parts, clear = [], []
         for k, (way, name) in enumerate(zip(ways, ("approach", "relocate"), strict=True)):
             frames, least = self._best(way, inner[k], value[k])
+            if least < 0.0:  # then from several starts
+                more, values = trajectory.find([way], _STARTS)
+                frames, least = self._best(way, more[0], values[0])
             if least < 0.0:
                 raise NoPlan(
                     f"No plan reaches the goal: in the phase '{name}' something is in the way, by "
@@ -181,7 +189,9 @@ class Planner:
         free = self._turning(puts, closed, torch.zeros_like(closed), goal, shares)
         order = [parts[0], close, parts[1], free]
         clear += [float(trajectory.clearance(f, others).amin()) for f in (close, free)]
-        whole = Frames(*(torch.cat([getattr(f, n) for f in order]) for n in ("place", "turn", "angle")))
+        whole = Frames(
+            *(torch.cat([getattr(f, n) for f in order]) for n in ("place", "turn", "angle"))
+        )
         phase = torch.repeat_interleave(
             torch.arange(4), torch.tensor([len(f.angle) for f in order])
         )
@@ -223,7 +233,8 @@ class Planner:
                 tips, _ = gripper.tips(frames.angle)
                 matrix = rotations.to_matrix(frames.turn)
                 lift = (frames.place + torch.einsum("nij,nj->ni", matrix, tips))[:, 2].amin()
-                least = min(least, float(lift) - rest + 1e-4)
+                if float(lift) < rest - SUNK:
+                    least = min(least, float(lift) - rest)
             if best is None or least > best[1]:
                 best = frames, least
             if least >= 0.0:

@@ -1,9 +1,10 @@
-"""Random tasks: objects of table 5.2 on the table, one of which is to be moved."""
+"""Random tasks: objects of table 5.2 on the table, which are moved one after another."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
@@ -11,18 +12,37 @@ from torch import Generator, Tensor
 from understudy_tool_planner.objects import KINDS, LENGTH, RADIUS, SIDE, Shape, Things
 from understudy_tool_planner.planner import Task
 
-#: m: where objects begin and where they are put (the release); and how far the spheres around two are apart.
-START, GOAL, APART = ((-0.075, 0.075), (-0.075, 0.0)), ((-0.075, 0.075), (-0.05, 0.0)), 0.01
-#: m: others may lie so much farther out.
-_WIDER = 0.1
+Point = tuple[float, float]
+#: m: where objects begin and where they are put. The release's regions, of 15 × 7.5 and 15 × 5 cm, hold one in play;
+#: eight at once need more room.
+REGION = ((-0.125, 0.125), (-0.125, 0.05))
+#: m: how far the spheres around two are apart.
+APART = 0.01
+_TRIES = 1000
 
 
 @dataclass(frozen=True)
-class Layout:
-    """A task, and what lies beside."""
+class Table:
+    """Objects that lie on the table."""
 
-    task: Task
-    others: Things
+    shapes: tuple[Shape, ...]
+    places: tuple[Point, ...]  #: m
+    headings: tuple[float, ...]  #: rad
+
+    def without(self, one: int) -> Things:
+        """What stays when number `one` is moved."""
+        rest = [k for k in range(len(self.shapes)) if k != one]
+        places = torch.tensor([self.places[k] for k in rest], dtype=torch.float64)
+        headings = torch.tensor([self.headings[k] for k in rest], dtype=torch.float64)
+        return Things.of([self.shapes[k] for k in rest], places.reshape(-1, 2), headings)
+
+    def moved(self, one: int, goal: Point) -> Table:
+        """With number `one` at `goal`."""
+        places = (*self.places[:one], goal, *self.places[one + 1 :])
+        return replace(self, places=places)
+
+    def task(self, one: int, goal: Point) -> Task:
+        return Task(self.shapes[one], self.places[one], goal, self.headings[one])
 
 
 def random_shape(generator: Generator) -> Shape:
@@ -32,33 +52,38 @@ def random_shape(generator: Generator) -> Shape:
     return Shape(kind, tuple(_draw(r, generator) for r in ranges))
 
 
-def random_layout(generator: Generator, others: int = 7) -> Layout:
-    """One to be moved among so many `others`, none nearer than :data:`APART` to another or to the goal."""
-    shape = random_shape(generator)
-    start, goal = _place(START, generator), _place(GOAL, generator)
-    taken = [(start, shape.reach), (goal, shape.reach)]
+def random_table(generator: Generator, count: int = 8) -> Table:
+    """So many objects, none nearer than :data:`APART` to another."""
     shapes: list[Shape] = []
-    places, headings = [], []
-    region = tuple((low - _WIDER, high + _WIDER) for low, high in START)
-    while len(shapes) < others:
-        one, at = random_shape(generator), _place(region, generator)
-        if all(math.dist(at, p) >= one.reach + r + APART for p, r in taken):
-            shapes.append(one)
-            places.append(at)
-            headings.append(_draw((0.0, 0.5 * math.pi), generator))
-            taken.append((at, one.reach))
-    heading = _draw((0.0, 0.25 * math.pi if shape.kind == "capsule" else 0.5 * math.pi), generator)
-    things = Things.of(
-        shapes,
-        torch.tensor(places, dtype=torch.float64).reshape(-1, 2),
-        torch.tensor(headings, dtype=torch.float64),
-    )
-    return Layout(Task(shape, start, goal, heading), things)
+    places: list[Point] = []
+    headings: list[float] = []
+    for _ in range(count):
+        shape = random_shape(generator)
+        places.append(_free(shape, shapes, places, generator))
+        shapes.append(shape)
+        most = 0.25 * math.pi if shape.kind == "capsule" else 0.5 * math.pi
+        headings.append(_draw((0.0, most), generator))
+    return Table(tuple(shapes), tuple(places), tuple(headings))
 
 
-def _place(region: tuple[tuple[float, float], ...], generator: Generator) -> tuple[float, float]:
-    x, y = (_draw(r, generator) for r in region)
-    return x, y
+def random_goal(table: Table, one: int, generator: Generator) -> Point:
+    """A place for number `one` that is free of all others."""
+    rest = [k for k in range(len(table.shapes)) if k != one]
+    shapes, places = [table.shapes[k] for k in rest], [table.places[k] for k in rest]
+    return _free(table.shapes[one], shapes, places, generator)
+
+
+def _free(
+    shape: Shape, shapes: Sequence[Shape], places: Sequence[Point], generator: Generator
+) -> Point:
+    for _ in range(_TRIES):
+        x, y = (_draw(r, generator) for r in REGION)
+        if all(
+            math.dist((x, y), at) >= shape.reach + other.reach + APART
+            for other, at in zip(shapes, places, strict=True)
+        ):
+            return x, y
+    raise ValueError(f"{len(shapes) + 1} objects have no room on the table: take fewer.")
 
 
 def _draw(ends: tuple[float, float], generator: Generator) -> float:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy_gripping.descent import minimise
-from understudy_gripping.distances import clamped_log
+from understudy_hand.tools import HALF_LENGTH, RADIUS
 from understudy_tensors import rotations
 from understudy_tool_planner import gripper
 from understudy_tool_planner.clearance import of_sticks, to_points
@@ -22,11 +23,13 @@ from understudy_tool_planner.objects import Things
 
 #: m: z0 of eq. 5.8, and what is added to it, so that frames between those looked at are clear too.
 BARRIER, MARGIN = 1e-3, 5e-4
+#: m: below this the barrier goes on as a straight line; and where there is nothing.
+_LEAST, _FAR = 1e-4, 9.0
 #: Of the barrier, and of the depth of what is carried in the table, beside the length in m.
 _CLEAR, _SUNK = 300.0, 200.0
 #: Frames that are looked at; rounds of the search for nearest points there.
 _FRAMES, _ROUNDS = 32, 3
-_ITERATIONS = 24
+_ITERATIONS, _HALVINGS = 16, 4
 #: m: how high the inner control points are lifted at first.
 _LIFT = 0.03
 
@@ -69,7 +72,9 @@ def along(way: Way, inner: Tensor, shares: Tensor) -> Frames:
     return Frames(_weights(shares) @ points, turn, angle)
 
 
-def clearance(frames: Frames, things: Things | None, carried: float | None = None, rounds: int = 24) -> Tensor:
+def clearance(
+    frames: Frames, things: Things | None, carried: float | None = None, rounds: int = 24
+) -> Tensor:
     """(…, n) m: of the sticks, and of what is carried, from the table and from `things`."""
     matrix = rotations.to_matrix(frames.turn)
     middles = gripper.middles(frames.place, matrix, frames.angle)
@@ -96,7 +101,10 @@ def find(ways: Sequence[Way], starts: int = 2, seed: int = 0) -> tuple[Tensor, T
     count = len(begin)
     flat = begin.reshape(count, 6)
     bound = torch.full((6,), 2.0, dtype=flat.dtype)
-    found = minimise(cost, flat, -bound, bound, _ITERATIONS, memory=8, tolerance=1e-4)
+    with torch.enable_grad():
+        found = minimise(
+            cost, flat, -bound, bound, _ITERATIONS, memory=8, tolerance=1e-3, halvings=_HALVINGS
+        )
     return found.points.view(len(ways), starts, 2, 3), found.values.view(len(ways), starts)
 
 
@@ -104,11 +112,17 @@ def _first(way: Way) -> Tensor:
     """(2, 3): a third of the way each, lifted."""
     start, end = way.start.place, way.end.place
     lift = start.new_tensor((0.0, 0.0, _LIFT))
-    return torch.stack([start + (end - start) / 3.0 + lift, start + 2.0 * (end - start) / 3.0 + lift])
+    return torch.stack(
+        [start + (end - start) / 3.0 + lift, start + 2.0 * (end - start) / 3.0 + lift]
+    )
 
 
 class _Cost:
-    """Eq. 5.8 of many ways, (B, 6) to (B,)."""
+    """Eq. 5.8 of many ways, (B, 6) to (B,), with its gradient in closed form.
+
+    Orientations are given, so everything but the lower stick's place is computed once, in the frames of the things:
+    R rods (both sticks, and the sphere around what is carried as one without length), K things.
+    """
 
     def __init__(self, ways: Sequence[Way], shares: Tensor) -> None:
         self._weights = _weights(shares)
@@ -116,40 +130,117 @@ class _Cost:
         matrix = rotations.to_matrix(torch.stack([f.turn for f in frames]))
         angle = torch.stack([f.angle for f in frames])
         still = torch.zeros(len(ways), len(shares), 3, dtype=angle.dtype)
-        #: (B, n, 2, 3) of the sticks from the lower one's middle; along them; (B, n, 3) of the tips.
-        self._offsets = gripper.middles(still, matrix, angle)
-        self._axes = gripper.axes(matrix, angle)
-        self._tips = _tips(still, matrix, angle)
-        self._ends = torch.stack([torch.stack([w.start.place, w.end.place]) for w in ways])
-        self._things = _filled([way.things for way in ways])
+        ends = torch.stack([torch.stack([w.start.place, w.end.place]) for w in ways])
+        self._fixed = torch.einsum("nc,bci->bni", self._weights[:, [0, 3]], ends)
+        tips = _tips(still, matrix, angle)
+        sticks = gripper.axes(matrix, angle)
+        axes = torch.cat([sticks, torch.zeros_like(sticks[:, :, :1])], 2)  # (B, n, R, 3)
+        offsets = torch.cat([gripper.middles(still, matrix, angle), tips[:, :, None]], 2)
+        rods = self._fixed[:, :, None] + offsets
+        things = _filled([way.things for way in ways])
+        #: (3, B, n, R, K) the rods' middles without the inner points, and their axes.
+        self._middles = _turned(rods[:, :, :, None] - things.places[:, None, None], things)
+        self._along = _turned(
+            axes[:, :, :, None].expand(-1, -1, -1, len(things.places[0]), -1), things
+        )
+        self._turns = things.turns
+        self._sizes = things.sizes.movedim(-1, 0)[:, :, None, None]
         carried = [way.carried for way in ways]
-        self._carries = torch.tensor([c is not None for c in carried])
-        self._carried = torch.tensor([c or 0.0 for c in carried], dtype=angle.dtype)
-        tips = self._tips[:, [0, -1], 2] + self._ends[..., 2]
-        self._rest = tips.amin(1)  # the lower end of what is carried
+        radii = [[RADIUS, RADIUS, -_FAR if c is None else c] for c in carried]
+        own = torch.tensor(radii, dtype=angle.dtype)
+        #: (B, 1, R, K) m that are taken off a distance.
+        self._off = (own[:, :, None] + things.rounding[:, None])[:, None] + MARGIN
+        #: (B, n, 2) m: of the sticks' lowest points above the table, without the inner points.
+        self._low = rods[:, :, :2, 2] - HALF_LENGTH * sticks[..., 2].abs() - RADIUS
+        # They stand on it at the ends, with less than the margin.
+        self._low = self._low - MARGIN * (4.0 * shares * (1.0 - shares))[:, None]
+        tip = tips[..., 2] + self._fixed[..., 2]
+        rest = torch.minimum(tip[:, 0], tip[:, -1])
+        none = torch.tensor([c is None for c in carried])
+        self._lift = torch.where(none[:, None], _FAR, tip - rest[:, None])
         self._dt = 1.0 / len(shares)
+        self._last: tuple[Tensor, Tensor, Tensor] | None = None
 
     def __call__(self, point: Tensor) -> Tensor:
-        inner = point.view(-1, 2, 3)
-        points = torch.cat([self._ends[:, :1], inner, self._ends[:, 1:]], dim=1)
-        place = torch.einsum("nc,bci->bni", self._weights, points)
-        length = ((place[:, 1:] - place[:, :-1]).square().sum(-1) + 1e-12).sqrt().sum(1)
-        middles = place[:, :, None] + self._offsets
-        table, others = of_sticks(middles, self._axes, self._things, _ROUNDS)
-        limit = BARRIER
-        barrier = clamped_log(table - MARGIN * (table < 1.0), limit).sum((1, 2))
-        barrier = barrier + clamped_log(others - MARGIN, limit).sum((1, 2, 3))
-        cost = length + _CLEAR * self._dt * barrier
-        if self._carries.any():
-            rows = self._carries
-            held = place[rows] + self._tips[rows]
-            things = Things(*(t[rows] for t in _parts(self._things)))
-            away = to_points(held[:, :, None], things) - self._carried[rows, None, None]
-            sunk = (self._rest[rows, None] - held[..., 2]).clamp(min=0.0)
-            more = _CLEAR * self._dt * clamped_log(away - MARGIN, limit).sum((1, 2))
-            more = more + _SUNK * self._dt * sunk.sum(1) + 1e5 * self._dt * sunk.square().sum(1)
-            cost = cost.index_add(0, rows.nonzero()[:, 0], more)
-        return cost
+        return _Known.apply(point, self)  # type: ignore[no-any-return, no-untyped-call]
+
+    def known(self, point: Tensor) -> tuple[Tensor, Tensor]:
+        """Those at `point`, which the search asks for twice where it takes a step."""
+        if self._last is None or not torch.equal(self._last[0], point):
+            self._last = point.clone(), *self.both(point)
+        return self._last[1], self._last[2]
+
+    def both(self, point: Tensor) -> tuple[Tensor, Tensor]:
+        """Values (B,) and gradients (B, 6)."""
+        inner, weights = point.view(-1, 2, 3), self._weights[:, 1:3]
+        moved = weights @ inner  # (B, n, 3)
+        place = self._fixed + moved
+        step = place[:, 1:] - place[:, :-1]
+        long = (step.square().sum(-1, keepdim=True) + 1e-12).sqrt()
+        value, unit = long.sum((1, 2)), step / long
+        slope = torch.zeros_like(place)
+        slope[:, 1:] += unit
+        slope[:, :-1] -= unit
+        scale = _CLEAR * self._dt
+        # From the table.
+        low = self._low + moved[..., 2:]
+        barrier, steep = _barrier(low)
+        value = value + scale * barrier.sum((1, 2))
+        slope[..., 2] += scale * steep.sum(2)
+        # What is carried stays above where it lay.
+        sunk = (self._lift + moved[..., 2]).clamp(max=0.0)
+        value = value + self._dt * (1e5 * sunk.square() - _SUNK * sunk).sum(1)
+        slope[..., 2] += self._dt * (2e5 * sunk - _SUNK * (sunk < 0))
+        # From things, in their frames.
+        local = torch.einsum("bci,bkij->jbck", inner, self._turns)
+        middle = self._middles + torch.einsum("nc,jbck->jbnk", weights, local)[:, :, :, None]
+        where = (-(middle * self._along).sum(0)).clamp(-HALF_LENGTH, HALF_LENGTH)
+        for _ in range(_ROUNDS):
+            near = torch.addcmul(middle, where, self._along).clamp(-self._sizes, self._sizes)
+            where = ((near - middle) * self._along).sum(0).clamp(-HALF_LENGTH, HALF_LENGTH)
+        there = torch.addcmul(middle, where, self._along)
+        beyond = there.abs() - self._sizes
+        out = beyond.clamp(min=0.0)
+        distance = ((out * out).sum(0) + 1e-18).sqrt()
+        deep = beyond.amax(0)
+        barrier, steep = _barrier(distance + deep.clamp(max=0.0) - self._off)
+        value = value + scale * barrier.sum((1, 2, 3))
+        inside = (beyond == deep) & (deep < 0.0)
+        away = (out / distance + inside) * there.sign() * (scale * steep)
+        pushed = torch.einsum("nc,jbnk->jbck", weights, away.sum(3))
+        gradient = torch.einsum("nc,bni->bci", weights, slope)
+        gradient = gradient + torch.einsum("jbck,bkij->bci", pushed, self._turns)
+        return value, gradient.flatten(1)
+
+
+class _Known(torch.autograd.Function):
+    """A cost whose gradient comes with it."""
+
+    @staticmethod
+    def forward(ctx: Any, point: Tensor, cost: _Cost) -> Tensor:
+        value, gradient = cost.known(point)
+        ctx.save_for_backward(gradient)
+        return value
+
+    @staticmethod
+    def backward(ctx: Any, *given: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = ctx.saved_tensors
+        return given[0][:, None] * gradient, None
+
+
+def _barrier(z: Tensor) -> tuple[Tensor, Tensor]:
+    """Eq. 5.7 and its derivative, below :data:`_LEAST` as a straight line."""
+    inside = z.clamp(_LEAST, BARRIER)
+    over, log = inside - BARRIER, (inside / BARRIER).log()
+    square = over * over / inside
+    slope = -(2.0 * over / inside - square / inside) * log - square / inside
+    slope = torch.where(z < BARRIER, slope, 0.0)
+    return -square * log + slope * (z - _LEAST).clamp(max=0.0), slope
+
+
+def _turned(vectors: Tensor, things: Things) -> Tensor:
+    """(3, B, n, R, K) in the things' frames, of (B, n, R, K, 3)."""
+    return torch.einsum("bnrki,bkij->jbnrk", vectors, things.turns).contiguous()
 
 
 def _filled(things: Sequence[Things]) -> Things:
@@ -169,10 +260,6 @@ def _filled(things: Sequence[Things]) -> Things:
         )  # fmt: skip
     places, turns, sizes, rounding = (torch.stack(part) for part in zip(*rows, strict=True))
     return Things(places, turns, sizes, rounding)
-
-
-def _parts(things: Things) -> tuple[Tensor, ...]:
-    return things.places, things.turns, things.sizes, things.rounding
 
 
 def _tips(place: Tensor, matrix: Tensor, angle: Tensor) -> Tensor:
