@@ -38,7 +38,7 @@ STEP = 0.15
 #: m: how deep what is carried may be in what it lies on.
 SUNK = 1e-4
 #: Configurations that are tried, the best first; starts of a way that the first one did not find clear.
-_TRIED, _STARTS = 6, 4
+_TRIED, _STARTS = 6, 3
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ _LEAST, _FAR = 1e-4, 9.0
 _CLEAR, _SUNK = 300.0, 200.0
 #: Frames that are looked at; rounds of the search for nearest points there.
 _FRAMES, _ROUNDS = 32, 3
-_ITERATIONS, _HALVINGS = 16, 4
+_ITERATIONS, _HALVINGS = 12, 3
 #: m: how high the inner control points are lifted at first.
 _LIFT = 0.03
 

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("gripping", "hand", "mujoco", "networks", "ppo", "tensors", "terms")
+REQUIRES = ("bayes", "gripping", "hand", "mujoco", "networks", "ppo", "sweeps", "tensors", "terms")
 
 _HERE = "understudy_chopsticks"
 
@@ -26,6 +26,12 @@ def understudy_register(register: Registrar) -> None:
     add("reward", "contact", "tracking:contact", "eq. 5.5: fingertips at their places")
     add("termination", "dropped", "tracking:dropped", "a stick is far from where it is planned")
     add("termination", "contact_lost", "tracking:contact_lost", "fingertips left their places")
+    register.component(
+        "outer_loop",
+        "chopsticks/grips",
+        f"{_HERE}.search:GripSearch",
+        "places of fingers, by style",
+    )
     register.task("chopsticks/open_close", "hold two sticks, and open and close them as planned")
     register.citation(
         "yang2022chopsticks",
