@@ -4,15 +4,29 @@ from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
+from understudy_skills.packaged import register_skills
 
 #: Plugins that this one builds on.
-REQUIRES = ("bayes", "gripping", "hand", "mujoco", "networks", "ppo", "sweeps", "tensors", "terms")
+REQUIRES = (
+    "bayes",
+    "gripping",
+    "hand",
+    "mujoco",
+    "networks",
+    "ppo",
+    "skills",
+    "sweeps",
+    "tensors",
+    "terms",
+)
 
 _HERE = "understudy_chopsticks"
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
+    register_skills(register, Path(__file__).parent / "skills")
+
     def add(kind: str, name: str, where: str, summary: str) -> None:
         register.component(kind, f"chopsticks/{name}", f"{_HERE}.{where}", summary)
 
