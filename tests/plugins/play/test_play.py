@@ -67,8 +67,9 @@ def test_a_skill_is_small_and_has_a_card(name: str) -> None:
     path = file_of(name)
     assert path.with_suffix(".safetensors").stat().st_size < 1e6
     card = open_skill(name).card
-    assert card["config"]["motion"]["file"] is None  # a clip by name
-    assert "/" not in card["sources"]["motion"]["source"]
+    if "motion" in card["config"]:
+        assert card["config"]["motion"]["file"] is None  # a clip by name
+        assert "/" not in card["sources"]["motion"]["source"]
     assert any(word.startswith("experiment=") for word in card["overrides"])  # can be unpacked
     assert card["samples"] > 0
     assert card["evaluation"]["success_rate"] >= 0.9

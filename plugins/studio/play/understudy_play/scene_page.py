@@ -73,7 +73,7 @@ class ScenePage:
 
     def places(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each geom that is drawn: (3,) m and its rotation (4,)."""
-        return [(np.asarray(p.position), np.asarray(p.wxyz)) for _, p in self._parts]
+        return [(np.array(p.position), np.array(p.wxyz)) for _, p in self._parts]
 
     def _dress(self) -> None:
         model, scene, gui = self._model, self._server.scene, self._server.gui
