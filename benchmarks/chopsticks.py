@@ -1,4 +1,4 @@
-"""Control steps per second of ``chopsticks/open_close`` beside bare MuJoCo Warp, in one run.
+"""Control steps per second of ``chopsticks/open_close_gpu`` beside bare MuJoCo Warp, in one run.
 
 Both take the same model from the same states under the same targets. Bare is a control period of ``mujoco_warp.step``
 and nothing else, as one CUDA graph; the environment's step is the whole task: plan, state, rewards, endings,
@@ -83,7 +83,7 @@ class Bare:
 
 
 def measure(worlds: int, steps: int, device: str, overrides: list[str]) -> dict[str, Any]:
-    words = ["experiment=chopsticks/open_close", f"num_worlds={worlds}", f"device={device}"]
+    words = ["experiment=chopsticks/open_close_gpu", f"num_worlds={worlds}", f"device={device}"]
     training = Training(load_experiment([*words, *overrides])).prepare()
     job = training.job
     assert isinstance(job, Reinforcement)
@@ -132,7 +132,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("overrides", nargs="*", help="of experiment=chopsticks/open_close")
+    parser.add_argument("overrides", nargs="*", help="of experiment=chopsticks/open_close_gpu")
     options = parser.parse_args()
     rows = []
     for worlds in options.worlds:
