@@ -16,6 +16,8 @@ _PIVOT_X, _PIVOT_Y, _ = STICKS.pivot
 _LEVER = STICKS.along + HALF_LENGTH
 #: m between the sticks' axes at the tips, of parallel sticks.
 WIDEST = _PIVOT_Y
+#: m: how far open sticks are from the object on each side.
+ROOM = 0.003
 
 
 def tips(angle: Tensor) -> tuple[Tensor, Tensor]:
@@ -87,11 +89,6 @@ def middles(place: Tensor, matrix: Tensor, angle: Tensor) -> Tensor:
     return torch.stack([pivot - STICKS.along * upper, place], dim=-2)
 
 
-#: m: how far closed sticks are in the object, and how far open ones are from it on each side.
-SQUEEZE, ROOM = 0.0, 0.003
-
-
 def angles_for(across: Tensor) -> tuple[Tensor, Tensor]:
     """(…) rad, closed around and open beside something `across` (…) m wide."""
-    closed = angle_of(across + 2.0 * RADIUS - SQUEEZE)
-    return closed, angle_of(across + 2.0 * (RADIUS + ROOM))
+    return angle_of(across + 2.0 * RADIUS), angle_of(across + 2.0 * (RADIUS + ROOM))

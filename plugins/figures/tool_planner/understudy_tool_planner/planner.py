@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 import torch
 from torch import Tensor
@@ -293,8 +294,6 @@ def _fields(things: Things) -> tuple[Tensor, ...]:
 
 def _quaternion(matrix: Tensor) -> Tensor:
     """(4,) of a rotation matrix (3, 3)."""
-    import mujoco
-
     found = np.zeros(4)
     mujoco.mju_mat2Quat(found, matrix.numpy().ravel())
     return torch.from_numpy(found)
