@@ -105,11 +105,8 @@ def choose(
     local = _ORIENTATIONS
     matrix = rotations.to_matrix(local)
     closed = torch.zeros(len(local), dtype=torch.float64)
-    for _ in range(2):
-        _, across = gripper.tips(closed)
-        ways = torch.einsum("nij,nj->ni", matrix, across)
-        ways = ways / ways.square().sum(-1, keepdim=True).sqrt()
-        closed, wide = gripper.angles_for(gripper.width(shape, ways))
+    closed, _, _ = _around(shape, matrix, closed)
+    closed, wide, ways = _around(shape, matrix, closed)
     off = torch.acos(gripper.normal(shape, ways).clamp(-1.0, 1.0))
     narrow = gripper.WIDEST - 2.0 * gripper.RADIUS - gripper.ROOM - gripper.width(shape, ways)
     first = rotations.multiply(rotations.from_heading(heading), local)
@@ -160,6 +157,14 @@ def choose(
     rows = kept[ok]
     ends = rotations.multiply(rotations.from_heading(goal_heading), local[rows])
     return Configurations(first[rows], ends, closed[rows], wide[rows], score[rows])
+
+
+def _around(shape: Shape, matrix: Tensor, closed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(n,) rad, closed around `shape` and open beside it, along the tip lines (n, 3) that `closed` (n,) has."""
+    _, across = gripper.tips(closed)
+    ways = torch.einsum("nij,nj->ni", matrix, across)
+    ways = ways / ways.square().sum(-1, keepdim=True).sqrt()
+    return *gripper.angles_for(gripper.width(shape, ways)), ways
 
 
 def _table(matrix: Tensor, angle: Tensor, middle: Tensor) -> Tensor:
