@@ -94,7 +94,7 @@ def measure(worlds: int, steps: int, device: str, overrides: list[str]) -> dict[
     action = torch.zeros(worlds, environment.action_size, device=environment.device)
     for _ in range(6):  # which records the step
         environment.step(action)
-    if environment.device.type == "cuda" and not environment.captured_step.recording:
+    if environment.device.type == "cuda" and not environment.captured_step.on:
         raise SystemExit("The step could not be recorded.")
     env_time = bare_time = 0.0
     for _ in range(steps):

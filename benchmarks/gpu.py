@@ -55,7 +55,7 @@ def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[s
     environment.reset(seed=0)
     for _ in range(6):  # which records the step
         environment.step(environment.observations["feedforward"])
-    if not environment.captured_step.recording:
+    if not environment.captured_step.on:
         raise SystemExit(f"{scene} × {worlds}: the step could not be recorded.")
     # Each step of the environment is paired with a bare one from the same states.
     env_time = bare_time = 0.0
