@@ -13,7 +13,9 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.plugins import installed
+from understudy_characters.scene import CharacterScene
 from understudy_motion.arguments import port, positive
+from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
 from understudy_skills.skill import Skill, names, open_skill, pack, rounded, unpack
@@ -111,12 +113,14 @@ def serve(make: Callable[[], World], options: argparse.Namespace) -> int:
             "Playing in the browser needs viser: pip install 'understudy[view]', or --video FILE."
         )
     from understudy_play.page import Page
+    from understudy_play.scene_page import ScenePage
     from understudy_viewer.page import free_port
     from understudy_viewer.serving import serve as serve_page
 
     port = free_port(options.host, options.port)
     world = make()
-    page = Page(world, options.host, port)
+    any_scene = isinstance(world.scene, MujocoScene) and not isinstance(world.scene, CharacterScene)
+    page = (ScenePage if any_scene else Page)(world, options.host, port)
     serve_page(page, f"plays {world.name}", browser=not options.no_browser)
     return 0
 
