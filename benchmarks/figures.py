@@ -26,17 +26,19 @@ from typing import Any
 import yaml
 from scipy import stats
 
-from understudy_sweeps.intervals import mean_of
+from understudy_sweeps.intervals import FAILS, HOLDS, ONE, UNDECIDED, mean_of
+from understudy_sweeps.intervals import verdict as decided
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = ROOT / "docs" / "benchmarks"
 PAGES = (
     ROOT / "README.md",
+    ROOT / "docs" / "conventions.md",
+    ROOT / "docs" / "gallery" / "index.md",
     *sorted((ROOT / "docs" / "papers").glob("*.md")),
     RECORDS / "README.md",
 )
 P = 0.05
-HOLDS, FAILS, UNDECIDED, ONE = "holds", "does not hold", "undecided", "one seed"
 VERDICTS = (HOLDS, FAILS, UNDECIDED, ONE)
 
 _PLACE = re.compile(r"(<!-- figures: (\S+) -->)(.*?)(<!-- /figures -->)", re.S)
@@ -116,9 +118,11 @@ def measure(what: Mapping[str, Any]) -> Measured:
     """
     values: dict[int, float] = {}
     missed: dict[int, float] = {}
+    there = False
     for number, row in enumerate(row for record in records(what) for row in rows(record)):
         if not _matches(row, what.get("where", {})):
             continue
+        there = True
         value, seeds = lookup(row, what["value"]), row.get("seeds")
         if isinstance(value, list) and isinstance(seeds, int):
             return Measured({}, {}, (value[0], value[2] - value[0], seeds))
@@ -129,7 +133,7 @@ def measure(what: Mapping[str, Any]) -> Measured:
             values.pop(seed, None)
             missed.pop(seed, None)
             (values if _matches(row, what.get("only", {})) else missed)[seed] = float(value)
-    if not values and not missed:
+    if not there:
         where = what.get("where", {})
         raise ValueError(f"{what['record']} has no {what['value']} where {where}.")
     return Measured(values, missed)
@@ -183,10 +187,7 @@ def _decided(ours: Measured, than: float, sign: int) -> str:
         _, reach, count = ours.summary
         error = reach / float(stats.t.ppf(0.975, count - 1))
         return _told(2 * float(stats.t.sf(abs(difference) / error, count - 1)), difference)
-    values = list(ours.values.values())
-    if max(values) == min(values):  # no spread at all
-        return _told(float(difference == 0), difference)
-    return _told(float(stats.ttest_1samp(values, than).pvalue), difference)  # type: ignore[attr-defined]
+    return decided(list(ours.values.values()), than, "less" if sign < 0 else "more")
 
 
 def _welch(first: list[float], second: list[float]) -> float:
@@ -207,6 +208,8 @@ def number(value: float, unit: str) -> str:
     if unit == "%":
         share = 100 * value
         return f"{share:.0f} %" if share in (0, 100) or 1 <= share < 99 else f"{share:.1f} %"
+    if not unit and value == int(value):
+        return f"{value:.0f}"
     digits = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2 if abs(value) >= 1 else 3
     return f"{value:.{digits}f} {unit}".rstrip()
 
@@ -217,7 +220,7 @@ def words(measured: Measured, unit: str) -> str:
     if measured.summary:
         mean, reach, _ = measured.summary
         return f"{number(mean, unit)} ({_range(mean - reach, mean + reach, unit)})"
-    text = ", ".join(number(v, unit) for v in values)
+    text = ", ".join(number(v, unit) for v in values) or ("" if measured.missed else "–")
     if len(values) > 2 and (found := mean_of(values)) is not None:
         found = found.clipped(0.0, 1.0) if unit == "%" else found
         text = number(found.value, unit)
@@ -254,6 +257,9 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
     for name, row in one["rows"].items():
         cells = []
         for column in one["columns"]:
+            if "words" in column:
+                cells.append(_text({**one, **row}, column["words"]))
+                continue
             what = {"record": one["record"], **column, **row}
             found = measure(what)
             files += records(what)
@@ -261,6 +267,12 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
             cells.append(words(found, column.get("in", "")))
         lines.append([name, *map(str, row.get("words", ["–"] * len(printed))), *cells])
     return f"{_markdown(lines)}\n\n{origin(spec, files, seeds)}"
+
+
+def _text(one: Mapping[str, Any], path: str) -> str:
+    """What the first row of the record that `one` chooses says in words."""
+    found = (row for record in records(one) for row in rows(record) if _matches(row, one["where"]))
+    return str(lookup(next(found), path))
 
 
 def claims(spec: Mapping[str, Any], page: str) -> str:

@@ -11,6 +11,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import figures
+import shipped
+
+from understudy_skills.skill import names, open_skill
 
 SPEC = figures.load()
 
@@ -86,3 +89,23 @@ def test_a_saved_interval_decides_as_its_seeds_would() -> None:
     decided = {c["where"]["landscape"]: figures.verdict(c) for c in SPEC["claims"]["diversity"]}
     assert decided["steps, 3 dimensions, 17 trials"] == figures.HOLDS
     assert decided["patches, 4 dimensions, 10 trials"] == figures.UNDECIDED
+
+
+def test_what_ships_was_measured_as_it_is() -> None:
+    """Every packaged skill has its line, of the training that is packed, and a place in the gallery."""
+    measured = {row["skill"]: row for row in figures.rows("shipped.jsonl")}
+    packed = {name: open_skill(name).samples for name in names()}
+    assert {name: row["samples"] for name, row in measured.items()} == packed
+    for one in ("shipped", "gallery"):
+        assert set(SPEC["tables"][one]["rows"]) == {f"`{name}`" for name in packed}
+
+
+def test_thresholds_for_shipping_are_those_of_the_page() -> None:
+    page = (figures.ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    more, most = zip(*shipped.THRESHOLDS.values(), strict=True)
+    for words in (f"| {more[0]:.1f} m/s | {most[0]:.1f} m/s |", f"| {100 * more[1]:g} cm | {100 * most[1]:g} cm |",
+                  f"| {more[2]:g} s, two frames | {most[2]:g} s |", f"| {most[3]:g} m/s³ |"):  # fmt: skip
+        assert words in page
+    for row in figures.rows("shipped.jsonl"):
+        beyond = ", ".join(shipped.believable(row["played"], row["clip"])) or "–"
+        assert row["beyond"] == beyond, row["skill"]

@@ -12,12 +12,13 @@ import pytest
 from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
 from understudy.running.trials import Report, Trial
+from understudy.setup.composition import compose_raw
 from understudy.setup.plugins import installed
 from understudy_report.markup import check_markup
 from understudy_reproduce import card as card_module
 from understudy_reproduce import command, tables
 from understudy_reproduce.card import Card, Cell
-from understudy_reproduce.tables import Figure, PaperTable, load_table
+from understudy_reproduce.tables import Figure, PaperTable, load_table, table_files
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result
 
@@ -199,3 +200,39 @@ def test_every_bundled_table_can_be_composed() -> None:
         if not table.searches:  # those that compare searches are composed in test_comparison.py
             assert command.experiment_of(table)
             assert card_module.Card(name, table, Path("nowhere")).text()
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [((1.0, 1.1, 1.2), "holds"), ((3.0, 3.1, 3.2), "does not hold"), ((1.0, 3.0, 2.5), "undecided"),
+     ((1.0,), "one seed")],
+)  # fmt: skip
+def test_a_verdict_says_whether_ours_is_better(samples: tuple[float, ...], expected: str) -> None:
+    figure = Figure("samples", better="less")
+    assert Cell([result(s) for s in samples]).verdict(figure, 2.0) == expected
+    assert Cell([result(s) for s in samples]).verdict(figure, "much less") == ""
+    assert Cell([result(s) for s in samples]).verdict(Figure("samples"), 2.0) == ""
+    missed = [*map(result, samples), result(9.0, outcome="budget")]
+    assert Cell(missed).verdict(figure, 2.0) == "undecided"
+
+
+def test_the_list_has_every_table_with_the_papers_number_and_ours(
+    offered: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered(TABLE + "\ncost: seconds\nopen: the rest\n")
+    assert reproduce() == 0
+    shown = capsys.readouterr().out
+    for paper in ("amorphous/table_3:", "sitting/table_3:", "jumping/table_4_3:", "mine/one:"):
+        assert paper in shown
+    assert "cannot be used" not in shown
+    assert "calm, small: paper 0.5; ours –" in shown
+    assert "takes: seconds" in shown
+    assert "not run yet: the rest" in shown
+
+
+@pytest.mark.parametrize("name", sorted(table_files(installed())))
+def test_every_bundled_table_composes(name: str) -> None:
+    """Every cell names options that there are."""
+    table = load_table(name, installed())
+    for variant in table.variants().values():
+        compose_raw([*table.overrides, *variant])

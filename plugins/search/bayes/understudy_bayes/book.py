@@ -238,10 +238,10 @@ class Book:
         """A row for each trial. ``z`` is its fidelity of whatever kind, ``whole`` as above; ``best`` is the
         highest y of a whole trial up to it; ``found`` marks the search's answer, and the highest y of
         all where that is another one (algorithm 4 as printed, which compares values of different
-        fidelities); the latter says when there is no answer."""
-        answer, highest = self.best(), self.best(whole=False)
+        fidelities); the latter says when there is no answer. ``counts`` is there where the first trials do not."""
+        options, answer, highest = self.options, self.best(), self.best(whole=False)
         of_all = "highest y" if answer else "highest y; no trial at full fidelity, so no answer"
-        rows, best = [], None
+        rows, best, free = [], None, self._free()
         for key, trial in self.trials.items():
             report = self.reports.get(key)
             y = None if report is None else self.y(report)
@@ -260,6 +260,7 @@ class Book:
                     "y": y,
                     "samples": None if report is None else report.cost,
                     "best": best,
+                    **({} if options.initial_counts else {"counts": key not in free}),
                     "found": "answer" if key == answer else of_all if key == highest else "",
                 }
             )
