@@ -266,7 +266,8 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
             seeds += [*found.values, *found.missed]
             cells.append(words(found, column.get("in", "")))
         lines.append([name, *map(str, row.get("words", ["–"] * len(printed))), *cells])
-    return f"{_markdown(lines)}\n\n{origin(spec, files, seeds)}"
+    below = origin(spec, files, [] if one.get("trials") else seeds)
+    return f"{_markdown(lines)}\n\n{below.replace('over seeds', 'over trials') if one.get('trials') else below}"
 
 
 def _text(one: Mapping[str, Any], path: str) -> str:

@@ -50,7 +50,7 @@ RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "searches.jsonl"
 def cost(z: float) -> float:
     """Of a trial at fidelity z, in units of a whole one; ``--cheapest`` is that of the easiest.
 
-    Measured on DeepMimic's walk 0.58, on morphology's walker 0.81 (the seven and eight trials of figures 6.5 and 6.3
+    Measured on DeepMimic's walk 0.59, on morphology's walker 0.81 (the seven and eight trials of figures 6.5 and 6.3
     that CMFBO and GP-UCB made at the same points); the thesis has 0.25 (20 and 80 minutes, 6.4.2).
     """
     cheapest = float(os.environ.get("CHEAPEST", "0.1"))
