@@ -19,7 +19,7 @@ from understudy_motion import library
 from understudy_motion.reading import ReadOptions
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "flights.jsonl"
-CLIPS = "walk run jump roll cartwheel dance_a run_jump backflip spinkick".split()
+CLIPS = ["walk", "run", "jump", "roll", "cartwheel", "dance_a", "run_jump", "backflip", "spinkick"]
 
 if __name__ == "__main__":
     registry = installed().registry
