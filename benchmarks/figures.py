@@ -205,6 +205,8 @@ def number(value: float, unit: str) -> str:
     """As a page writes it; `unit` is ``M``, ``%`` or anything that stands behind."""
     if unit == "M":
         return f"{value / 1e6:.2f} M"
+    if unit == "%1":
+        return f"{100 * value:.1f} %"
     if unit == "%":
         share = 100 * value
         return f"{share:.0f} %" if share in (0, 100) or 1 <= share < 99 else f"{share:.1f} %"
@@ -236,6 +238,9 @@ def _range(low: float, high: float, unit: str) -> str:
     return " to ".join(number(value, unit).removesuffix(unit).strip() for value in (low, high))
 
 
+_MEANS = "Means and 95 % intervals over seeds (Student's t; one or two seeds by themselves). "
+
+
 def origin(spec: Mapping[str, Any], files: list[str], seeds: list[int]) -> str:
     """Seeds, hardware, date and file, as they stand below a table."""
     numbers, links = sorted(set(seeds)), defaultdict(list)
@@ -245,8 +250,7 @@ def origin(spec: Mapping[str, Any], files: list[str], seeds: list[int]) -> str:
         links[where].append(f"[{record}]({{records}}/{record})")
     lines = [f"{where}: {', '.join(of)}" for where, of in links.items()]
     which = f"Seeds {', '.join(map(str, numbers))}. " if numbers else ""
-    how = "Means and 95 % intervals over seeds (Student's t; one or two seeds by themselves)."
-    return f"{which}{how} {'; '.join(lines)}."
+    return f"{which}{_MEANS}{'; '.join(lines)}."
 
 
 def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
@@ -266,6 +270,8 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
             seeds += [*found.values, *found.missed]
             cells.append(words(found, column.get("in", "")))
         lines.append([name, *map(str, row.get("words", ["–"] * len(printed))), *cells])
+    if one.get("exact"):  # nothing was drawn
+        return f"{_markdown(lines)}\n\n{origin(spec, files, []).removeprefix(_MEANS)}"
     below = origin(spec, files, [] if one.get("trials") else seeds)
     return f"{_markdown(lines)}\n\n{below.replace('over seeds', 'over trials') if one.get('trials') else below}"
 
