@@ -19,7 +19,7 @@ from understudy_doctor.clip_checks import check_clip, closes
 from understudy_doctor.clip_repairs import undamaged
 from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.flight_check import check_flights
-from understudy_doctor.letting_go import LettingGo, let_go
+from understudy_doctor.letting_go import LOW, LettingGo, landed, let_go
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.proportions import check_proportions, leg_scale, scaled
 from understudy_motion.clip import Clip
@@ -79,7 +79,9 @@ def examine(clip: Clip, character: Character | None, floor: Floor = "lowest") ->
                 skipped.append(OPEN_LOOP)
             measured, scale = measure(clip, character)
             found += [*check_proportions(clip, scale), *check_on_character(clip, measured)]
-            gone = let_go(clip if scale == 1.0 else measured.clip, character, floor)
+            asked = clip if scale == 1.0 else measured.clip
+            aloft = float(np.ptp(measured.heights.min(1))) > LOW
+            gone = let_go(asked, character, floor) if aloft else landed(asked)
             found += check_flights(measured, gone)
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
     return Examination(clip, character, measured, tuple(found), tuple(skipped), scale, gone, floor)

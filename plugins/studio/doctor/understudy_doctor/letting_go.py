@@ -26,6 +26,8 @@ ASTRAY, TURNED = 0.2, 0.7
 """m along an axis, rad: the bounds on centre of mass and root orientation of Ma et al. 2021."""
 STARTS = 60.0
 """Hz: how many starts a second are let go, and in what steps they fall."""
+LOW = 0.05
+"""m: who is no higher is down within 0.1 s, and gets nowhere."""
 CONTROL = 1.0 / 30.0
 """s: the control period of training, from which the reference has its height and its velocities."""
 FALL = 1.5
@@ -56,6 +58,13 @@ class LettingGo:
         return np.array(
             [part.mean() if len(part) else 0.0 for part in np.array_split(self.bad, bins)]
         )
+
+
+def landed(clip: Clip) -> LettingGo:
+    """Of a clip in which nobody gets higher than :data:`LOW`."""
+    count = max(2, round(clip.duration * STARTS))
+    nothing = np.zeros(count)
+    return LettingGo(clip.duration / count * np.arange(count), nothing, nothing, nothing)
 
 
 @dataclass(frozen=True)
