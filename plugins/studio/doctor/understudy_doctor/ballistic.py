@@ -60,25 +60,39 @@ def flights(measured: Measurements) -> list[Flight]:
     ]
 
 
+def _during(measured: Measurements, start: float, stop: float) -> Flight:
+    """The flight whose middle is between `start` and `stop` s; those frames if there is none any more."""
+    for flight in flights(measured):
+        if start <= 0.5 * (flight.first + flight.last) * measured.dt <= stop:
+            return flight
+    return Flight(
+        round(start / measured.dt), min(round(stop / measured.dt), len(measured.times) - 1)
+    )
+
+
 def mend_flights(clip: Clip, character: Character) -> tuple[Clip, list[str]]:
     """Every flight on its parabola, with constant angular momentum; and what was done, in words."""
     done = []
     measured = Measurements(_at_least(clip, RATE), character)
-    for number in range(len(flights(measured))):
-        flight, as_it_was = flights(measured)[number], measured
+    spans = [
+        (flight.first * measured.dt, flight.last * measured.dt) for flight in flights(measured)
+    ]
+    for start, stop in reversed(spans):  # so that none moves in time before its turn
+        as_it_was, flight = measured, _during(measured, start, stop)
         factor = _stretch(measured, flight)
         if factor != 1.0:
             measured = Measurements(_stretched(measured.clip, flight, factor), character)
-            flight = flights(measured)[number]
+            stop = start + factor * (stop - start)
+            flight = _during(measured, start, stop)
         if straying(measured, flight) > FARTHEST:
             measured = as_it_was
             continue
         mended, moved, turned = _flown(measured, flight)
-        start, stop = measured.clip.times[[flight.first, flight.last]].tolist()
         lasts = f", {factor:.2f} times as long" if factor != 1.0 else ""
-        done.append(
+        done.insert(
+            0,
             f"flew {start:.2f}–{stop:.2f} s on a parabola with constant angular momentum{lasts}, moving "
-            f"the body by up to {100 * moved:.0f} cm and {turned:.2f} rad"
+            f"the body by up to {100 * moved:.0f} cm and {turned:.2f} rad",
         )
         measured = Measurements(mended, character)
     return (measured.clip, done) if done else (clip, [])
