@@ -6,7 +6,7 @@ PYTHON ?= python3
 TORCH ?= auto
 CPU_INDEX := https://download.pytorch.org/whl/cpu
 
-.PHONY: demo play docs quick test test-slow test-gpu check parts-and-tasks bench bench-gpu install
+.PHONY: demo play docs figures quick test test-slow test-gpu check parts-and-tasks bench bench-gpu install
 
 # What training, reports and the motion page need.
 $(VENV)/.small: pyproject.toml constraints.txt
@@ -43,6 +43,10 @@ play: $(VENV)/.small
 # The documentation as a site, in build/site.
 docs: install
 	$(BIN)/python -m mkdocs build --strict
+
+# Write the figures on the pages from their records (docs/figures.yaml).
+figures: install
+	$(BIN)/python benchmarks/figures.py
 
 # What most likely breaks by the change at hand, within a minute.
 quick: install

@@ -55,6 +55,7 @@ class Found:
     curve: np.ndarray
     whole: int = 0  #: trials at full fidelity
     finished: bool = False
+    whole_samples: float = 0.0  #: that whole trials cost
 
     @property
     def spent(self) -> float:
@@ -233,17 +234,18 @@ def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
             f"{type(loop).__name__} does not say what its trials are worth, so it cannot be compared "
             "with other searches. Choose one of `bayes` or `cmfbo`."
         )
-    spent, best, whole, points = 0.0, np.nan, 0, []
+    spent, best, whole, at_whole, points = 0.0, np.nan, 0, 0.0, []
     for key, report in journal.finished.items():  # in the order in which they ended
         row = rows[key]
-        spent += report.cost
+        spent += report.cost if row.get("counts", True) else 0.0
         if row["whole"]:
             whole += 1
+            at_whole += report.cost
             if row["y"] is not None:
                 best = np.fmax(best, row["y"])
         points.append((spent, best))
     finished = loop.share is not None and loop.share >= 1
-    return Found(seed, np.array(points).reshape(-1, 2), whole, finished)
+    return Found(seed, np.array(points).reshape(-1, 2), whole, finished, at_whole)
 
 
 def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
@@ -261,6 +263,7 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
         f"against {name}",
         "in the end",
         "samples",
+        "of whole trials",
         "trials (at full fidelity)",
     ]
     rows = []
@@ -275,6 +278,7 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
                 shown_mean(None if column == name else difference, sign=True),
                 _counted([v for v in ends if v is not None], len(ends), len(found)),
                 words.short(statistics.fmean(one.spent for one in found)),
+                words.short(statistics.fmean(one.whole_samples for one in found)),
                 ", ".join(f"{len(one.curve)} ({one.whole})" for one in found),
             ]
         )
