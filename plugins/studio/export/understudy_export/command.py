@@ -24,6 +24,7 @@ from understudy_characters.recording import (
     run_character,
 )
 from understudy_characters.shapes import bones, shapes
+from understudy_credits.walk import answer, in_a_line, open_made
 from understudy_export.figure import figure
 from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.clip import Clip, resample, sample
@@ -130,7 +131,8 @@ def _policy(options: argparse.Namespace) -> int:
     from understudy_export.policy import write_policy
     from understudy_skills.skill import open_skill
 
-    for line in write_policy(open_skill(options.source), options.destination):
+    licence = answer(open_made(options.source))
+    for line in write_policy(open_skill(options.source), options.destination, licence):
         print(line)
     return 0
 
@@ -185,6 +187,9 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
                 raise ConfigError(
                     f"--{option.replace('_', '-')} is of clip files; {path} is a run."
                 )
+        if learned is not None and not options.reference:
+            licence, attribution = in_a_line(open_made(str(path), registry), registry)
+            learned = replace(learned, licence=licence, attribution=attribution)
         clip = reference if options.reference else learned
         if clip is None:
             raise FileError(f"{path}: its task has no reference motion to export.")

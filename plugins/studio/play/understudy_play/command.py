@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.plugins import installed
+from understudy_credits.walk import answer, open_made
 from understudy_motion.arguments import port, positive
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
@@ -70,6 +72,8 @@ class Play(Command):
             return 0
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
+            licence = answer(open_made(options.skill))
+            skill = replace(skill, card={**skill.card, "licence": licence})
             return _pack(skill, options.pack)
         if options.unpack is not None:
             unpack(skill, options.unpack)
