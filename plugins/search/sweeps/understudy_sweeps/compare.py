@@ -47,6 +47,8 @@ _ONE_SEED = (
 class Compare(Command):
     """Reads run folders and writes one page, which needs no network; the runs stay as they are."""
 
+    example = "understudy compare runs/spacetime-walk-001 runs/spacetime-walk-002"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "runs",

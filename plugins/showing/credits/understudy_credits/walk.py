@@ -108,6 +108,8 @@ def in_a_line(made: Made, registry: Registry | None = None) -> tuple[str, str]:
     stands = [f"{item.what}: {verdict.why}" for item, verdict in obstacles(items, "commercial")]
     commercial = f"Commercial use: {'; '.join(stands) or 'nothing stands in the way'}."
     told = dict.fromkeys(item.attribution for item in items if item.attribution)
+    alike = {item.licence for item in items}
+    licences = alike if len(alike) == 1 else licences
     return " AND ".join(licences), " ".join([*told, commercial])
 
 

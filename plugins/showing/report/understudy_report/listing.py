@@ -40,6 +40,8 @@ class Listed:
 class ListRuns(Command):
     """Looks through folders for runs; writes nothing."""
 
+    example = "understudy runs"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "folder",

@@ -56,6 +56,8 @@ class Export(Command):
     Of a run .glb and .gltf files also have what stands around the figure.
     """
 
+    example = "understudy export runs/spacetime-walk-001 walk.glb"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "source",
@@ -131,8 +133,8 @@ def _policy(options: argparse.Namespace) -> int:
     from understudy_export.policy import write_policy
     from understudy_skills.skill import open_skill
 
-    licence = answer(open_made(options.source))
-    for line in write_policy(open_skill(options.source), options.destination, licence):
+    skill = open_skill(options.source)
+    for line in write_policy(skill, options.destination, answer(open_made(options.source))):
         print(line)
     return 0
 

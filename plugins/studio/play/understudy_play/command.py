@@ -29,6 +29,8 @@ _WIDTH, _HEIGHT = 800, 450
 class Play(Command):
     """Plays until interrupted, or for some seconds into a video."""
 
+    example = "understudy play runs/spacetime-walk-001 --video walk.mp4 --push 30"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
