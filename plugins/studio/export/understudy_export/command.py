@@ -35,13 +35,14 @@ from understudy_mujoco.studio import REFERENCE
 
 BONES = "none"
 ONNX = ".onnx"
+PAGE = ".html"
 REFERENCE_TABLE = ".reference.npz"
 """The ending of what is written beside a policy that follows a motion."""
 OF_MOTIONS = (
     "reference", "beside", "character", "rate", "seconds", "cycles",
     "unit", "up", "skeleton", "source_rate",
 )  # fmt: skip
-"""Options that mean nothing to a policy."""
+"""Options that mean nothing to a policy, nor to a page of what was recorded."""
 BESIDE = 0.74
 """In heights of the figure: how far to the left the reference is put, as in videos."""
 CURE = "give a lower --rate, fewer --seconds or fewer --cycles"
@@ -66,7 +67,8 @@ class Export(Command):
         parser.add_argument(
             "destination",
             type=Path,
-            help="the file to write, such as walk.glb, .usdc or .bvh; policy.onnx is the trained policy",
+            help="the file to write, such as walk.glb, .usdc or .bvh; policy.onnx is the trained policy, page.html "
+            "plays what was recorded in a browser",
         )
         parser.add_argument(
             "--reference", action="store_true", help="the motion that the run learned from"
@@ -100,6 +102,8 @@ class Export(Command):
     def run(self, options: argparse.Namespace) -> int:
         if options.destination.suffix.lower() == ONNX:
             return _policy(options)
+        if options.destination.suffix.lower() == PAGE:
+            return _page(options)
         registry = installed().registry
         clip, character = _moving(options, registry)
         if options.character == BONES:
@@ -124,12 +128,24 @@ class Export(Command):
         return 0
 
 
+def _page(options: argparse.Namespace) -> int:
+    _refuse_options(options, "shows all that was recorded")
+    from understudy_export.page import write_page
+
+    print(write_page(options.source, options.destination))
+    return 0
+
+
+def _refuse_options(options: argparse.Namespace, why: str) -> None:
+    for name in OF_MOTIONS:
+        if getattr(options, name) not in (None, False):
+            raise ConfigError(
+                f"--{name.replace('_', '-')} is of motions, and {options.destination} {why}: leave it out."
+            )
+
+
 def _policy(options: argparse.Namespace) -> int:
-    given = [name for name in OF_MOTIONS if getattr(options, name) not in (None, False)]
-    if given:
-        raise ConfigError(
-            f"--{given[0].replace('_', '-')} is of motions, and {options.destination} is a policy: leave it out."
-        )
+    _refuse_options(options, "is a policy")
     from understudy_export.policy import write_policy
     from understudy_skills.skill import open_skill
 
