@@ -136,3 +136,5 @@ def test_an_added_observation_trains_plays_and_exports(
     assert main(["export", "run", "go.onnx"]) == 0
     model = onnx.load("go.onnx")
     assert [entry.name for entry in model.graph.input] == ["state", "extra"]
+    told = {entry.key: entry.value for entry in model.metadata_props}
+    assert "code understudy" in told["licence"]
