@@ -109,6 +109,7 @@ def test_from_python(
     pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
     monkeypatch.chdir(tmp_path)
     words = ["experiment=miniature/go", "budget.samples=64", "num_worlds=4", "run.dir=runs/go"]
+    words += ["evaluation.final_episodes=4", "run.video_seconds=0.2"]
     assert main(["train", *words]) == 0
     found = snippets(ROOT / "docs" / "from-python.md")
     assert len(found) == 3
