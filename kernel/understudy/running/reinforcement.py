@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from typing import Any
 
 import torch
@@ -302,7 +302,7 @@ class Reinforcement(Job):
             evaluator.close()
 
 
-def _naming(options: Any, where: str, names: Set[str]) -> Iterator[tuple[str, list[str]]]:
+def _naming(options: Any, where: str, names: Set[str]) -> Iterator[tuple[str, Sequence[str]]]:
     """The key paths in nested `options` at which some of the `names` stand, and which."""
     if isinstance(options, Mapping):
         for key, value in options.items():

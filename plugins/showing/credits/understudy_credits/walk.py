@@ -128,7 +128,7 @@ def _code(info: Mapping[str, Any]) -> Iterator[Item]:
 
 def _distribution_licence(name: str) -> str:
     try:
-        about = metadata.metadata(name)
+        about: Any = metadata.metadata(name)
     except metadata.PackageNotFoundError:
         return "unknown"
     for key in ("License-Expression", "License"):
