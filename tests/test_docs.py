@@ -15,6 +15,7 @@ import pytest
 import torch
 import yaml
 
+from understudy.command.cli import main
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, installed, load
 from understudy.testing import check_plugin
@@ -93,7 +94,11 @@ def test_the_tutorial_shows_all_of_the_tested_distribution() -> None:
 
 
 def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
-    overrides = commands(TUTORIAL)
+    (added, *overrides) = commands(TUTORIAL)
+    assert load_experiment(added, balance).need("policy").options.feedback.observation == (
+        "state",
+        "extra",
+    )
     assert len(overrides) == 4
     for items in overrides:
         experiment = load_experiment(items, balance)
@@ -128,6 +133,24 @@ def test_the_dark_figure_differs_in_its_colours_alone() -> None:
 def snippets(page: Path) -> list[str]:
     """The Python of `page`."""
     return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+
+
+def test_from_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The page's three snippets, in a folder with the run that the second one opens."""
+    pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
+    monkeypatch.chdir(tmp_path)
+    words = ["experiment=miniature/go", "budget.samples=64", "num_worlds=4", "run.dir=runs/go"]
+    words += ["evaluation.final_episodes=4", "run.video_seconds=0.2"]
+    assert main(["train", *words]) == 0
+    found = snippets(ROOT / "docs" / "from-python.md")
+    assert len(found) == 3
+    capsys.readouterr()
+    for text in found:
+        exec(compile(text, "from-python.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "distance " in said
 
 
 LEARNERS = ROOT / "docs" / "other-learners.md"

@@ -16,6 +16,7 @@ class Command(ABC):
 
     #: Whether it takes Hydra's overrides, which it finds in ``options.overrides``.
     takes_overrides = False
+    example = ""  #: A whole command line, which ``--help`` shows.
 
     @abstractmethod
     def arguments(self, parser: argparse.ArgumentParser) -> None:

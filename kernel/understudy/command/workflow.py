@@ -34,6 +34,8 @@ def train(overrides: Sequence[str]) -> int:
     with _together(experiment):
         training = Training(experiment).prepare()
         if distributed.rank() == 0:
+            for note in training.job.notes():
+                tell(note)
             with StopRequest() as stop:  # the folder is made whole or not at all
                 run = runs.create(experiment, overrides, training.job.sources())
                 stop.advise(f"Continue with `understudy resume {run.path}`.")

@@ -171,7 +171,7 @@ def test_the_command_shows_defaults(
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("seed=x", r"^seed='x' is not possible: it takes int\.$"),
+        ("seed=x", r"^seed='x' is not possible: it takes a whole number\.$"),
         ("termination.terms=null", r"^termination\.terms=None is not possible"),
         ("evaluation.success=3", r"^evaluation\.success=3 is not possible"),
         ("evaluation.success={measure: at}", r"^evaluation\.success.*at_least and at_most are both unset: give one of them\.$"),

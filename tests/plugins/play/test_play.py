@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -360,3 +361,26 @@ def test_an_unpacked_skill_is_harvested_where_its_curriculum_begins(tmp_path: Pa
     start = json.loads((run / "run.json").read_text())["config"]["curriculum"]["start"]
     assert table["difficulty"].tolist() == [start, start]
     training.close()
+
+
+def test_one_who_lies_down_is_no_success(player: Player) -> None:
+    """Where the task ends nothing, what is seen is said."""
+    assert player.fallen == "no fall"
+    state = player._state()
+    state["qpos"][:, 2] = 0.15
+    player._set(state)
+    assert player.fallen.startswith("down: its root is at 0.15 m, and was at 0.")
+    player.restart()
+    assert player.fallen == "no fall"
+
+
+def test_what_is_packed_says_on_what_terms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from understudy_play import command
+
+    found: list[Any] = []
+    monkeypatch.setattr(
+        command, "_pack", lambda skill, path: found.append(skill.card["licence"]) or 0
+    )
+    assert main(["play", "spacetime/walk", "--pack", str(tmp_path / "walk.json")]) == 0
+    assert found[0]["commercial"] == []
+    assert "clip walk" in [item["what"] for item in found[0]["items"]]

@@ -65,3 +65,9 @@ def test_a_line_now_and_then(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "iteration 3 · 250 samples · 25/s · return 2.0 · episode 1.50 s · stage 2" in shown
     assert "at most 0:30 left" in shown
     assert "stage 3" not in shown
+
+
+def test_where_the_curves_are_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "my [bold] runs"
+    ProgressLine().started(make_run(folder))
+    assert f"Curves: tensorboard --logdir '{folder}" in capsys.readouterr().err

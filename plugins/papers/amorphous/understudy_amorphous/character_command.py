@@ -43,6 +43,8 @@ AT_LIMIT = float(np.radians(0.5))
 class HoldTool(Command):
     """Writes the figure's motion as a clip, and a video of figure, tool and material."""
 
+    example = "understudy amorphous character runs/gather cook.glb --no-video"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
         add("run", help="a finished run's folder")

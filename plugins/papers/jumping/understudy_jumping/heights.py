@@ -30,6 +30,8 @@ class Heights(Command):
     Prints what it tries, and leaves the evaluation of the highest in ``heights.json`` of the run folder.
     """
 
+    example = "understudy jumping heights runs/high"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:

@@ -20,6 +20,8 @@ from understudy_sweeps.trial import written
 class Reproduce(Command):
     """Runs a table's trainings as a sweep: the same command goes on where it was stopped."""
 
+    example = "understudy reproduce spacetime/table_3_1 --rows walk,run --columns bounds --seeds 0"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:

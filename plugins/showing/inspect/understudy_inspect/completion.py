@@ -56,6 +56,8 @@ complete -c understudy -n 'not understudy completion words -- (commandline -cp |
 class Completion(Command):
     """Prints what a shell needs to complete understudy's command line."""
 
+    example = "source <(understudy completion bash)"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("shell", choices=[*_SCRIPTS, "words"], help="or, for these, the words")
         parser.add_argument("line", nargs="?", default="", help="(words) the line up to the cursor")

@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import REQUIRED, Option, options_of, schema_of, sentences
+from understudy.options import REQUIRED, Option, in_words, options_of, schema_of, sentences
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
 from understudy.setup.root import Root
@@ -170,7 +170,8 @@ def _rows(
     """(key, default as one types it, type and comment) of each option, and of those within it."""
     for name, option in options.items():
         inner = _dataclass_in(option.annotation)
-        kind, about = _type(option.annotation), comments.get(name, "").replace("``", "")
+        kind = "" if option.annotation is Any else in_words(option.annotation).removeprefix("a ")
+        about = comments.get(name, "").replace("``", "")
         text = f"{kind}; {about}" if kind and about else kind or about
         default = "…" if option.default is REQUIRED else _typed(option.default)
         if inner is not None and dataclasses.is_dataclass(option.default):
@@ -193,19 +194,3 @@ def _dataclass_in(annotation: Any) -> type | None:
         if dataclasses.is_dataclass(item) and isinstance(item, type):
             return item
     return None
-
-
-def _type(annotation: Any) -> str:
-    if typing.get_origin(annotation) is typing.Literal:
-        return " or ".join(str(choice) for choice in typing.get_args(annotation))
-    words = {int: "whole number", float: "number", str: "text", bool: "true or false", Any: ""}
-    if annotation in words:
-        return words[annotation]
-    if typing.get_origin(annotation) in (tuple, list):
-        inner = [_type(a) for a in typing.get_args(annotation) if a is not Ellipsis]
-        return f"list of {inner[0]}" if len(set(inner)) == 1 and inner[0] else "list"
-    if typing.get_origin(annotation) in (dict, Mapping):
-        return "mapping"
-    choices = [_type(a) for a in typing.get_args(annotation) if a is not type(None)]
-    choices = [choice for choice in dict.fromkeys(choices) if choice]
-    return " or ".join([*choices, *(["null"] if type(None) in typing.get_args(annotation) else [])])

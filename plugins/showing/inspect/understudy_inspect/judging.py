@@ -48,6 +48,8 @@ class Evaluate(Command):
     physics; writes ``evaluation.json`` and the page. What is judged otherwise, of whatever words follow, has
     a file of its own: ``evaluation-episodes-4.json``."""
 
+    example = "understudy evaluate runs/spacetime-walk-001 episodes=32 checkpoint=best"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -101,6 +103,8 @@ class Render(Command):
     """Judges the newest checkpoint while recording it, and makes the run's pictures and report anew. What
     is drawn otherwise, of whatever words follow, is a folder of its own in ``RUN/renders``, which serves as a
     run wherever one is played or exported."""
+
+    example = "understudy render runs/spacetime-walk-001 seconds=12 size=960x540 camera=90"
 
     takes_overrides = True
 

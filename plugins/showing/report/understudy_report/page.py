@@ -45,7 +45,7 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
         if the file cannot be written; the old one is untouched.
     """
     page = html_page(
-        _name(run),
+        name_of(run),
         "understudy report",
         words.text(run.info.get("created", ""))[:16].replace("T", " "),
         _sections(run, registry or run.registry),
@@ -55,7 +55,7 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
     return path
 
 
-def _name(run: Run) -> str:
+def name_of(run: Run) -> str:
     """The experiment of `run`, else its task, else its folder's name."""
     given = map(words.text, sequence(run.info.get("overrides")))
     named = [o.partition("=")[2] for o in given if o.lstrip("+").startswith("experiment=")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -30,6 +31,8 @@ class ProgressLine(RunObserver):
         self._printed = 0.0
 
     def started(self, run: Run) -> None:
+        where = shlex.quote(str(run.path))
+        self._console.print(f"Curves: tensorboard --logdir {where}", soft_wrap=True, markup=False)
         if self._console.is_terminal:
             self._live = Progress(
                 TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),

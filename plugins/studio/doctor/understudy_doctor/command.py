@@ -33,6 +33,8 @@ DEFAULT_CHARACTER = "humanoid"
 class Check(Command):
     """Examines a clip; exit status 1 if something is majorly wrong with it."""
 
+    example = "understudy motion check walk.npz --loop --fix cycle.npz"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
         parser.add_argument(

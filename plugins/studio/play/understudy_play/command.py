@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
+from understudy_credits.walk import answer, open_made
 from understudy_motion.arguments import port, positive
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
@@ -30,6 +32,8 @@ _WIDTH, _HEIGHT = 800, 450
 
 class Play(Command):
     """Plays until interrupted, or for some seconds into a video."""
+
+    example = "understudy play runs/spacetime-walk-001 --video walk.mp4 --push 30"
 
     takes_overrides = True
 
@@ -74,6 +78,8 @@ class Play(Command):
             return 0
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
+            licence = answer(open_made(options.skill))
+            skill = replace(skill, card={**skill.card, "licence": licence})
             return _pack(skill, options.pack)
         if options.unpack is not None:
             unpack(skill, options.unpack)
