@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import figures
 import shipped
 
-from understudy_skills.skill import names, open_skill
+from understudy_skills.skill import open_skill
 
 SPEC = figures.load()
 
