@@ -116,6 +116,20 @@ def test_what_angles_mean() -> None:
     assert tip_distance(0.2, tools.TONGS) == pytest.approx(0.008 + 0.26 * 0.2, abs=2e-3)
 
 
+@pytest.mark.parametrize("fingers", [3, 4, 5])
+@pytest.mark.parametrize("tool", ["sticks", "tongs"])
+def test_one_limit_of_a_hinge_acts_at_a_time(fingers: int, tool: str) -> None:
+    """Else MuJoCo balances both, and MuJoCo Warp, which has the nearer one only, hits to and fro."""
+    model = scene(fingers=fingers, tool=tool).model
+    limited = model.jnt_limited != 0
+    assert limited.sum() >= model.nu
+    low, high = model.jnt_range[limited].T
+    margin = model.jnt_margin[limited]
+    assert (2.0 * margin < high - low).all()
+    wide = high - low > 0.05
+    assert (margin[: model.nu][wide[: model.nu]] == 0.01).all()  # the release
+
+
 def test_hand_links_touch_tools_and_not_one_another() -> None:
     model = scene().model
     kind, affinity = model.geom_contype, model.geom_conaffinity

@@ -15,7 +15,10 @@ ARM_SERVO, HAND_SERVO = (5000.0, 500.0, 1000.0), (1.0, 0.1, 10.0)
 _ARM_ARMATURE, _WRIST_ARMATURE, _HAND_ARMATURE = 1.0, 0.005, 0.001
 #: m: how far around a tip a contact counts as one of it.
 _AROUND = 0.002
-_FRICTION_LOSS, _HAND_DAMPING, _MARGIN = 0.001, 0.05, 0.01
+_FRICTION_LOSS, _HAND_DAMPING = 0.001, 0.05
+#: rad: how far before a limit it acts (the release), but at most this share of a hinge's range: some
+#: ranges are so narrow that both limits would act at once.
+_MARGIN, _SHARE = 0.01, 0.25
 _SKIN, _SLEEVE, _TOP = (0.87, 0.67, 0.53, 1.0), (0.36, 0.44, 0.56, 1.0), (0.75, 0.77, 0.80, 1.0)
 #: m: the table's half sizes and middle; its top is at z = 0 (the release).
 TABLE_SIZE, TABLE_CENTRE = (0.5, 0.315, 0.2), (-0.24, 0.0, -0.2)
@@ -65,7 +68,8 @@ def _add_hinges(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link, arm: bool
     for hinge in link.hinges:
         body.add_joint(
             name=hinge.name, axis=hinge.axis, pos=hinge.anchor, range=hinge.range, limited=True,
-            armature=armature, frictionloss=_FRICTION_LOSS, margin=_MARGIN,
+            armature=armature, frictionloss=_FRICTION_LOSS,
+            margin=min(_MARGIN, _SHARE * (hinge.range[1] - hinge.range[0])),
             damping=np.array([0.0 if arm else _HAND_DAMPING, 0.0, 0.0]),
         )  # fmt: skip
         servo = spec.add_actuator(

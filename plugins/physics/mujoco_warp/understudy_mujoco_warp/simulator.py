@@ -19,6 +19,7 @@ from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT, RECENT, Stage, lim
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco_warp.capacity import constraint_capacity, contact_capacity
+from understudy_mujoco_warp.narrow import refuse_narrow_ranges
 from understudy_warp_torch.kernels import Kernels, put_rows
 
 try:
@@ -90,6 +91,7 @@ class MujocoWarpSimulator(Simulator):
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(MujocoScene, "simulator 'mujoco_warp'")
         self.model = scene.compiled(context)
+        refuse_narrow_ranges(self.model)
         self._n = context.num_worlds
         self._substeps = context.substeps
         contacts = options.contacts or contact_capacity(self.model)
