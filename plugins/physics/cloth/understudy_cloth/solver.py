@@ -33,6 +33,7 @@ from understudy_warp_torch.shapes import (
     Tools,
     friction,
     from_rotation_vector,
+    local_distance,
     move_tool,
     place_shape,
     rotation,
@@ -49,6 +50,8 @@ MOST_SHAPES = 31
 _NEAR = wp.constant(1e-9)
 #: How often the point of a triangle that is deepest in a shape is improved.
 _SEARCHES = wp.constant(3)
+#: m: that point is found when no other of the triangle can be deeper by more than this.
+_DECIDED = wp.constant(2e-5)
 #: How often a vertex is pushed out of bodies that push it into each other.
 _WEDGED = wp.constant(4)
 #: m/s: vertices may become so much faster between two searches for what is near.
@@ -126,7 +129,7 @@ class Cloth:
     weight: wp.array(dtype=float)  # 1 / area, 0: held or pinned
     start: wp.array(dtype=wp.vec3)
     way: wp.array2d(dtype=float)  # how far a shape may go until the next search, (N, S)
-    face_near: wp.array2d(dtype=int)
+    face_near: wp.array2d(dtype=int)  # the same of triangles, ~bits if it touches now, (N, F)
     beside: wp.array(dtype=int)  # bits of shapes near a triangle of the vertex
     corner_push: wp.array(dtype=wp.vec4)  # and its weight, (N · 3 F,)
     corner_shift: wp.array(dtype=wp.vec3)
@@ -261,14 +264,43 @@ def excess(before: float, change: float) -> float:
 
 
 @wp.func
-def carried(tools: Tools, world: int, shape: int, x: wp.vec3) -> wp.vec3:
-    """Where the point x of a shape was when the sub-step began."""
-    local = wp.quat_rotate_inv(
+def within_shape(tools: Tools, world: int, shape: int, x: wp.vec3) -> wp.vec3:
+    """The point x of a world in the frame of a shape."""
+    return wp.quat_rotate_inv(
         tools.shape_rotation[world, shape], x - tools.shape_position[world, shape]
     )
+
+
+@wp.func
+def carried(tools: Tools, world: int, shape: int, p: wp.vec3) -> wp.vec3:
+    """Where the point p of a shape, in its frame, was in the world when the sub-step began."""
     return tools.shape_position_before[world, shape] + wp.quat_rotate(
-        tools.shape_rotation_before[world, shape], local
+        tools.shape_rotation_before[world, shape], p
     )
+
+
+@wp.func
+def deepest(tools: Tools, shape: int, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, gap: float):
+    """Where the triangle, in the frame of a shape, is deepest in it: barycentric coordinates, and the
+    outward normal and signed distance there. If it is nowhere nearer than `gap`, some point of it."""
+    share = wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
+    found = wp.vec4()
+    searched = int(0)
+    while searched <= _SEARCHES:
+        at = share[0] * p0 + share[1] * p1 + share[2] * p2
+        found = local_distance(tools, shape, at)
+        n = xyz(found)
+        # a convex shape's distance is convex: nowhere is it less than along its slope here
+        less = wp.max(wp.dot(at - p0, n), wp.max(wp.dot(at - p1, n), wp.dot(at - p2, n)))
+        if tools.kind[shape] == GRID:
+            less = wp.max(wp.length(p0 - at), wp.max(wp.length(p1 - at), wp.length(p2 - at)))
+        if searched == _SEARCHES or less < _DECIDED or found[3] - less >= gap:
+            break
+        # towards the middle of the shape: from there, what is nearest is deepest
+        inner = at - (found[3] + tools.core[shape]) * n
+        share = nearest_in_triangle(inner, p0, p1, p2)
+        searched += 1
+    return share, found
 
 
 @wp.func
@@ -569,87 +601,78 @@ def build_kernels(features: Features) -> Kernels:
             c.start[o] = c.start[o] + c.shift[o]
 
     @wp.func
+    def push_corner(
+        c: Cloth, k: int, again: bool, change: wp.vec3, share: float, shift: wp.vec3
+    ) -> None:
+        """Add to what corner k of all is pushed and, so that it gets no speed by that, its start shifted."""
+        push = wp.vec4(change[0], change[1], change[2], share)
+        shifted = shift
+        if again:
+            push = push + c.corner_push[k]
+            shifted = shift + c.corner_shift[k]
+        c.corner_push[k] = push
+        c.corner_shift[k] = shifted
+
+    @wp.func
     def touch(c: Cloth, m: wp.uint64, world: int, f: int):
         """Push a triangle out of shapes at the point where it is deepest in each, with friction there."""
         bits = c.face_near[world, f]
+        if bits < 0:  # it touched in the last sub-step
+            bits = ~bits
         if bits != 0:
             ends = c.face[f]
             o = world * c.vertices
-            x0 = load(m, c, ends[0])
-            x1 = load(m, c, ends[1])
-            x2 = load(m, c, ends[2])
-            s0 = c.start[o + ends[0]]
-            s1 = c.start[o + ends[1]]
-            s2 = c.start[o + ends[2]]
-            w0 = c.weight[o + ends[0]]
-            w1 = c.weight[o + ends[1]]
-            w2 = c.weight[o + ends[2]]
-            before0 = x0
-            before1 = x1
-            before2 = x2
-            first0 = s0
-            first1 = s1
-            first2 = s2
-            b = wp.vec3(0.0)
+            k = 3 * (world * c.faces + f)
+            # few numbers live from one shape to the next: registers are what threads are short of
+            touched = bool(False)
             for shape in range(c.tools.shapes):
                 if ((bits >> shape) & 1) == 1:
-                    at = (x0 + x1 + x2) / 3.0
-                    share = wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
-                    found = shape_distance(c.tools, world, shape, at)
-                    n = xyz(found)
-                    # a convex shape's distance is convex: nowhere is it less than along its slope here
-                    reach = wp.max(
-                        wp.dot(at - x0, n), wp.max(wp.dot(at - x1, n), wp.dot(at - x2, n))
-                    )
-                    if c.tools.kind[shape] == GRID:
-                        reach = wp.max(
-                            wp.length(x0 - at), wp.max(wp.length(x1 - at), wp.length(x2 - at))
-                        )
-                    if found[3] < c.gap + reach:
-                        for _search in range(_SEARCHES):
-                            # towards the middle of the shape: from there, what is nearest is deepest
-                            inner = at - (found[3] + c.tools.core[shape]) * xyz(found)
-                            share = nearest_in_triangle(inner, x0, x1, x2)
-                            at = share[0] * x0 + share[1] * x1 + share[2] * x2
-                            found = shape_distance(c.tools, world, shape, at)
-                        depth = c.gap - found[3]
-                        w = (
-                            share[0] * share[0] * w0
-                            + share[1] * share[1] * w1
-                            + share[2] * share[2] * w2
-                        )
+                    x0 = load(m, c, ends[0])
+                    x1 = load(m, c, ends[1])
+                    x2 = load(m, c, ends[2])
+                    if touched:
+                        x0 += xyz(c.corner_push[k])
+                        x1 += xyz(c.corner_push[k + 1])
+                        x2 += xyz(c.corner_push[k + 2])
+                    p0 = within_shape(c.tools, world, shape, x0)
+                    p1 = within_shape(c.tools, world, shape, x1)
+                    p2 = within_shape(c.tools, world, shape, x2)
+                    share, found = deepest(c.tools, shape, p0, p1, p2, c.gap)
+                    depth = c.gap - found[3]
+                    if depth > 0.0:
+                        u0 = share[0] * c.weight[o + ends[0]]
+                        u1 = share[1] * c.weight[o + ends[1]]
+                        u2 = share[2] * c.weight[o + ends[2]]
+                        w = share[0] * u0 + share[1] * u1 + share[2] * u2
                         # beside a corner that is held the others cannot do it alone: none goes
                         # farther than twice the depth
-                        most = wp.max(w0 * share[0], wp.max(w1 * share[1], w2 * share[2]))
+                        most = wp.max(u0, wp.max(u1, u2))
                         w = wp.max(w, 0.5 * most)
-                        if depth > 0.0 and w > 0.0:
-                            n = xyz(found)
+                        if w > 0.0:
+                            n = wp.quat_rotate(c.tools.shape_rotation[world, shape], xyz(found))
+                            at = share[0] * p0 + share[1] * p1 + share[2] * p2
                             was = carried(c.tools, world, shape, at)
-                            body = at - was
+                            body = (share[0] * x0 + share[1] * x1 + share[2] * x2) - was
+                            s0 = c.start[o + ends[0]]
+                            s1 = c.start[o + ends[1]]
+                            s2 = c.start[o + ends[2]]
+                            if touched:
+                                s0 += c.corner_shift[k]
+                                s1 += c.corner_shift[k + 1]
+                                s2 += c.corner_shift[k + 2]
                             slip = was - (share[0] * s0 + share[1] * s1 + share[2] * s2)
                             slip = slip - wp.dot(slip, n) * n
                             mu = 0.5 * (c.friction[world] + c.tools.friction[shape])
                             change = (depth * n - friction(slip, depth, mu, mu)) / w
-                            d0 = (w0 * share[0]) * change
-                            d1 = (w1 * share[1]) * change
-                            d2 = (w2 * share[2]) * change
-                            s0 += excess(wp.dot(x0 - s0 - body, n), wp.dot(d0, n)) * n
-                            s1 += excess(wp.dot(x1 - s1 - body, n), wp.dot(d1, n)) * n
-                            s2 += excess(wp.dot(x2 - s2 - body, n), wp.dot(d2, n)) * n
-                            x0 += d0
-                            x1 += d1
-                            x2 += d2
-                            b += share
-            k = 3 * (world * c.faces + f)
-            d = x0 - before0
-            c.corner_push[k] = wp.vec4(d[0], d[1], d[2], b[0])
-            c.corner_shift[k] = s0 - first0
-            d = x1 - before1
-            c.corner_push[k + 1] = wp.vec4(d[0], d[1], d[2], b[1])
-            c.corner_shift[k + 1] = s1 - first1
-            d = x2 - before2
-            c.corner_push[k + 2] = wp.vec4(d[0], d[1], d[2], b[2])
-            c.corner_shift[k + 2] = s2 - first2
+                            along = wp.dot(change, n)
+                            t0 = excess(wp.dot(x0 - s0 - body, n), u0 * along)
+                            t1 = excess(wp.dot(x1 - s1 - body, n), u1 * along)
+                            t2 = excess(wp.dot(x2 - s2 - body, n), u2 * along)
+                            push_corner(c, k, touched, u0 * change, share[0], t0 * n)
+                            push_corner(c, k + 1, touched, u1 * change, share[1], t1 * n)
+                            push_corner(c, k + 2, touched, u2 * change, share[2], t2 * n)
+                            touched = True
+            c.face_near[world, f] = wp.where(touched, ~bits, bits)
 
     @wp.func
     def leave_shapes(c: Cloth, m: wp.uint64, world: int, i: int):
@@ -657,50 +680,53 @@ def build_kernels(features: Features) -> Kernels:
         o = world * c.vertices + i
         bits = c.beside[o]
         if bits != 0:
-            begin = load(m, c, i)
-            first = c.start[o]
-            x = begin
-            start = first
+            x = load(m, c, i)
+            start = c.start[o]
             push = wp.vec3(0.0)
             shift = wp.vec3(0.0)
             total = float(0.0)
             for k in range(c.corner_start[i], c.corner_start[i + 1]):
                 corner = c.corner[k]
-                if c.face_near[world, corner / 3] != 0:
+                if c.face_near[world, corner / 3] < 0:
                     q = 3 * world * c.faces + corner
                     theirs = c.corner_push[q]
                     push += theirs[3] * xyz(theirs)
                     shift += theirs[3] * c.corner_shift[q]
                     total += theirs[3]
-            if total > 0.0:
+            moved = bool(total > 0.0)
+            if moved:
                 x += push / total
                 start += shift / total
-            mu = c.friction[world]
             rubs = float(1.0)
             for _again in range(_WEDGED):
                 pushed = int(0)
                 for shape in range(c.tools.shapes):
                     if ((bits >> shape) & 1) == 1:
-                        found = shape_distance(c.tools, world, shape, x)
+                        p = within_shape(c.tools, world, shape, x)
+                        found = local_distance(c.tools, shape, p)
                         depth = c.gap - found[3]
                         if depth > 0.0:
                             pushed += 1
-                            n = xyz(found)
-                            was = carried(c.tools, world, shape, x)
+                            n = wp.quat_rotate(c.tools.shape_rotation[world, shape], xyz(found))
+                            was = carried(c.tools, world, shape, p)
                             slip = was - start
                             slip = slip - wp.dot(slip, n) * n
-                            both = 0.5 * (mu + c.tools.friction[shape])
+                            both = 0.5 * (c.friction[world] + c.tools.friction[shape])
                             rub = rubs * friction(slip, depth, both, both)
                             start += excess(wp.dot(was - start, n), depth) * n
                             x += depth * n - rub
+                if pushed > 0:
+                    moved = True
                 if pushed < 2:
                     break
                 rubs = 0.0
-            store(m, c, i, x)
-            c.start[o] = start
-            impulse = (x - begin) - (start - first)
-            scale = c.density[world] / (c.weight[o] * c.dt * c.dt * float(c.substeps))
-            c.force[o] = c.force[o] + scale * impulse
+            if moved:
+                first = c.start[o]
+                impulse = (x - load(m, c, i)) - (start - first)
+                store(m, c, i, x)
+                c.start[o] = start
+                scale = c.density[world] / (c.weight[o] * c.dt * c.dt * float(c.substeps))
+                c.force[o] = c.force[o] + scale * impulse
 
     @wp.func
     def finish(c: Cloth, m: wp.uint64, world: int, i: int):
