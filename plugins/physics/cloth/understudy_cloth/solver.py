@@ -37,7 +37,6 @@ from understudy_warp_torch.shapes import (
     move_tool,
     place_shape,
     rotation,
-    shape_distance,
     to_rotation_vector,
     xyz,
 )
@@ -76,7 +75,10 @@ class Cloth:
     force: wp.array(dtype=wp.vec3)
     side: wp.array(dtype=float)
     anchor: wp.array(dtype=wp.vec3)  # positions when what may touch was last searched
-    near: wp.array(dtype=int)  # bits of shapes that were near then
+    # bits of the shapes that were near then: of a triangle, or ~bits while it touches one, (N, F); of a
+    # vertex ~bits, or 0 if none is near a triangle of it
+    face_near: wp.array2d(dtype=int)
+    near: wp.array(dtype=int)
     substep: wp.array(dtype=int)  # done in the present control period, (N,)
     closed: wp.array2d(dtype=float)  # (N, G)
     holder: wp.array2d(dtype=int)  # the grip that holds, −1: none, (N, U)
@@ -114,7 +116,6 @@ class Cloth:
     # the fabric
     damping: float
     gap: float
-    longest: float  # edge, m
     # self-contact
     thickness: float
     room: int  # M
@@ -129,8 +130,7 @@ class Cloth:
     weight: wp.array(dtype=float)  # 1 / area, 0: held or pinned
     start: wp.array(dtype=wp.vec3)
     way: wp.array2d(dtype=float)  # how far a shape may go until the next search, (N, S)
-    face_near: wp.array2d(dtype=int)  # the same of triangles, ~bits if it touches now, (N, F)
-    beside: wp.array(dtype=int)  # bits of shapes near a triangle of the vertex
+    middle: wp.array2d(dtype=wp.vec3)  # of the sphere around a shape at the search, (N, S)
     corner_push: wp.array(dtype=wp.vec4)  # and its weight, (N · 3 F,)
     corner_shift: wp.array(dtype=wp.vec3)
     head: wp.array(dtype=int)  # (N · buckets,)
@@ -160,8 +160,8 @@ class Kernels:
     begin: (
         Any  #: (cloth, whether this resumes), (N, buckets, vertices or shapes, whichever is most)
     )
-    insert: Any  #: (cloth, whether this resumes), (N, V)
-    search: Any  #: (cloth, whether this resumes), (N, V or F)
+    insert: Any  #: (cloth, whether this resumes), (N, V or F)
+    search: Any  #: (cloth, whether this resumes), (N, V)
     tools: Any  #: (cloth,), N
     grip: Any  #: (cloth,), (N, U)
     predict: Any  #: (cloth,), (N, V)
@@ -317,44 +317,21 @@ def shape_way(c: Cloth, world: int, shape: int):
     way = wp.length(target - c.tools.position[world, t]) + angle * arm
     c.way[world, shape] = share * way
     # where it is now, for who looks for what is near before it moves
-    c.tools.shape_position[world, shape] = c.tools.position[world, t] + wp.quat_rotate(
-        q, c.tools.offset[shape]
-    )
-    c.tools.shape_rotation[world, shape] = q * c.tools.turn[shape]
+    place = c.tools.position[world, t] + wp.quat_rotate(q, c.tools.offset[shape])
+    q = q * c.tools.turn[shape]
+    c.tools.shape_position[world, shape] = place
+    c.tools.shape_rotation[world, shape] = q
+    c.middle[world, shape] = place + wp.quat_rotate(q, c.tools.centre[shape])
 
 
 @wp.func
-def shapes_near(c: Cloth, world: int, i: int) -> int:
-    """Bits of the shapes that vertex i, or a triangle of it, may touch until the next search."""
-    o = world * c.vertices + i
-    x = c.anchor[o]
-    own = float(c.every) * c.dt * (wp.length(c.velocity[o]) + _FASTER)
-    reach = c.gap + 0.7 * c.longest + own
-    bits = int(0)
+def own_way(c: Cloth, world: int, speed: float) -> float:
+    """How far what has a speed now may go until the next search: as fast as the fastest shape may push it."""
+    time = float(c.every) * c.dt
+    faster = time * _FASTER
     for shape in range(c.tools.shapes):
-        q = c.tools.shape_rotation[world, shape]
-        middle = c.tools.shape_position[world, shape] + wp.quat_rotate(q, c.tools.centre[shape])
-        within = reach + c.way[world, shape]
-        if wp.length(x - middle) < c.tools.bound[shape] + within:
-            found = shape_distance(c.tools, world, shape, x)
-            if found[3] < within:
-                bits = bits | (1 << shape)
-    return bits
-
-
-@wp.func
-def face_bits(c: Cloth, world: int, f: int) -> int:
-    ends = c.face[f]
-    o = world * c.vertices
-    return c.near[o + ends[0]] | c.near[o + ends[1]] | c.near[o + ends[2]]
-
-
-@wp.func
-def search_shapes(c: Cloth, world: int, i: int):
-    bits = int(0)
-    for k in range(c.corner_start[i], c.corner_start[i + 1]):
-        bits = bits | face_bits(c, world, c.corner[k] / 3)
-    c.beside[world * c.vertices + i] = bits
+        faster = wp.max(faster, c.way[world, shape])
+    return time * speed + faster
 
 
 @wp.func
@@ -435,36 +412,87 @@ def build_kernels(features: Features) -> Kernels:
     @wp.func
     def begin_search(c: Cloth, m: wp.uint64, world: int, k: int, resumes: bool):
         """Where vertices and shapes are now, from which all that is searched follows."""
-        if k < c.vertices and not resumes:
-            c.anchor[world * c.vertices + k] = load(m, c, k)
+        if wp.static(LAYERS):
+            if k < c.vertices and not resumes:
+                c.anchor[world * c.vertices + k] = load(m, c, k)
+            if k < c.buckets:
+                c.head[world * c.buckets + k] = -1
         if wp.static(SHAPES):
             if k < c.tools.shapes and not resumes:
                 shape_way(c, world, k)
-        if wp.static(LAYERS):
-            if k < c.buckets:
-                c.head[world * c.buckets + k] = -1
 
     @wp.func
-    def insert(c: Cloth, world: int, i: int, resumes: bool):
+    def search_face(c: Cloth, m: wp.uint64, world: int, f: int):
+        """The shapes that a triangle may touch until the next search."""
+        ends = c.face[f]
+        o = world * c.vertices
+        v0 = wp.length(c.velocity[o + ends[0]])
+        v1 = wp.length(c.velocity[o + ends[1]])
+        v2 = wp.length(c.velocity[o + ends[2]])
+        reach = c.gap + own_way(c, world, wp.max(v0, wp.max(v1, v2)))
+        x0 = load(m, c, ends[0])
+        x1 = load(m, c, ends[1])
+        x2 = load(m, c, ends[2])
+        middle = (x0 + x1 + x2) / 3.0
+        x0 = middle - x0
+        x1 = middle - x1
+        x2 = middle - x2
+        size = wp.max(wp.length(x0), wp.max(wp.length(x1), wp.length(x2)))
+        bits = int(0)
+        for shape in range(c.tools.shapes):
+            within = reach + c.way[world, shape]
+            apart = wp.length(middle - c.middle[world, shape])
+            if apart < c.tools.bound[shape] + within + size:
+                p = within_shape(c.tools, world, shape, middle)
+                found = local_distance(c.tools, shape, p)
+                less = size
+                if c.tools.kind[shape] != GRID:  # convex, as in `deepest`
+                    n = wp.quat_rotate(c.tools.shape_rotation[world, shape], xyz(found))
+                    less = wp.max(wp.dot(x0, n), wp.max(wp.dot(x1, n), wp.dot(x2, n)))
+                if found[3] - less < within:
+                    bits = bits | (1 << shape)
+        c.face_near[world, f] = bits
+
+    @wp.func
+    def search_vertex(c: Cloth, m: wp.uint64, world: int, i: int):
+        """The same of a vertex, which touches nothing that no triangle of it does."""
         o = world * c.vertices + i
+        around = int(0)
+        for k in range(c.corner_start[i], c.corner_start[i + 1]):
+            around = around | c.face_near[world, c.corner[k] / 3]
+        marked = int(0)
+        if around != 0:
+            x = load(m, c, i)
+            reach = c.gap + own_way(c, world, wp.length(c.velocity[o]))
+            bits = int(0)
+            for shape in range(c.tools.shapes):
+                if ((around >> shape) & 1) == 1:
+                    p = within_shape(c.tools, world, shape, x)
+                    found = local_distance(c.tools, shape, p)
+                    if found[3] < reach + c.way[world, shape]:
+                        bits = bits | (1 << shape)
+            marked = ~bits
+        c.near[o] = marked
+
+    @wp.func
+    def insert(c: Cloth, m: wp.uint64, world: int, k: int, resumes: bool):
+        if wp.static(SHAPES):
+            if k < c.faces and not resumes:
+                search_face(c, m, world, k)
+        if wp.static(LAYERS):
+            if k < c.vertices:
+                o = world * c.vertices + k
+                size = wp.static(SEEN) * c.thickness
+                h = bucket(cell_of(c.anchor[o], size), c.buckets)
+                c.next[o] = wp.atomic_exch(c.head, world * c.buckets + h, k)
+
+    @wp.func
+    def search(c: Cloth, m: wp.uint64, world: int, i: int, resumes: bool):
         if wp.static(SHAPES):
             if not resumes:
-                c.near[o] = shapes_near(c, world, i)
+                search_vertex(c, m, world, i)
         if wp.static(LAYERS):
-            size = wp.static(SEEN) * c.thickness
-            h = bucket(cell_of(c.anchor[o], size), c.buckets)
-            c.next[o] = wp.atomic_exch(c.head, world * c.buckets + h, i)
-
-    @wp.func
-    def search(c: Cloth, world: int, k: int):
-        if k < c.vertices:
-            if wp.static(LAYERS):
-                search_layers(c, world, k)
-            if wp.static(SHAPES):
-                search_shapes(c, world, k)
-        if wp.static(SHAPES):
-            if k < c.faces:
-                c.face_near[world, k] = face_bits(c, world, k)
+            search_layers(c, world, i)
 
     @wp.func
     def grip(c: Cloth, m: wp.uint64, world: int, u: int):
@@ -678,8 +706,9 @@ def build_kernels(features: Features) -> Kernels:
     def leave_shapes(c: Cloth, m: wp.uint64, world: int, i: int):
         """A vertex where its triangles were pushed to, and then out of shapes whole."""
         o = world * c.vertices + i
-        bits = c.beside[o]
-        if bits != 0:
+        marked = c.near[o]
+        if marked != 0:
+            bits = ~marked
             x = load(m, c, i)
             start = c.start[o]
             push = wp.vec3(0.0)
@@ -782,19 +811,22 @@ def build_kernels(features: Features) -> Kernels:
             for i in range(lane, n, lanes):
                 store(m, c, i, c.position[world * n + i])
             wait_for_block()
-        most = wp.max(n, c.faces)
-        resumes = bool(c.substep[world] % c.every != 0)
+        # of what was searched, the layers' candidates are no state: they follow from anchors again
+        resumes = bool(False)
+        if wp.static(LAYERS):
+            resumes = c.substep[world] % c.every != 0
         for _substep in range(count):
-            if resumes or c.substep[world] % c.every == 0:
-                for k in range(lane, wp.max(wp.max(n, c.buckets), c.tools.shapes), lanes):
-                    begin_search(c, m, world, k, resumes)
-                wait_for_block()
-                for i in range(lane, n, lanes):
-                    insert(c, world, i, resumes)
-                wait_for_block()
-                for k in range(lane, most, lanes):
-                    search(c, world, k)
-                resumes = False
+            if wp.static(LAYERS or SHAPES):
+                if resumes or c.substep[world] % c.every == 0:
+                    for k in range(lane, wp.max(wp.max(n, c.buckets), c.tools.shapes), lanes):
+                        begin_search(c, m, world, k, resumes)
+                    wait_for_block()
+                    for k in range(lane, wp.max(n, c.faces), lanes):
+                        insert(c, m, world, k, resumes)
+                    wait_for_block()
+                    for i in range(lane, n, lanes):
+                        search(c, m, world, i, resumes)
+                    resumes = False
             if wp.static(SHAPES or GRIPS):
                 wait_for_block()
                 advance_tools(c, world, lane, lanes)
@@ -851,15 +883,15 @@ def build_kernels(features: Features) -> Kernels:
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def insert_kernel(c: Cloth, resumes: bool):
-        world, i = wp.tid()
+        world, k = wp.tid()
         if searches(c, world, resumes):
-            insert(c, world, i, resumes)
+            insert(c, packed_address(c.position, world * c.vertices), world, k, resumes)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def search_kernel(c: Cloth, resumes: bool):
-        world, k = wp.tid()
+        world, i = wp.tid()
         if searches(c, world, resumes):
-            search(c, world, k)
+            search(c, packed_address(c.position, world * c.vertices), world, i, resumes)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def tools_kernel(c: Cloth):
