@@ -11,6 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 STRETCH, SHEAR, BENDING = range(3)
 #: Vertices whose positions fit into the shared memory of a block: 46 of 48 KiB, of which Warp takes one.
 SHARED_VERTICES = 3920
+#: And with their weights beside them: 16 bytes each, which a thread reads at once.
+WEIGHTED_VERTICES = 2944
 #: An edge this much longer than the other edges of its triangles is the diagonal of a quadrilateral.
 _DIAGONAL = 1.2
 #: Vertices nearer than this along the cloth, in thicknesses, never touch each other.

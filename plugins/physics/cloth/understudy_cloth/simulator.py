@@ -18,6 +18,7 @@ from understudy.task import Context, Shape, Simulator
 from understudy_cloth.checking import check_mesh
 from understudy_cloth.mesh import (
     SHARED_VERTICES,
+    WEIGHTED_VERTICES,
     distances_of,
     edges_of,
     faces_of_vertices,
@@ -259,13 +260,15 @@ class ClothSimulator(Simulator):
         on_gpu = self._device.type == "cuda"
         threads = 32 * math.ceil(min(v, options.threads) / 32)
         rounded = 256 * math.ceil(v / 256)  # so that garments of similar size share kernels
+        shared = v <= SHARED_VERTICES and on_gpu and options.traversal == "block"
+        weighted = shared and v <= WEIGHTED_VERTICES
+        room = WEIGHTED_VERTICES if weighted else SHARED_VERTICES
         features = Features(
             shapes=s > 0,
             grips=bool(members),
             self_contact=layers,
-            shared=min(rounded, SHARED_VERTICES)
-            if v <= SHARED_VERTICES and on_gpu and options.traversal == "block"
-            else 0,
+            shared=min(rounded, room) if shared else 0,
+            weighted=weighted,
             threads=threads if on_gpu else 1,
         )
         return c, features, (found.first, hinges.first)

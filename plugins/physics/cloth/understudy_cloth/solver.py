@@ -14,7 +14,7 @@ reads others and writes its own.
 
 # What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
 # conditions known when compiling stand alone.
-# ruff: noqa: UP018, RUF046, SIM102, SIM108, SIM110
+# ruff: noqa: UP018, RUF046, SIM102, SIM110
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
 # pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
 # pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
@@ -151,6 +151,7 @@ class Features:
     grips: bool
     self_contact: bool
     shared: int  #: vertices that shared memory has room for; 0: positions are not there
+    weighted: bool  #: whether weights are beside them there
     threads: int  #: of a block
 
 
@@ -205,6 +206,48 @@ def load_apart(memory: wp.uint64, n: int, i: int) -> wp.vec3: ...
 """
 )
 def store_apart(memory: wp.uint64, n: int, i: int, x: wp.vec3): ...
+
+
+# x, y, z and the weight, which on a GPU are read and written at once
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const float4 of = ((const float4*)memory)[i];
+    return wp::vec_t<4, float>(of.x, of.y, of.z, of.w);
+#else
+    return ((const wp::vec_t<4, float>*)memory)[i];
+#endif
+"""
+)
+def load_weighted(memory: wp.uint64, i: int) -> wp.vec4: ...
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    ((float4*)memory)[i] = make_float4(x[0], x[1], x[2], weight);
+#else
+    ((wp::vec_t<4, float>*)memory)[i] = wp::vec_t<4, float>(x[0], x[1], x[2], weight);
+#endif
+"""
+)
+def store_weighted(memory: wp.uint64, i: int, x: wp.vec3, weight: float): ...
+
+
+# and of these the first three, or the last
+@wp.func_native(
+    """
+    float* of = (float*)memory + 4 * i;
+    of[0] = x[0];
+    of[1] = x[1];
+    of[2] = x[2];
+"""
+)
+def store_beside(memory: wp.uint64, i: int, x: wp.vec3): ...
+
+
+@wp.func_native("((float*)memory)[4 * i + 3] = weight;")
+def store_weight(memory: wp.uint64, i: int, weight: float): ...
 
 
 @wp.func
@@ -388,15 +431,20 @@ def build_kernels(features: Features) -> Kernels:
     GRIPS = wp.constant(features.grips)
     LAYERS = wp.constant(features.self_contact)
     SHARED = wp.constant(features.shared > 0)
+    WEIGHTED = wp.constant(features.weighted)
     LANES = features.threads
     address = packed_address
-    if features.shared:
+    if features.weighted:
+        address = shared_memory(wp.vec3, "float4", features.shared)
+    elif features.shared:
         address = shared_memory(wp.vec3, "float", 3 * features.shared)
 
     @wp.func
     def load(m: wp.uint64, c: Cloth, i: int) -> wp.vec3:
         x = wp.vec3()
-        if wp.static(SHARED):
+        if wp.static(WEIGHTED):
+            x = xyz(load_weighted(m, i))
+        elif wp.static(SHARED):
             x = load_apart(m, c.vertices, i)
         else:
             x = load_packed(m, i)
@@ -404,10 +452,31 @@ def build_kernels(features: Features) -> Kernels:
 
     @wp.func
     def store(m: wp.uint64, c: Cloth, i: int, x: wp.vec3):
-        if wp.static(SHARED):
+        if wp.static(WEIGHTED):
+            store_beside(m, i, x)
+        elif wp.static(SHARED):
             store_apart(m, c.vertices, i, x)
         else:
             store_packed(m, i, x)
+
+    @wp.func
+    def load_all(m: wp.uint64, c: Cloth, world: int, i: int) -> wp.vec4:
+        """Position and weight."""
+        x = wp.vec4()
+        if wp.static(WEIGHTED):
+            x = load_weighted(m, i)
+        else:
+            y = load(m, c, i)
+            x = wp.vec4(y[0], y[1], y[2], c.weight[world * c.vertices + i])
+        return x
+
+    @wp.func
+    def store_all(m: wp.uint64, c: Cloth, i: int, x: wp.vec3, weight: float):
+        """The weight is as it was."""
+        if wp.static(WEIGHTED):
+            store_weighted(m, i, x, weight)
+        else:
+            store(m, c, i, x)
 
     @wp.func
     def begin_search(c: Cloth, m: wp.uint64, world: int, k: int, resumes: bool):
@@ -520,7 +589,10 @@ def build_kernels(features: Features) -> Kernels:
             c.velocity[o] = (y - x) / c.dt
             store(m, c, i, y)
         c.holder[world, u] = now
-        c.weight[o] = wp.where(now >= 0, 0.0, c.inverse_area[i])
+        weight = wp.where(now >= 0, 0.0, c.inverse_area[i])
+        c.weight[o] = weight
+        if wp.static(WEIGHTED):
+            store_weight(m, i, weight)
 
     @wp.func
     def predict(c: Cloth, m: wp.uint64, world: int, i: int):
@@ -546,37 +618,36 @@ def build_kernels(features: Features) -> Kernels:
     def keep_distance(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
         """XPBD with one iteration (Macklin et al. 2016, equation 18, with λ = 0), masses over density."""
         ends = c.pair[k]
-        wi = c.weight[world * c.vertices + ends[0]]
-        wj = c.weight[world * c.vertices + ends[1]]
-        xi = load(m, c, ends[0])
-        xj = load(m, c, ends[1])
-        apart = xi - xj
+        i = load_all(m, c, world, ends[0])
+        j = load_all(m, c, world, ends[1])
+        wi = i[3]
+        wj = j[3]
+        apart = xyz(i) - xyz(j)
         length = wp.length(apart)
         if length > _NEAR and wi + wj > 0.0:
             share = (c.rest[k] - length) / (length * (wi + wj + soft * c.unit[k]))
-            store(m, c, ends[0], xi + (share * wi) * apart)
-            store(m, c, ends[1], xj - (share * wj) * apart)
+            store_all(m, c, ends[0], xyz(i) + (share * wi) * apart, wi)
+            store_all(m, c, ends[1], xyz(j) - (share * wj) * apart, wj)
 
     @wp.func
     def keep_flat(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
         """The same for the vector Σ weight_i x_i = 0, whose three components are apart."""
         ends = c.quad[k]
         a = c.quad_weight[k]
-        o = world * c.vertices
-        w0 = c.weight[o + ends[0]] * a[0]
-        w1 = c.weight[o + ends[1]] * a[1]
-        w2 = c.weight[o + ends[2]] * a[2]
-        w3 = c.weight[o + ends[3]] * a[3]
-        x0 = load(m, c, ends[0])
-        x1 = load(m, c, ends[1])
-        x2 = load(m, c, ends[2])
-        x3 = load(m, c, ends[3])
+        x0 = load_all(m, c, world, ends[0])
+        x1 = load_all(m, c, world, ends[1])
+        x2 = load_all(m, c, world, ends[2])
+        x3 = load_all(m, c, world, ends[3])
+        w0 = x0[3] * a[0]
+        w1 = x1[3] * a[1]
+        w2 = x2[3] * a[2]
+        w3 = x3[3] * a[3]
         total = w0 * a[0] + w1 * a[1] + w2 * a[2] + w3 * a[3] + soft * c.quad_unit[k]
-        change = (a[0] * x0 + a[1] * x1 + a[2] * x2 + a[3] * x3) / (-total)
-        store(m, c, ends[0], x0 + w0 * change)
-        store(m, c, ends[1], x1 + w1 * change)
-        store(m, c, ends[2], x2 + w2 * change)
-        store(m, c, ends[3], x3 + w3 * change)
+        change = xyz(a[0] * x0 + a[1] * x1 + a[2] * x2 + a[3] * x3) / (-total)
+        store_all(m, c, ends[0], xyz(x0) + w0 * change, x0[3])
+        store_all(m, c, ends[1], xyz(x1) + w1 * change, x1[3])
+        store_all(m, c, ends[2], xyz(x2) + w2 * change, x2[3])
+        store_all(m, c, ends[3], xyz(x3) + w3 * change, x3[3])
 
     @wp.func
     def find_layers(c: Cloth, m: wp.uint64, world: int, i: int):
@@ -809,7 +880,7 @@ def build_kernels(features: Features) -> Kernels:
         m = address(c.position, world * n)
         if wp.static(SHARED):
             for i in range(lane, n, lanes):
-                store(m, c, i, c.position[world * n + i])
+                store_all(m, c, i, c.position[world * n + i], c.weight[world * n + i])
             wait_for_block()
         # of what was searched, the layers' candidates are no state: they follow from anchors again
         resumes = bool(False)
