@@ -748,10 +748,14 @@ def build_kernels(features: Features) -> Kernels:
                         most = wp.max(u0, wp.max(u1, u2))
                         w = wp.max(w, 0.5 * most)
                         if w > 0.0:
-                            n = wp.quat_rotate(c.tools.shape_rotation[world, shape], xyz(found))
+                            # how much farther out corners are than the point that touches
+                            n = xyz(found)
                             at = share[0] * p0 + share[1] * p1 + share[2] * p2
+                            h0 = wp.dot(p0 - at, n)
+                            h1 = wp.dot(p1 - at, n)
+                            h2 = wp.dot(p2 - at, n)
+                            n = wp.quat_rotate(c.tools.shape_rotation[world, shape], n)
                             was = carried(c.tools, world, shape, at)
-                            body = (share[0] * x0 + share[1] * x1 + share[2] * x2) - was
                             s0 = c.start[o + ends[0]]
                             s1 = c.start[o + ends[1]]
                             s2 = c.start[o + ends[2]]
@@ -759,14 +763,17 @@ def build_kernels(features: Features) -> Kernels:
                                 s0 += c.corner_shift[k]
                                 s1 += c.corner_shift[k + 1]
                                 s2 += c.corner_shift[k + 2]
-                            slip = was - (share[0] * s0 + share[1] * s1 + share[2] * s2)
+                            s0 = was - s0
+                            s1 = was - s1
+                            s2 = was - s2
+                            slip = share[0] * s0 + share[1] * s1 + share[2] * s2
                             slip = slip - wp.dot(slip, n) * n
                             mu = 0.5 * (c.friction[world] + c.tools.friction[shape])
                             change = (depth * n - friction(slip, depth, mu, mu)) / w
                             along = wp.dot(change, n)
-                            t0 = excess(wp.dot(x0 - s0 - body, n), u0 * along)
-                            t1 = excess(wp.dot(x1 - s1 - body, n), u1 * along)
-                            t2 = excess(wp.dot(x2 - s2 - body, n), u2 * along)
+                            t0 = excess(h0 + wp.dot(s0, n), u0 * along)
+                            t1 = excess(h1 + wp.dot(s1, n), u1 * along)
+                            t2 = excess(h2 + wp.dot(s2, n), u2 * along)
                             push_corner(c, k, touched, u0 * change, share[0], t0 * n)
                             push_corner(c, k + 1, touched, u1 * change, share[1], t1 * n)
                             push_corner(c, k + 2, touched, u2 * change, share[2], t2 * n)
