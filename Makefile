@@ -6,7 +6,7 @@ PYTHON ?= python3
 TORCH ?= auto
 CPU_INDEX := https://download.pytorch.org/whl/cpu
 
-.PHONY: demo play docs quick test test-slow test-gpu check parts-and-tasks bench bench-gpu install
+.PHONY: demo play docs figures quick test test-slow test-gpu check parts-and-tasks bench bench-gpu install
 
 # What training, reports and the motion page need.
 $(VENV)/.small: pyproject.toml constraints.txt
@@ -34,7 +34,7 @@ $(VENV)/.installed: $(VENV)/.small
 
 # Train the walk on the CPU, evaluate it, leave video and report.
 demo: $(VENV)/.small
-	$(BIN)/understudy train experiment=spacetime/walk
+	$(BIN)/understudy train experiment=spacetime/walk_imagined
 
 # A trained walk in the browser.
 play: $(VENV)/.small
@@ -43,6 +43,10 @@ play: $(VENV)/.small
 # The documentation as a site, in build/site.
 docs: install
 	$(BIN)/python -m mkdocs build --strict
+
+# Write the figures on the pages from their records (docs/figures.yaml).
+figures: install
+	$(BIN)/python benchmarks/figures.py
 
 # What most likely breaks by the change at hand, within a minute.
 quick: install
@@ -61,6 +65,7 @@ test-gpu: install
 check: install
 	$(BIN)/ruff format --check kernel plugins tests benchmarks
 	$(BIN)/ruff check kernel plugins tests benchmarks
+	$(BIN)/typos
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/python -m pytest -q tests/plugins/test_every_component.py
 

@@ -31,8 +31,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from understudy.records.runs import versions
 from understudy.task import Context, Rollout, box
+from understudy_networks.graphs import Captured
 from understudy_networks.policies import MLPPolicy
-from understudy_ppo.graphs import Captured
 from understudy_ppo.learner import PPO
 from understudy_ppo.losses import KLPenalty
 

@@ -25,6 +25,26 @@ def begin(*arguments: str) -> Any:
     return process
 
 
+def begin_that_stops_writing(mark: Path, *arguments: str) -> Any:
+    """As :func:`begin`, of a command that writes `mark` and waits once its file's content is on disk under
+    another name."""
+    server = multiprocessing.get_context("forkserver")
+    process = server.Process(target=_stopping, args=(mark, arguments))
+    process.start()
+    return process
+
+
+def _stopping(mark: Path, arguments: tuple[str, ...]) -> None:
+    from understudy.records import checkpoint
+
+    def stop(handle: int) -> None:
+        mark.touch()
+        time.sleep(600)
+
+    checkpoint.sync = stop
+    _quietly(arguments)
+
+
 def _quietly(arguments: tuple[str, ...]) -> None:
     import torch
 

@@ -13,7 +13,9 @@ from typing import Any
 
 import pytest
 import torch
+import yaml
 
+from understudy.command.cli import main
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, installed, load
 from understudy.testing import check_plugin
@@ -53,6 +55,16 @@ def test_commands_compose(overrides: list[str]) -> None:
     load_experiment(overrides, installed())
 
 
+def test_the_demo_is_the_one_that_the_page_names() -> None:
+    recipe = re.search(r"^demo:.*\n\t\S+understudy (.+)$", (ROOT / "Makefile").read_text(), re.M)
+    assert recipe is not None
+    named = re.search(
+        r"^understudy (.+) seed=3 +# the demo", (ROOT / "docs" / "using.md").read_text(), re.M
+    )
+    assert named is not None
+    assert named[1] == recipe[1]
+
+
 def tutorial_files() -> dict[str, str]:
     """The files that the tutorial shows, by path."""
     text = TUTORIAL.read_text(encoding="utf-8")
@@ -82,7 +94,11 @@ def test_the_tutorial_shows_all_of_the_tested_distribution() -> None:
 
 
 def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
-    overrides = commands(TUTORIAL)
+    (added, *overrides) = commands(TUTORIAL)
+    assert load_experiment(added, balance).need("policy").options.feedback.observation == (
+        "state",
+        "extra",
+    )
     assert len(overrides) == 4
     for items in overrides:
         experiment = load_experiment(items, balance)
@@ -92,9 +108,49 @@ def test_what_the_tutorial_grows_works(balance: Plugins) -> None:
     check_plugin("balance", balance)
 
 
+def test_the_term_in_the_readme_is_the_tutorials() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown: dict[str, Any] = {}
+    exec(re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)[0], shown)
+    taught: dict[str, Any] = {}
+    exec(tutorial_files()["src/understudy_balance/terms.py"], taught)
+    rotation = torch.nn.functional.normalize(
+        torch.tensor([[1.0, 0, 0, 0], [0.9, 0.1, 0.3, 0.2]]), dim=1
+    )
+    assert torch.equal(shown["upright"](rotation), taught["upright"](rotation))
+    named = yaml.safe_load(re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S)[0])
+    assert named == {"reward": {"terms": {"upright": {"name": "balance/upright", "scale": 1.0}}}}
+
+
+def test_the_dark_figure_differs_in_its_colours_alone() -> None:
+    light, dark = (
+        re.sub(r"#[0-9a-f]{6}", "COLOUR", (ROOT / f"docs/media/{name}.svg").read_text("utf-8"))
+        for name in ("design", "design-dark")
+    )
+    assert light == dark
+
+
 def snippets(page: Path) -> list[str]:
     """The Python of `page`."""
     return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+
+
+def test_from_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The page's three snippets, in a folder with the run that the second one opens."""
+    pytest.importorskip("gymnasium", reason="Gymnasium is not installed (extra gym)")
+    monkeypatch.chdir(tmp_path)
+    words = ["experiment=miniature/go", "budget.samples=64", "num_worlds=4", "run.dir=runs/go"]
+    words += ["evaluation.final_episodes=4", "run.video_seconds=0.2"]
+    assert main(["train", *words]) == 0
+    found = snippets(ROOT / "docs" / "from-python.md")
+    assert len(found) == 3
+    capsys.readouterr()
+    for text in found:
+        exec(compile(text, "from-python.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "distance " in said
 
 
 LEARNERS = ROOT / "docs" / "other-learners.md"

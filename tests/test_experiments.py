@@ -74,10 +74,10 @@ def test_what_does_not_go_together_is_named() -> None:
 @pytest.mark.parametrize(
     ("override", "answer"),
     [
-        ("seed= 3", "it takes int"),
-        ("seed=3 ", "it takes int"),
-        ("num_worlds=\t8", "it takes int"),
-        ("learner.gamma=0.9 ", "it takes float"),
+        ("seed= 3", "it takes a whole number"),
+        ("seed=3 ", "it takes a whole number"),
+        ("num_worlds=\t8", "it takes a whole number"),
+        ("learner.gamma=0.9 ", "it takes a number"),
         ("learner.precision= float32", "Did you mean 'float32'"),
         ("policy= mlp", "Did you mean 'mlp'"),
         ("experiment= miniature/go", "Did you mean 'miniature/go'"),

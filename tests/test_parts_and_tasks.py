@@ -53,7 +53,7 @@ def test_the_page_has_every_part_and_every_task() -> None:
 
 #: All of them take a quarter of an hour; these are a share that does not depend on the others.
 SOME = [
-    (part, task) for part in PARTS for task in TASKS if crc32(f"{part} {task}".encode()) % 8 == 0
+    (part, task) for part in PARTS for task in TASKS if crc32(f"{part} {task}".encode()) % 24 == 0
 ]
 
 

@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 #: Rooms of the kernel, in the order in which they are read.
 ROOMS = ("task", "running", "setup", "records", "command", "testing")
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
+#: What an HTML element shows: its attribute and the file.
+_PICTURE = re.compile(r'\b(src|srcset)="([^":]+)"')
 
 
 def _module(path: Path) -> str:
@@ -87,7 +89,7 @@ SOURCES = _sources()
 
 def on_config(config: Any) -> Any:
     config.nav = [
-        {"Start": ["index.md", "quick-start.md", "gallery/index.md", "notebook/index.md", "clusters.md"]},
+        {"Start": ["index.md", "quick-start.md", "using.md", "gallery/index.md", "notebook/index.md", "clusters.md"]},
         {"Guides": ["tour.md", "conventions.md", "choosing.md", "ideas.md", "motion.md", "plugin-tutorial.md", "other-learners.md", "parts-and-tasks.md"]},
         {"Papers": [p for p in sorted(_places("papers"))]},
         {"Plugins": [p for p in SOURCES if p.startswith("plugins/")]},
@@ -113,6 +115,13 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     place = page.file.src_uri
     source = SOURCES[place][0] if place in SOURCES else f"docs/{place}"
 
+    def nearer(found: str) -> str:
+        return posixpath.relpath(found.partition("#")[0], posixpath.dirname(place) or ".")
+
+    def drawn(match: re.Match[str]) -> str:
+        found = _on_site(posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2])))
+        return f'{match[1]}="{nearer(found)}"' if found else match.group()
+
     def turned(match: re.Match[str]) -> str:
         mark, text, target = match.groups()
         path, hash_, anchor = target.partition("#")
@@ -121,11 +130,13 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         found = _on_site(posixpath.normpath(posixpath.join(posixpath.dirname(source), path)))
         if found is None:
             return text
-        near = posixpath.relpath(found.partition("#")[0], posixpath.dirname(place) or ".")
+        near = nearer(found)
         return f"{mark}[{text}]({near}{'#' if '#' in found else hash_}{found.partition('#')[2] or anchor})"
 
     parts = re.split(r"(^```.*?^```)", markdown, flags=re.M | re.S)
-    return "".join(p if p.startswith("```") else _LINK.sub(turned, p) for p in parts)
+    return "".join(
+        p if p.startswith("```") else _PICTURE.sub(drawn, _LINK.sub(turned, p)) for p in parts
+    )
 
 
 def _on_site(path: str) -> str | None:

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 
+__all__ = ["requested", "size", "total"]
+
 
 def requested() -> int:
     """How many processes ``torchrun`` started."""

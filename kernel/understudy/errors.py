@@ -9,6 +9,17 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+__all__ = [
+    "ConfigError",
+    "FileError",
+    "PluginError",
+    "PreemptedError",
+    "RunError",
+    "TrainingError",
+    "UnderstudyError",
+    "suggestion",
+]
+
 
 class UnderstudyError(Exception):
     """Something outside the program is wrong: a config, a file, a plugin, the machine."""

@@ -12,6 +12,8 @@ from pathlib import Path
 
 from understudy.errors import RunError
 
+__all__ = ["check_within", "read"]
+
 #: Most bytes that a JSON file, such as ``run.json``, has.
 DOCUMENT = 2**28
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from understudy.errors import RunError
 from understudy.folders import opened
 
+__all__ = ["Inputs"]
+
 
 @dataclass
 class Inputs:

@@ -20,6 +20,18 @@ from typing import Any
 
 from understudy.errors import ConfigError, suggestion
 
+__all__ = [
+    "REQUIRED",
+    "Option",
+    "check_range",
+    "checked_options",
+    "in_words",
+    "make_options",
+    "options_of",
+    "schema_of",
+    "sentences",
+]
+
 
 @dataclass(frozen=True)
 class Option:
@@ -159,11 +171,47 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 
 
 def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
-    names = (getattr(k, "__name__", str(k)) if not typing.get_origin(k) else str(k) for k in kinds)
-    expected = " or ".join(names).replace("typing.", "").replace("collections.abc.", "")
+    expected = " or ".join(dict.fromkeys(in_words(kind) for kind in kinds))
     text = str in kinds and isinstance(value, (int, float))
     hint = f" As text it is quoted twice: {where}=\"'{value}'\"." if text else ""
     return ConfigError(f"{where}={value!r} is not possible: it takes {expected}.{hint}")
+
+
+_WORDS = {
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+    Any: "anything",
+}
+
+
+def in_words(annotation: Any) -> str:
+    """A type as users know it, such as ``a list of whole numbers``."""
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if annotation in _WORDS:
+        return _WORDS[annotation]
+    if origin is typing.Literal:
+        return " or ".join(map(str, inner))
+    if origin in (tuple, list):
+        kinds = dict.fromkeys(in_words(kind) for kind in inner if kind is not Ellipsis)
+        of = " or ".join(kinds).removeprefix("a ")
+        fixed = origin is tuple and Ellipsis not in inner
+        count = f"{len(inner)} " if fixed else ""
+        plural = "s" if of.endswith("number") or of.endswith("mapping") else ""
+        if of.startswith("list"):
+            of = of.replace("list", "lists", 1)
+        return f"a list of {count}{of}{plural}" if of else "a list"
+    if origin in (typing.Union, types.UnionType):
+        choices = [in_words(kind) for kind in inner if kind is not type(None)]
+        return " or ".join([*dict.fromkeys(choices), *(["null"] if type(None) in inner else [])])
+    if (
+        origin in (dict, Mapping)
+        or annotation in (dict, Mapping)
+        or dataclasses.is_dataclass(annotation)
+    ):
+        return "a mapping"
+    return getattr(annotation, "__name__", str(annotation))
 
 
 def make_options(schema: type, values: Any, where: str) -> Any:

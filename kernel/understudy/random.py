@@ -18,6 +18,8 @@ from torch import Tensor
 
 from understudy import distributed
 
+__all__ = ["WorldStreams", "derive_seed", "generator", "private_rng"]
+
 #: 0x9E3779B97F4A7C15 as int64: 2^64 / golden ratio (Steele et al. 2014).
 _GAMMA = -0x61C8864680B583EB
 _MIX_1 = -0x40A7B892E31B1A47  # 0xBF58476D1CE4E5B9

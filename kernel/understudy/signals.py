@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 
 from understudy.errors import PreemptedError
 
+__all__ = ["StopRequest"]
+
 
 @dataclass(eq=False)
 class StopRequest:

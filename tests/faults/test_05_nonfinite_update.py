@@ -12,8 +12,8 @@ from understudy.errors import TrainingError
 from understudy.records import checkpoint
 from understudy.running.training import Training
 from understudy.setup.building import build_environment, build_policy
-from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins
+from understudy.setup.validation import validate
 from understudy.task import Rollout
 from understudy.testing.fake import FAKE_TASK
 from understudy_ppo.learner import PPO

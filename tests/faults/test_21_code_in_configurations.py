@@ -16,8 +16,8 @@ from understudy.records import checkpoint, runs
 from understudy.records.runs import Run
 from understudy.running.trials import Trial
 from understudy.setup.composition import compose_raw, load_experiment
-from understudy.setup.config import CODE_KEYS, refuse_code, validate
 from understudy.setup.plugins import Plugins, kernel_conf
+from understudy.setup.validation import CODE_KEYS, refuse_code, validate
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.origins import origins
 from understudy_inspect.replay import replay_step

@@ -23,9 +23,9 @@ from understudy.records.observer import RunObserver
 from understudy.setup import plugins as plugins_module
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy.setup.config import Root
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import KERNEL_KEYS, Registrar
+from understudy.setup.root import Root
 from understudy.signals import StopRequest
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK

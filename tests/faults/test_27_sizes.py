@@ -16,8 +16,8 @@ from understudy.errors import ConfigError, PluginError
 from understudy.options import Option, options_of
 from understudy.setup.building import build_environment, build_policy, enough_memory
 from understudy.setup.composition import load_experiment
-from understudy.setup.config import Root
 from understudy.setup.plugins import Plugins, load
+from understudy.setup.root import Root
 from understudy.testing.fake import FAKE_TASK
 from understudy_bayes.space import Parameter
 from understudy_diversity.strategies import Feature

@@ -13,6 +13,7 @@ from understudy_gripping.grip import load_grip, standard
 from understudy_gripping.hold import placed
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
+from understudy_mujoco.fields import AT_ITERATIONS
 
 
 def on_cpu(context: Context) -> Simulator:
@@ -54,7 +55,7 @@ def check_held(make: Callable[[Context], Simulator], seconds: float, device: str
     assert settled is not None
     assert float((away - settled).norm(dim=-1).max()) < 1e-3
     assert not simulator.failed().any()
-    assert simulator.report() == {}
+    assert set(simulator.report()) <= {AT_ITERATIONS}  # nothing overflows, no servo is at its limit
 
 
 def test_mujoco_holds_it() -> None:

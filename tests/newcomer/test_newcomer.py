@@ -64,8 +64,9 @@ def demo(understudy: Path) -> Path:
     cwd = understudy.parents[2]
     out = run(
         [
-            str(understudy), "train", "experiment=spacetime/walk", "num_worlds=16",
-            "learner.minibatches=2", "policy.feedback.hidden=[32]", "budget.samples=512",
+            str(understudy), "train", "experiment=spacetime/walk_imagined", "num_worlds=16",
+            "learner.rollout_steps=16", "learner.model.first_samples=256", "learner.model.first_updates=9",
+            "learner.updates=2", "policy.feedback.hidden=[32]", "budget.samples=512",
             "evaluation.episodes=4", "evaluation.final_episodes=4", "evaluation.seconds=1",
             "run.video_seconds=0.5",
         ],
@@ -163,9 +164,9 @@ def test_the_page_fits_the_screen(demo: Path, width: int, tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_demo_keeps_its_promise(understudy: Path, seed: int) -> None:
-    """Some 3 to 5 minutes each on two idle cores."""
+    """Some two minutes each on two idle cores."""
     cwd = understudy.parents[2]
-    command = [str(understudy), "train", "experiment=spacetime/walk", f"seed={seed}"]
+    command = [str(understudy), "train", "experiment=spacetime/walk_imagined", f"seed={seed}"]
     run([*command, f"run.dir=seed{seed}"], cwd, timeout=3000)
     evaluation = json.loads((cwd / f"seed{seed}" / "evaluation.json").read_text())
     assert evaluation["success_rate"] >= 0.9

@@ -5,8 +5,8 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 from understudy.errors import PluginError
-from understudy.setup.config import Root
 from understudy.setup.plugins import installed
+from understudy.setup.root import Root
 from understudy.testing import check_component
 from understudy.testing.conformance import unsaid
 

@@ -63,12 +63,29 @@ def _run(arguments: list[str]) -> int:
     return options.function(options, overrides)
 
 
+#: What people who know Hydra write, and what to write here.
+_HYDRAS = (
+    ({"-m", "--multirun"}, "Several values: `understudy sweep experiment=NAME outer_loop=grid "
+     "executor=in_process 'outer_loop.variants={a: [KEY=VALUE], b: [KEY=VALUE]}' 'outer_loop.seeds=[0,1,2]'`."),
+    ({"-c", "--cfg", "-i", "--info", "-p", "--package", "--resolve"},
+     "`understudy config experiment=NAME KEY=VALUE` prints every value and what set it."),
+    ({"-cn", "--config-name", "-cp", "--config-path", "-cd", "--config-dir"},
+     "An experiment is chosen by experiment=NAME; files of your own are a plugin's: `understudy new plugin NAME`."),
+    ({"-sc", "--shell-completion"}, "`understudy completion bash` prints what completes all words."),
+    ({"--hydra-help", "-r", "--run", "--experimental-rerun"}, "`understudy train --help` has what there is."),
+)  # fmt: skip
+
+
 def _check(words: Sequence[str], overrides_allowed: bool) -> None:
     """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
     for word, following in zip(words, [*words, "…"][1:], strict=True):
         key, _, value = word.lstrip("-").partition("=")
         if not overrides_allowed:
             raise ConfigError(f"'{word}' is not taken here. See `understudy COMMAND --help`.")
+        if instead := next(
+            (text for names, text in _HYDRAS if word.partition("=")[0] in names), ""
+        ):
+            raise ConfigError(f"{word} is Hydra's own. {instead}")
         if word.startswith("-"):
             raise ConfigError(f"There is no option {word}. Write {key}={value or following}.")
 
@@ -96,7 +113,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, text in (
         ("train", "train an experiment: understudy train experiment=spacetime/walk"),
-        ("resume", "continue a training from its last checkpoint"),
+        ("resume", "continue a training: understudy resume runs/spacetime-walk-001"),
     ):
         parser_of = commands.add_parser(name, help=text, description=text, **common)
         parser_of.set_defaults(function=_work, work=name, overrides_allowed=True)
@@ -128,6 +145,16 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
             continue
         command = component.factory()
         command.arguments(parser)
+        parser.formatter_class = argparse.RawDescriptionHelpFormatter
+        keys = (plugins.kernel_conf() / "help.txt").read_text(encoding="utf-8")
+        example = f"for example:\n  {command.example}" if command.example else ""
+        parser.epilog = example.replace("%", "%%")
+        if command.takes_overrides:
+            parser.epilog += f"\n\n{keys}"
+            if parser.usage is None:
+                parser.usage = (
+                    f"{parser.format_usage().removeprefix('usage: ').strip()} [KEY=VALUE …]"
+                )
         if type(command).writes is not Command.writes:
             parser.add_argument(
                 "--overwrite", action="store_true", help="replace files that are there"

@@ -7,6 +7,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
+__all__ = ["Command"]
+
 
 class Command(ABC):
     """A command of the command line, registered as a ``command`` named by its words: the component
@@ -14,6 +16,7 @@ class Command(ABC):
 
     #: Whether it takes Hydra's overrides, which it finds in ``options.overrides``.
     takes_overrides = False
+    example = ""  #: A whole command line, which ``--help`` shows.
 
     @abstractmethod
     def arguments(self, parser: argparse.ArgumentParser) -> None:

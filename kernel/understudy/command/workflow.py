@@ -13,9 +13,12 @@ from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.building import device_of
 from understudy.setup.composition import compose_raw, load_experiment
-from understudy.setup.config import Experiment, at, validate
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
+from understudy.setup.validation import at, validate
 from understudy.signals import StopRequest
+
+__all__ = ["judge", "tell"]
 
 
 def tell(text: str) -> None:
@@ -31,6 +34,8 @@ def train(overrides: Sequence[str]) -> int:
     with _together(experiment):
         training = Training(experiment).prepare()
         if distributed.rank() == 0:
+            for note in training.job.notes():
+                tell(note)
             with StopRequest() as stop:  # the folder is made whole or not at all
                 run = runs.create(experiment, overrides, training.job.sources())
                 stop.advise(f"Continue with `understudy resume {run.path}`.")

@@ -28,6 +28,8 @@ from torch import Tensor
 from understudy.errors import RunError
 from understudy.folders import opened, read
 
+__all__ = ["load", "newest", "save", "sync", "write_atomically"]
+
 #: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
 FORMAT = 3
 #: Errors of file systems that have no locks, or cannot be asked to write at once.

@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     from understudy.records.recording import Recording
     from understudy.records.runs import Run
 
+__all__ = ["RunObserver"]
+
 
 class RunObserver:
     """Watches a run; every method may be left out. Observers draw no random numbers."""

@@ -13,6 +13,8 @@ import numpy as np
 from understudy.records.checkpoint import write_atomically
 from understudy.task import Scene
 
+__all__ = ["Recording"]
+
 
 @dataclass(frozen=True)
 class Recording:

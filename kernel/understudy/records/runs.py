@@ -37,8 +37,11 @@ from understudy.inputs import Inputs
 from understudy.records import checkpoint
 from understudy.records.checkpoint import write_atomically
 from understudy.setup import plugins
-from understudy.setup.config import Experiment, refuse_code, validate
+from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
+from understudy.setup.validation import refuse_code, validate
+
+__all__ = ["Run", "cores", "create", "differences", "open_run"]
 
 #: Version of the folder's layout.
 LAYOUT = 3

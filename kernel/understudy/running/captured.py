@@ -18,6 +18,8 @@ from torch import Tensor
 if TYPE_CHECKING:
     from understudy.running.environment import Environment
 
+__all__ = ["Captured"]
+
 T = TypeVar("T")
 
 _WARM_UP = 3

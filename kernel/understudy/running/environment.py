@@ -32,6 +32,8 @@ from understudy.task import (
 )
 from understudy.task.terms import Term, Wired
 
+__all__ = ["OWN_FIELDS", "Environment", "Step", "rows", "sound"]
+
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
 #: term or one that only reports) are set once this step's terminations are known, so only rewards
@@ -190,6 +192,8 @@ class Environment:
         self.on_period: Callable[[], None] | None = None
         self._controls: list[Tensor] = []
         #: By term of a product that has an exponent: its least value so far, (N,).
+        #: By reward term: what it added to the last decision's reward, or multiplied it with, (N,).
+        self.rewarded: dict[str, Tensor] = {}
         self._least = {
             term.where: zeros(())
             for term in parts.rewards
@@ -440,9 +444,10 @@ class Environment:
         for term, (value, _) in zip(self.parts.rewards, values, strict=True):
             if term.where in self._least:
                 self._least[term.where].copy_(torch.fmin(self._least[term.where], value))
-        if self.parts.combine == "sum":
-            return functools.reduce(operator.add, [v * weight for v, weight in values])
-        return functools.reduce(operator.mul, [v if w == 1.0 else v**w for v, w in values])
+        summed = self.parts.combine == "sum"
+        given = [v * w if summed else v if w == 1.0 else v**w for v, w in values]
+        self.rewarded = dict(zip((term.name for term in self.parts.rewards), given, strict=True))
+        return functools.reduce(operator.add if summed else operator.mul, given)
 
     def unsound_parts(self) -> list[str]:
         """Whose numbers went wrong in the states reached by :meth:`advance`, before :meth:`begin`."""

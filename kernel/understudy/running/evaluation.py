@@ -9,6 +9,8 @@ from typing import Any
 
 from torch import Tensor
 
+__all__ = ["Evaluation", "Measured", "wilson_interval"]
+
 
 @dataclass(frozen=True)
 class Measured:

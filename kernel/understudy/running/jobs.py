@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from understudy.records.recording import Recording
     from understudy.records.runs import Run
     from understudy.running.evaluation import Evaluation
+
+__all__ = ["Job"]
 
 
 class Job(ABC):
@@ -87,6 +89,10 @@ class Job(ABC):
     def sources(self) -> Mapping[str, Any]:
         """Where its data came from, with licences."""
         return {}
+
+    def notes(self) -> Sequence[str]:
+        """What whoever starts it should hear of how it is put together, in sentences."""
+        return ()
 
     def report(self) -> Mapping[str, int]:
         """Counts of what went wrong since the start, by name."""

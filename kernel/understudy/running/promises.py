@@ -23,6 +23,8 @@ from understudy.task import (
 )
 from understudy.task.terms import Term, Wired
 
+__all__ = ["Parts"]
+
 
 @dataclass
 class Parts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from typing import Any
 
 import torch
@@ -22,6 +22,8 @@ from understudy.running.warm_start import misshapen, take_over
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Learner, Policy, State
+
+__all__ = ["Reinforcement"]
 
 #: The world that is recorded and drawn.
 _SHOWN = 0
@@ -49,14 +51,16 @@ class Reinforcement(Job):
         self._failing = 1.0
         self._on_fault: Callable[[str, State], None] | None = None
         self._started: Mapping[str, Any] = {}
+        self._unread: list[str] = []
 
     def prepare(self) -> None:
         experiment = self.experiment
         success_of(experiment)  # refused now, not when the training comes to its first evaluation
         self.built = built = build_environment(experiment, substeps=self.substeps)
         self.environment = built.environment
-        self.environment.reset()  # which also checks every term
+        observations = self.environment.reset()  # which also checks every term
         self.policy = build_policy(experiment, built.context)
+        self._unread = _unread(self.policy, observations)
         self.learner = experiment.need("learner").build(built.context, self.policy)
         self._hopeless = Hopeless(self.environment.num_worlds)
         initial, curriculum = self._adapting()
@@ -248,6 +252,19 @@ class Reinforcement(Job):
         scene = {"scene": facts} if facts else {}
         return found | scene | ({"start": self._started} if self._started else {})
 
+    def notes(self) -> list[str]:
+        known = self.environment.parts.encoders.keys() - set(self._unread)
+        chosen = self.experiment.need("policy")
+        where, read = [("policy.observation", []), *_naming(chosen.effective(), "policy", known)][
+            -1
+        ]
+        return [
+            f"No network reads the observation '{name}'. To have it read, write "
+            f"{where}=[{','.join([*read, name])}]; `understudy describe policy/{chosen.component.name}` "
+            "has what else a network may read."
+            for name in self._unread
+        ]
+
     def report(self) -> Mapping[str, int]:
         return self.environment.parts.simulator.report()
 
@@ -285,3 +302,35 @@ class Reinforcement(Job):
             self.built.environment.close()
         for evaluator in self._evaluators.values():
             evaluator.close()
+
+
+def _naming(options: Any, where: str, names: Set[str]) -> Iterator[tuple[str, Sequence[str]]]:
+    """The key paths in nested `options` at which some of the `names` stand, and which."""
+    if isinstance(options, Mapping):
+        for key, value in options.items():
+            yield from _naming(value, f"{where}.{key}", names)
+        return
+    found = (
+        [options]
+        if isinstance(options, str)
+        else list(options or ())
+        if isinstance(options, (list, tuple))
+        else []
+    )
+    if found and all(name in names for name in found):
+        yield where, found
+
+
+def _unread(policy: Policy, observations: Mapping[str, Tensor]) -> list[str]:
+    """The names of those of the `observations` that neither actor nor critic reads."""
+    read: set[str] = set()
+
+    class Noting(dict[str, Tensor]):
+        def __getitem__(self, name: str) -> Tensor:
+            read.add(name)
+            return super().__getitem__(name)
+
+    with torch.no_grad():
+        policy.distribution(Noting(observations))
+        policy.value(Noting(observations))
+    return [name for name in observations if name not in read]

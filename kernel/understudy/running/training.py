@@ -30,6 +30,8 @@ from understudy.setup.config import Experiment
 from understudy.signals import StopRequest, is_stop
 from understudy.task import State
 
+__all__ = ["Progress", "Reporter", "Training"]
+
 
 @dataclass
 class Progress:

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+__all__ = ["Executor", "OuterLoop", "Report", "Trial", "Work"]
+
 
 @dataclass(frozen=True)
 class Trial:

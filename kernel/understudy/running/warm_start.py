@@ -11,8 +11,10 @@ from torch import Tensor
 
 from understudy.errors import RunError
 from understudy.records import runs
-from understudy.setup.config import StartOptions
+from understudy.setup.root import StartOptions
 from understudy.task import Curriculum, InitialStates, Policy, State
+
+__all__ = ["load_part", "misshapen", "newest_state"]
 
 
 def policy_parts(policy: Policy) -> dict[str, set[str]]:
@@ -68,7 +70,10 @@ def take_over(
             raise RunError(f"start.parts names the {name}, and this task has none ({name}=…).")
         load_part(part, state, name, f"start.parts: the {name} of {start.run}")
     samples = state["progress"]["samples"]
-    return {"run": start.run, "parts": list(start.parts), "samples": samples}
+    sources = runs.open_run(start.run).info["sources"]  # licences of what the weights are made of
+    return {
+        "run": start.run, "parts": list(start.parts), "samples": samples, "sources": sources
+    }  # fmt: skip
 
 
 def load_part(part: Curriculum | InitialStates, state: State, name: str, what: str) -> None:

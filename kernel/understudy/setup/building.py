@@ -18,6 +18,8 @@ from understudy.setup.registry import Registry
 from understudy.task import Context, Policy, Scene
 from understudy.task.terms import Term, Wired, make_term, renamed
 
+__all__ = ["Built", "build_environment", "build_policy", "build_sections", "device_of"]
+
 
 @dataclass
 class Built:

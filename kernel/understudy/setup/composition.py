@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,22 @@ from omegaconf import OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
-from understudy.setup.config import (
-    GROUPS,
-    Experiment,
-    Root,
-    at,
-    refuse_code,
-    unknown_key,
-    validate,
-)
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, installed, kernel_conf
+from understudy.setup.root import Root
+from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
+
+__all__ = [
+    "compose_raw",
+    "for_hydra",
+    "hydra_session",
+    "load_experiment",
+    "option_directories",
+    "options",
+    "refuse_resolvers",
+    "replaced",
+    "sorts",
+]
 
 
 @contextlib.contextmanager
@@ -47,7 +53,6 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
 
 
 _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
-_STRUCTURE = re.compile(r"[^\[\],]+")
 
 
 def readable(override: str) -> str:
@@ -71,12 +76,36 @@ def readable(override: str) -> str:
             return f"{key}={quoted(value)}"  # which Hydra would strip
         value = value.strip()
         override = f"{key}={value}"
-    if reads(value) or (value.count(",") and not _is_file(value) and not value.startswith("[")):
+    structured = value.startswith(("[", "{")) and not _is_file(value)
+    if reads(value) or (value.count(",") and not _is_file(value) and not structured):
         return override
-    if value.startswith("[") and not _is_file(value):
-        words = _STRUCTURE.sub(lambda w: w[0] if reads(w[0]) else quoted(w[0].strip()), value)
+    if structured:
+        words = _each_word(value, lambda word: word if reads(word) else quoted(word))
         return f"{key}={words}" if reads(words) else override
     return override if value.startswith(("{", "'", '"')) else f"{key}={quoted(value)}"
+
+
+def _each_word(value: str, mend: Callable[[str], str]) -> str:
+    """A list or mapping as people write it, ``{a: [learner=ppo, x=[1]]}``, with `mend` of each word in it that
+    is not quoted. Brackets after an equals sign are the word's own."""
+    result, word, depth, quote, within = "", "", 0, "", [""]
+
+    def ended() -> str:
+        plain = word.strip()
+        return word.replace(plain, mend(plain)) if plain and plain[0] not in "'\"" else word
+
+    for sign in value:
+        if quote or (sign in "'\"" and not word.strip()):
+            quote = "" if sign == quote else quote or sign
+        elif "=" in word and (sign in "[{" or depth):
+            depth += (sign in "[{") - (sign in "]}")
+        elif sign in "[]{}," or (sign == ":" and within[-1] == "{"):
+            result, word = result + ended() + sign, ""
+            within += [sign] if sign in "[{" else []
+            within = within[:-1] if sign in "]}" and len(within) > 1 else within
+            continue
+        word += sign
+    return result + ended()
 
 
 def _is_file(value: str) -> bool:

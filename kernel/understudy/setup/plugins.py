@@ -24,6 +24,8 @@ from understudy.signals import is_stop
 if TYPE_CHECKING:
     from understudy.records.observer import RunObserver
 
+__all__ = ["Plugins", "installed", "kernel_conf"]
+
 GROUP = "understudy"
 hookspec = pluggy.HookspecMarker(GROUP)
 hookimpl = pluggy.HookimplMarker(GROUP)

@@ -18,6 +18,8 @@ from understudy.inputs import Inputs
 from understudy.options import Option, options_of
 from understudy.signals import is_stop
 
+__all__ = ["Component", "Registrar", "Registry"]
+
 
 @dataclass(frozen=True)
 class Slot:
@@ -299,4 +301,6 @@ class Registrar:
     def citation(self, key: str, text: str) -> None:
         """Record how to cite what the plugin implements; kept with every run that uses the plugin."""
         _check_texts(self.plugin, "citation", key, text)
+        if (self.plugin, key) in self.registry.citations:
+            raise PluginError(f"Plugin '{self.plugin}' gives the citation '{key}' twice.")
         self.registry.citations[self.plugin, key] = text

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 
+__all__ = ["Margin", "Term", "Wired", "ranges", "renamed"]
+
 T = TypeVar("T")
 
 #: What a termination term that fires does to the episode; ``report`` only reports it.

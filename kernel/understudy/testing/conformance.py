@@ -16,9 +16,9 @@ from understudy.options import options_of, sentences
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy.setup.config import validate
 from understudy.setup.plugins import Plugins, installed
 from understudy.setup.registry import Component
+from understudy.setup.validation import validate
 from understudy.task import Simulator
 from understudy.testing.capture import check_capturable
 

@@ -178,7 +178,9 @@ def test_what_is_named_is_taken_over_and_nothing_else(
     assert taken_over(training) == {k: (DONE if k in named else FRESH)[k] for k in DONE}
     assert training.progress.samples == 0
     sources = json.loads((tmp_path / "second/run.json").read_text())["sources"]
-    assert sources == {"start": {"run": str(run), "parts": list(named), "samples": 24}}
+    assert sources == {
+        "start": {"run": str(run), "parts": list(named), "samples": 24, "sources": {}}
+    }
 
 
 def test_what_was_taken_over_is_not_taken_again_by_resuming(tmp_path: Path) -> None:

@@ -12,8 +12,9 @@ from worlds import SMALL, make_training
 from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.setup.composition import compose_raw, load_experiment, readable, replaced
-from understudy.setup.config import Root, refuse_code, validate
 from understudy.setup.plugins import Plugins, load
+from understudy.setup.root import Root
+from understudy.setup.validation import refuse_code, validate
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.origins import origins
@@ -170,7 +171,7 @@ def test_the_command_shows_defaults(
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("seed=x", r"^seed='x' is not possible: it takes int\.$"),
+        ("seed=x", r"^seed='x' is not possible: it takes a whole number\.$"),
         ("termination.terms=null", r"^termination\.terms=None is not possible"),
         ("evaluation.success=3", r"^evaluation\.success=3 is not possible"),
         ("evaluation.success={measure: at}", r"^evaluation\.success.*at_least and at_most are both unset: give one of them\.$"),

@@ -208,3 +208,17 @@ def test_the_share_that_is_done_counts_what_is_finished() -> None:
         tell(b, number, 1.0, cost=cost)
         shares.append(b.done)
     assert shares == pytest.approx([0.0, 1 / 8, 0.4, 1.0])
+
+
+@pytest.mark.parametrize(("counts", "share"), [(True, 0.8), (False, 0.3)])
+def test_first_trials_need_not_count(counts: bool, share: float) -> None:
+    """Searches whose first trials cost more are left with as much as others after them."""
+    options = SearchOptions(
+        {"a.x": Parameter(0.0, 1.0)}, budget=10.0, initial=2, initial_counts=counts
+    )
+    book = Book(options)
+    for number, cost in enumerate((2.0, 3.0, 3.0)):
+        trial = book.ask(number, [0.5])
+        book.tell(Report(trial.key, "ok", 1.0, cost=cost))
+    assert book.spent(3) == pytest.approx(share)
+    assert book.done == pytest.approx(share)

@@ -265,3 +265,22 @@ def test_an_ask_takes_seconds() -> None:
     began = time.process_time()
     assert loop.ask(60) is not None
     assert time.process_time() - began < 10
+
+
+def test_the_last_trials_try_the_most_promising_place_before_they_move_from_it() -> None:
+    """An easy trial's place is asked about at z_max as it is, and only then are points beside it."""
+    told = carry_on(make(epsilon=1e-9, trials=8, reserve=0.375), valley)
+    easy = [t.point for t in trials(told) if t.fidelity == 0.0]
+    whole = [t.point for t in trials(told) if t.fidelity == 1.0]
+    assert len(whole) == 3
+    assert any(whole[0] == pytest.approx(point, rel=1e-6) for point in easy)
+    assert not any(point == pytest.approx(whole[0], rel=1e-6) for point in whole[1:])
+
+
+def test_epsilon_is_a_share_of_the_objectives_scale_where_that_is_known() -> None:
+    """Of a ceiling of 1 (eq. 6.5), not of the little that the first trials differ by."""
+    scaled = {"epsilon": 0.02, "trials": 9, "reserve": 0.0, "noise": 0.0, "sample_scale": 1e9}
+    little = lambda trial: 0.05 * valley(trial)  # noqa: E731
+    without = trials(carry_on(make(**scaled), little))
+    with_it = trials(carry_on(make(**scaled, ceiling=1.0), little))
+    assert max(t.fidelity or 0.0 for t in with_it) > max(t.fidelity or 0.0 for t in without)

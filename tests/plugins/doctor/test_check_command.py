@@ -74,7 +74,7 @@ def test_json_holds_everything(sunk: Path, capsys: pytest.CaptureFixture[str]) -
     found = json.loads(capsys.readouterr().out)
     assert set(found) == {
         "clip", "source", "licence", "seconds", "frames", "frame_rate", "loop", "character",
-        "verdict", "findings", "ground", "contacts", "torque", "skipped",
+        "verdict", "findings", "ground", "contacts", "torque", "let_go", "skipped",
     }  # fmt: skip
     assert found["verdict"] == "major"
     assert found["character"] == "humanoid"

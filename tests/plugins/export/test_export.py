@@ -339,3 +339,14 @@ def test_a_trained_run_is_exported_without_simulating_again(
         file.check()
         root = recorded[track_name][:, :3].astype(float)
         np.testing.assert_allclose(file.root_positions(), root, atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", ["gltf", "usda"])
+def test_the_answer_about_its_licence_travels(tmp_path: Path, run: Path, ending: str) -> None:
+    if ending == "usda":
+        pytest.importorskip("pxr", reason="USD is not installed (extra usd)")
+    path = tmp_path / f"walk.{ending}"
+    assert export(run, path) == 0
+    text = path.read_text()
+    assert "CC BY 4.0" in text
+    assert "Recorded by Ada. Commercial use: nothing stands in the way." in text

@@ -142,7 +142,7 @@ def test_an_image_is_an_input_as_it_is(tmp_path: Path) -> None:
     policy = build_policy(experiment, built.context)
     built.environment.close()
     skill = Skill("grains", experiment, policy.state_dict(), 0, {})
-    write_policy(skill, tmp_path / "grains.onnx")
+    write_policy(skill, tmp_path / "grains.onnx", {})
     model = session(tmp_path / "grains.onnx")
     built, policy = acting(skill)
     observations = built.environment.reset(3, "test")

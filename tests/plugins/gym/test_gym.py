@@ -141,7 +141,8 @@ def test_autoreset_in_the_next_step() -> None:
     assert not any(ended.any() for _, _, ended, _, _ in rows)
     assert (rows[3][1] == 0).all()
     assert (rows[2][1] > 0).all()
-    assert not any(info for *_, info in rows)
+    assert not any("final_obs" in info for *_, info in rows)
+    assert ["ended_by" in info for *_, info in rows] == [0, 0, 1, 0, 0, 0, 1, 0]
     np.testing.assert_array_equal(rows[2][0], rows[1][0])  # at rest, without a force …
     assert (rows[3][0] != rows[2][0]).any(axis=1).all()  # … until the next episode begins
 

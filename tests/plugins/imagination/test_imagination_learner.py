@@ -15,6 +15,7 @@ from worlds import assert_same_state, make_training, resumed
 from understudy.running.reinforcement import Reinforcement
 from understudy.setup.plugins import Plugins
 from understudy.testing import check_plugin
+from understudy.testing.capture import nothing_waits
 from understudy_imagination.learner import AnnealOptions, Imagination
 from understudy_imagination.replay import Replay
 
@@ -176,3 +177,29 @@ def test_a_replay_of_another_size_is_refused() -> None:
         Replay(4, 2, 1, torch.device("cpu")).load_state_dict(replay.state_dict())
     with pytest.raises(ValueError, match="replay"):
         Replay(3, 1, 1, torch.device("cpu")).load_state_dict(replay.state_dict())
+
+
+def test_on_a_gpu_steps_can_be_captured(
+    job: Callable[..., Reinforcement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched: list[str] = []
+
+    def watch(owner: object, name: str) -> None:
+        method = getattr(owner, name)
+
+        def call(*args: object) -> object:
+            watched.append(name)
+            with nothing_waits():
+                return method(*args)
+
+        monkeypatch.setattr(owner, name, call)
+
+    one = job()
+    learner = one.learner
+    assert isinstance(learner, Imagination)
+    watch(learner, "_take_step")
+    watch(learner.adjoint, "_step_back")
+    learner._capture()
+    for samples in (0, 32, 64, 96):
+        one.iterate(samples)
+    assert set(watched) == {"_take_step", "_step_back"}

@@ -20,7 +20,7 @@ from understudy_inspect.completion import words
         ("understudy tra", ["train"]),
         ("understudy motion ", ["check", "export", "fetch", "learned", "retarget", "view"]),
         ("understudy train exp", ["experiment="]),
-        ("understudy train experiment=spacetime/w", ["experiment=spacetime/walk", "experiment=spacetime/walk_imagined"]),
+        ("understudy train experiment=spacetime/w", [f"experiment=spacetime/{walk}" for walk in ("walk", "walk_imagined", "walk_imagined_gpu")]),
         ("understudy config learner=tr", ["learner=trpo"]),
         ("understudy describe simulator/m", ["simulator/mujoco", "simulator/mujoco_warp"]),
         ("understudy completion z", ["zsh"]),

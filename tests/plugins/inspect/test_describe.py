@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -33,6 +34,16 @@ def test_a_term() -> None:
     assert re.search(r"^  limit=… +number; in the field's unit$", text, re.M), "it has to be given"
     assert re.search(r'^  outcome="failure" +failure or ', text, re.M)
     assert "Reads: value." in text
+
+
+@pytest.mark.parametrize(
+    ("name", "begins"),
+    [("termination/beyond", "def beyond("), ("learner/ppo", "class PPO(")],
+)
+def test_where_a_part_is_defined(name: str, begins: str) -> None:
+    found = re.search(r"^in (.+), line (\d+)$", describe(name, installed()), re.M)
+    assert found is not None
+    assert begins in Path(found[1]).read_text(encoding="utf-8").splitlines()[int(found[2]) - 1]
 
 
 def test_a_file_of_options() -> None:

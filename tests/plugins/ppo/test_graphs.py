@@ -11,9 +11,9 @@ from line_task import STEP, Line, line_context, make_policy
 from torch import Tensor
 
 from understudy.task import Rollout
+from understudy_networks.graphs import Captured
 from understudy_networks.nn import Schedule
 from understudy_networks.policies import MLPPolicy
-from understudy_ppo.graphs import Captured
 from understudy_ppo.learner import PPO
 from understudy_ppo.losses import KLPenalty
 

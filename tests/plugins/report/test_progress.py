@@ -26,9 +26,15 @@ def test_share(budget: dict[str, float | None], expected: tuple[float, float | N
 @pytest.mark.parametrize(
     ("criterion", "usual", "left", "words"),
     [
-        (0.9, 1250, 3891.0, "until 90 % succeed, usually in 0:40"),  # not "at most 1:04:51 left"
+        (
+            0.9,
+            1000,
+            3891.0,
+            "until 90 % succeed, usually in 0:15",
+        ),  # at the newest speed; not "at most 1:04:51"
+        (0.9, 1250, 3891.0, "until 90 % succeed"),  # too early to tell
         (0.9, 200, 30.0, "until 90 % succeed, at most 0:30 left"),  # it takes longer than usual
-        (0.9, 1250, 30.0, "until 90 % succeed, at most 0:30 left"),  # the budget ends it before
+        (0.9, 1000, 12.0, "until 90 % succeed, at most 0:12 left"),  # the budget ends it before
         (0.9, None, None, "until 90 % succeed"),
         (None, 1250, 30.0, "at most 0:30 left"),
         (None, None, None, ""),
@@ -38,7 +44,8 @@ def test_when_it_ends(
     criterion: float | None, usual: int | None, left: float | None, words: str
 ) -> None:
     config = {"evaluation": {"criterion": criterion}, "budget": {"usual_samples": usual}}
-    assert ending(config, {"samples": 250, "seconds": 10.0}, left) == words
+    row = {"samples": 250, "seconds": 10.0, "samples_per_second": 50.0}
+    assert ending(config, row, left) == words
 
 
 def test_clock() -> None:
@@ -58,3 +65,9 @@ def test_a_line_now_and_then(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "iteration 3 · 250 samples · 25/s · return 2.0 · episode 1.50 s · stage 2" in shown
     assert "at most 0:30 left" in shown
     assert "stage 3" not in shown
+
+
+def test_where_the_curves_are_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "my [bold] runs"
+    ProgressLine().started(make_run(folder))
+    assert f"Curves: tensorboard --logdir '{folder}" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from understudy.setup.registry import Registrar, Registry
 from understudy_report.charts import Chart, Mark, draw_chart
 from understudy_report.configuration import Configuration
 from understudy_report.learning import BOUND, LearningCurves, marks_of, with_success
-from understudy_report.markup import bar, check_markup, grid, nested, table
+from understudy_report.markup import bar, check_markup, grid, nested, piece, table
 from understudy_report.section import ReportSection
 from understudy_report.stick_figures import stick_figure_animation
 
@@ -273,3 +273,10 @@ def test_the_configuration_says_what_set_each_value(tmp_path: Path) -> None:
     assert "Defaults (1 values)" in page.text
     assert f"learner.gamma0.95default of learner {EVIL}" in page.text
     assert "<script>" not in html
+
+
+def test_pieces_escape_whatever_is_no_piece() -> None:
+    made = piece("card", EVIL, piece("verbatim", EVIL))
+    assert "<script" not in made
+    assert Page(str(made)).text == EVIL * 2
+    assert "<pre>" in made, "a piece within one stays what it is"

@@ -191,7 +191,7 @@ def test_values_are_compared_at_equal_samples(tmp_path: Path) -> None:
     assert b[1] == "1 (2)"
     assert b[2] == "-1.5 (2 seeds)"
     assert a[3].startswith("9.5 (2)")
-    assert (a[4], a[5], b[5]) == ("90", "3 (3), 3 (3)", "2 (1), 2 (1)")
+    assert (a[4], a[6], b[6]) == ("90", "3 (3), 3 (3)", "2 (1), 2 (1)")
     comparison.found["r", "b"] = [Found(0, lower, 1, True), Found(1, lower[:1])]
     _, b = next(comparison.tables())[1].rows
     assert b[1] == b[3] == "0.5 (1); 1 still running", "it is not compared before it is there"

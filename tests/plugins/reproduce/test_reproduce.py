@@ -17,7 +17,7 @@ from understudy_report.markup import check_markup
 from understudy_reproduce import card as card_module
 from understudy_reproduce import command, tables
 from understudy_reproduce.card import Card, Cell
-from understudy_reproduce.tables import Figure, PaperTable, load_table
+from understudy_reproduce.tables import Figure, PaperTable, load_table, table_files
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result
 
@@ -134,10 +134,10 @@ def test_a_share_of_episodes_is_in_per_cent_and_within_them() -> None:
 
 def test_an_unfinished_table_has_a_card(tmp_path: Path) -> None:
     table = PaperTable("A title", "a paper", {"a": ("experiment=miniature/go",)})
-    card = Card("mine/one", table, tmp_path)
+    card = Card("mine/one", table, tmp_path / "none")
     assert "0 of 3 trainings are finished" in card.headline()
     assert card.write().exists()
-    check_markup((tmp_path / "card.html").read_text().partition("<main")[2].partition(">")[2].partition("</main>")[0])  # fmt: skip
+    check_markup((tmp_path / "none" / "card.html").read_text().partition("<main")[2].partition(">")[2].partition("</main>")[0])  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_what_is_not_there_is_named(
     assert reproduce("mine/one", "--rows", "clam") == 2
     assert "--rows: there is no 'clam'. Did you mean 'calm'?" in capsys.readouterr().err
     assert reproduce() == 0
-    assert capsys.readouterr().out == "mine/one: How near a point gets, <b>by far</b>\n"
+    assert capsys.readouterr().out.startswith("mine/one: How near a point gets, <b>by far</b> (")
 
 
 def test_a_variant_that_cannot_be_composed_stops_it_before_anything_runs(
@@ -199,3 +199,36 @@ def test_every_bundled_table_can_be_composed() -> None:
         if not table.searches:  # those that compare searches are composed in test_comparison.py
             assert command.experiment_of(table)
             assert card_module.Card(name, table, Path("nowhere")).text()
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [((1.0, 1.1, 1.2), "holds"), ((3.0, 3.1, 3.2), "does not hold"), ((1.0, 3.0, 2.5), "undecided"),
+     ((1.0,), "one seed")],
+)  # fmt: skip
+def test_a_verdict_says_whether_ours_is_better(samples: tuple[float, ...], expected: str) -> None:
+    figure = Figure("samples", better="less")
+    assert Cell([result(s) for s in samples]).verdict(figure, 2.0) == expected
+    assert Cell([result(s) for s in samples]).verdict(figure, "much less") == ""
+    assert Cell([result(s) for s in samples]).verdict(Figure("samples"), 2.0) == ""
+    missed = [*map(result, samples), result(9.0, outcome="budget")]
+    assert Cell(missed).verdict(figure, 2.0) == "undecided"
+
+
+def test_the_list_has_every_table_with_the_papers_number_and_ours(
+    offered: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered(TABLE + "\ncost: seconds\nopen: the rest\n")
+    assert reproduce() == 0
+    shown = capsys.readouterr().out
+    assert "mine/one: " in shown
+    assert "calm, small: paper 0.5; ours –" in shown
+    assert "takes: seconds" in shown
+    assert "not run yet: the rest" in shown
+
+
+@pytest.mark.parametrize("name", sorted(table_files(installed())))
+def test_every_table_says_what_it_takes(name: str) -> None:
+    table = load_table(name, installed())
+    assert table.cost or "toy" in name
+    assert table.open or "toy" in name

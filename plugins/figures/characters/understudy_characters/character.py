@@ -26,6 +26,8 @@ from understudy_motion.clip import Clip, Skeleton, angle_names, sample
 from understudy_mujoco.scene import MjcfFile
 from understudy_tensors import rotations
 
+__all__ = ["Character", "Joint", "character_spec", "load_character"]
+
 _FREE, _BALL, _HINGE = (
     int(mujoco.mjtJoint.mjJNT_FREE),
     int(mujoco.mjtJoint.mjJNT_BALL),

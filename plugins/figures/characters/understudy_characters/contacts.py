@@ -10,6 +10,8 @@ from torch import Tensor
 from understudy_characters.character import Character
 from understudy_characters.shapes import shapes
 
+__all__ = ["feet", "foot_points", "latched"]
+
 SAME_LEVEL = 0.02
 """m: how much higher than the lowest joint another one may be in the zero pose to be a foot too."""
 

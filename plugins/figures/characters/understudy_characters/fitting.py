@@ -12,6 +12,8 @@ from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
 from understudy_motion.clip import Clip
 
+__all__ = ["fitting_character", "worn"]
+
 #: Metres by which the lengths of a clip's skeleton may differ from those of a character it fits.
 TOLERANCE = 1e-3
 

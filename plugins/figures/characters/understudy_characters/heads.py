@@ -7,6 +7,8 @@ import numpy as np
 from understudy_characters.character import Character
 from understudy_characters.layout import limb_ends, upright_bodies
 
+__all__ = ["head_body", "ring"]
+
 _SIDES = 10
 #: Of the ring, in lengths of the figure.
 _RADIUS = 0.05

@@ -9,6 +9,8 @@ from understudy.task import Context, InitialStates, Shape
 from understudy_characters.reference import ReferenceMotion
 from understudy_characters.scene import reference_motion
 
+__all__ = ["EPISODE_FIELDS", "reference_states"]
+
 EPISODE_FIELDS: dict[str, Shape] = {"motion_start": ()}
 
 

@@ -16,6 +16,8 @@ from torch import Tensor
 from understudy_characters.character import Character, Joint
 from understudy_tensors import rotations
 
+__all__ = ["Kinematics", "Poses"]
+
 
 @dataclass(frozen=True)
 class Poses:

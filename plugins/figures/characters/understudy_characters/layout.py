@@ -17,6 +17,8 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy_characters.character import Character
 
+__all__ = ["Layout", "layout_of"]
+
 #: A chain of bodies is a limb if it has this share of the longest one's length …
 LIMB_LENGTH = 0.3
 #: … and so many joints of its own. Heads and fingers are shorter or simpler than that.

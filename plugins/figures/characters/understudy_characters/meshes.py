@@ -18,6 +18,8 @@ import trimesh
 from understudy.errors import FileError
 from understudy_mujoco.apart import Bounds, read_apart, serve
 
+__all__ = ["convex_parts"]
+
 #: Formats that are read: no archives, which unpack to any size.
 FORMATS = (".obj", ".stl", ".ply", ".gltf", ".glb")
 #: Parts, and vertices of one of them, that a simulation on a GPU still carries easily.

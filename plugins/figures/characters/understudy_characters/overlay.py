@@ -14,6 +14,8 @@ import numpy as np
 
 from understudy.setup.registry import Registry
 
+__all__ = ["Gauge", "Overlay", "Region"]
+
 
 @dataclass(frozen=True)
 class Gauge:

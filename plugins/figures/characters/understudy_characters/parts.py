@@ -23,6 +23,8 @@ from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.state import character_state
 from understudy_characters.surface import Surface, lowest_points, surface_of
 
+__all__ = ["REACH", "Reference"]
+
 
 class Kinematics(Fields):
     """Where the links are and how they move; frames and units in

@@ -22,6 +22,18 @@ from understudy_motion.reading import MAX_ROTATIONS
 from understudy_motion.writing import Shown
 from understudy_mujoco.scene import MujocoScene
 
+__all__ = [
+    "WITH_SURROUNDINGS",
+    "check_frames",
+    "recorded_clips",
+    "recorded_fields",
+    "recorded_scene",
+    "recorded_surroundings",
+    "run_character",
+    "scene_of",
+    "unsimulated",
+]
+
 #: Endings of files that hold several motions, so that a run's surroundings go into them, too.
 WITH_SURROUNDINGS = (".glb", ".gltf")
 
@@ -128,7 +140,7 @@ def recorded_scene(run: Run) -> Scene:
         for name, options in experiment.sections.items()
         if name != "motion"  # its clip may not be there any more
     }
-    return _scene(experiment, sections)
+    return scene_of(experiment, sections)
 
 
 def recorded_fields(run: Run, scene: CharacterScene) -> dict[str, np.ndarray]:
@@ -183,7 +195,8 @@ def unsimulated(run: Run) -> Experiment:
     return run.experiment(config=config)
 
 
-def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
+def scene_of(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
+    """The scene of `experiment` on the CPU, as for one world, with the `sections` that it needs."""
     control = experiment.root.control
     context = Context(
         seed=0,
@@ -199,7 +212,7 @@ def _scene(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
 
 
 def _character(experiment: Experiment) -> Character:
-    scene, name = _scene(experiment, {}), experiment.need("scene").component.name
+    scene, name = scene_of(experiment, {}), experiment.need("scene").component.name
     if not isinstance(scene, MujocoScene):
         raise ConfigError(f"The run's scene '{name}' is no MuJoCo model, so it has no character.")
     if isinstance(scene, CharacterScene):

@@ -18,6 +18,8 @@ from understudy_motion.clip import Clip, CycleTransform, align_signs, cycle_tran
 from understudy_motion.section import Floor
 from understudy_tensors import rotations
 
+__all__ = ["ReferenceMotion"]
+
 #: Table rows per control step. Between rows everything is interpolated linearly.
 OVERSAMPLING = 4
 #: Half the time difference of the finite-difference velocities, in s.

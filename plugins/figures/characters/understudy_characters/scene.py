@@ -36,6 +36,8 @@ from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
 from understudy_mujoco.studio import draw as draw_figures
 
+__all__ = ["CharacterScene", "reference_motion"]
+
 #: In lengths of the figure: how far to the left the reference is drawn.
 _BESIDE = 0.74
 #: The camera's distance, in heights of what it shows; and the frames over which its path is smoothed.

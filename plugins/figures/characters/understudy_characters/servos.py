@@ -18,6 +18,8 @@ from understudy.options import check_range
 from understudy_characters.character import Character
 from understudy_characters.staging import free_name
 
+__all__ = ["add_servo", "lags"]
+
 _HINGE, _BALL = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL)
 
 

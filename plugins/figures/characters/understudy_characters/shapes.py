@@ -12,6 +12,8 @@ from understudy_characters.character import Character, Geom
 from understudy_motion.clip import Skeleton
 from understudy_motion.writing import Shape
 
+__all__ = ["bones", "shapes"]
+
 #: Metres across that mark a joint from which no bone leads on.
 MARKER = 0.02
 

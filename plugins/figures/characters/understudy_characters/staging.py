@@ -10,6 +10,8 @@ import numpy as np
 
 from understudy_characters.character import Character
 
+__all__ = ["add_floor", "add_sky", "add_sun", "make_solid", "solve_fast", "stage"]
+
 #: Bits of contact masks: what the figure touches, and the figure.
 _FLOOR, _FIGURE = 1, 2
 

@@ -16,6 +16,8 @@ from understudy_characters.layout import Layout
 from understudy_characters.surface import Surface, lowest_points, surface_of
 from understudy_tensors import rotations
 
+__all__ = ["character_state", "joint_rotations"]
+
 
 def joint_rotations(layout: Layout, qpos: Tensor) -> Tensor:
     """(N, J, 4): each joint's rotation from where the zero pose has it, in its body's frame there.

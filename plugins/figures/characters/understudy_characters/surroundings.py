@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+__all__ = ["Surroundings"]
+
 
 class Surroundings(ABC):
     """A config section that is one of these adds to the model of ``scene=character``.

@@ -21,6 +21,8 @@ class FindGrip(Command):
     Some seconds of one core. Nothing is written of a grip that does not hold.
     """
 
+    example = "understudy grip 11120 grip.json"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("style", help="digits from the thumb on (11120), or a name (standard)")
         parser.add_argument("file", type=Path, help="JSON file to write")

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+__all__ = ["minimise"]
+
 _ARMIJO = 1e-4
-_HALVINGS = 20
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ def minimise(
     iterations: int = 400,
     memory: int = 12,
     tolerance: float = 1e-9,
+    halvings: int = 20,
 ) -> Found:
     """Points at which `cost` is small; each row goes its own way, with a step length of its own.
 
@@ -39,6 +41,7 @@ def minimise(
         low, high: (B, n) or (n,), bounds; equal ones hold a variable fixed.
         iterations: at most.
         memory: pairs of steps and changes of gradient that are kept.
+        halvings: of a step, at most.
         tolerance: all rows are done where none falls by more than this share of its value.
     """
     low, high = low.expand_as(start), high.expand_as(start)
@@ -59,7 +62,7 @@ def minimise(
             length = 0.05 / direction.abs().amax(1).clamp(min=1e-12)
         new, best = point, value
         waiting = torch.ones_like(value, dtype=torch.bool)
-        for _ in range(_HALVINGS):
+        for _ in range(halvings):
             tried = (point + length[:, None] * direction).clamp(low, high)
             with torch.no_grad():
                 found = cost(tried)

@@ -11,6 +11,8 @@ import math
 import torch
 from torch import Tensor
 
+__all__ = ["at", "place_on_segment"]
+
 #: m: below this clearance the barrier goes on as a straight line, so that it and its slope stay finite.
 LEAST = 1e-5
 _TINY = 1e-12

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,13 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup.registry import Registry
 from understudy_gripping.balance import balance
 from understudy_gripping.hold import Held, hold, placed
-from understudy_gripping.pose import Candidate, Poses, PoseSolver
+from understudy_gripping.pose import Candidate, Poses, PoseSolver, first_guess
 from understudy_gripping.styles import Style, read_style, written
 from understudy_hand.scene import HandScene
-from understudy_hand.table import ARM_POSE, Measures
-from understudy_hand.tools import upper_pose
+from understudy_hand.table import ARM_POSE, FEWEST, FINGERS, Measures
+from understudy_hand.tools import HALF_LENGTH, upper_pose
+
+__all__ = ["Grip"]
 
 #: rad: angles at which a grip is solved. The sticks touch at 0.154.
 ANGLES = (0.0, 0.04, 0.08, 0.12, 0.15)
@@ -32,6 +34,8 @@ FORCES = (3.0, 1.0)
 WIDEST_GAP, LEAST_CLEARANCE = 2e-3, 0.0
 _VERSION = 1
 _LARGEST = 1 << 20
+#: In the folder of a run: a grip that was found for it.
+_KEPT = "grip.json"
 
 
 @dataclass(frozen=True)
@@ -209,16 +213,59 @@ def _numbers(values: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.nd
 class GripOptions:
     name: str = "standard"  #: a grip that comes with a plugin
     file: str | None = None  #: path of another one; wins over ``name``
+    #: A style, by digits from the thumb on: its grip is found as the task is built, in some seconds; wins over both.
+    style: str | None = None
+    #: m along the sticks from their middle, by finger that touches, of the grip that is found; null is a first guess.
+    places: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.places is not None and self.style is None:
+            raise ValueError("places need a style: set style, such as 11120.")
 
 
 def build_grip(options: GripOptions, registry: Registry, inputs: Inputs) -> Grip:
     """The config section ``grip``."""
+    if options.style is not None:
+        return _found(options.style, options.places, inputs)
     if (given := options.file) is not None:
         return load_grip(inputs.file(f"grip.file={given}", lambda: [Path(given)]))
     known = registry.names("grip")
     if options.name not in known:
         raise ConfigError(f"There is no grip '{options.name}'.{suggestion(options.name, known)}")
     return load_grip(registry.find("grip", options.name).factory())
+
+
+def _found(text: str, places: Mapping[str, float] | None, inputs: Inputs) -> Grip:
+    """The grip of a style of a human hand of as many fingers; a run keeps it."""
+    fingers = len(text) if text.isdigit() else len(FINGERS)
+    if not FEWEST <= fingers <= len(FINGERS):
+        read_style(text, len(FINGERS))  # which says why not
+    style = read_style(text, fingers)
+    touching = [f for f, stick in zip(FINGERS, style, strict=False) if stick]
+    chosen = dict(zip(touching, first_guess(style), strict=True)) if places is None else places
+    if set(chosen) != set(touching):
+        raise ConfigError(
+            f"grip.places of the style {written(style)} are those of {', '.join(touching)}, and not of "
+            f"{', '.join(chosen) or 'none'}."
+        )
+    for finger, place in chosen.items():
+        if not abs(place) <= HALF_LENGTH:
+            raise ConfigError(
+                f"grip.places.{finger}={place:g} is not on a stick: give m from its middle, at most "
+                f"{HALF_LENGTH:g}."
+            )
+    ordered = [chosen[finger] for finger in touching]
+    made: list[Grip] = []
+
+    def keep(folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        made[0].save(folder / _KEPT)
+
+    folder = inputs.folder_of(f"grip {written(style)} {ordered}", Path(), keep)
+    if folder != Path():
+        return load_grip(folder / _KEPT)
+    made.append(find_grip(HandScene(HandScene.Options(fingers)), style, ordered))
+    return made[0]
 
 
 def standard() -> Path:

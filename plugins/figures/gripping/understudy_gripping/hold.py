@@ -9,6 +9,8 @@ import numpy as np
 
 from understudy_hand.scene import HandScene
 
+__all__ = ["hold", "placed"]
+
 #: m: a stick that is so far from where it was in the palm has fallen.
 FALLEN = 0.03
 

@@ -19,6 +19,8 @@ from understudy_mujoco.contact import Contact
 from understudy_mujoco.drawing import open_renderer
 from understudy_mujoco.scene import MujocoScene
 
+__all__ = ["HandScene"]
+
 #: Firm contacts, and the integrator under which stiff servos bear them; measured at 5 ms.
 FIRM = Contact(
     integrator="discrete",

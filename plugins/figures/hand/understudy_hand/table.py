@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 
 from understudy.options import check_range
 
+__all__ = ["ARM", "ARM_POSE", "FEWEST", "FINGERS", "Measures"]
+
 Vector = tuple[float, float, float]
 
 #: From the thumb on. A hand has the first N of them.

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from understudy_tensors import rotations
 
+__all__ = ["HALF_LENGTH", "RADIUS", "STICKS", "tips", "upper_pose"]
+
 Tool = Literal["sticks", "tongs", "none"]
 
 #: m: half of a stick without its caps, and its radius (thesis: 26 cm, 0.4 cm).

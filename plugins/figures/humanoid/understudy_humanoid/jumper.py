@@ -13,6 +13,8 @@ import mujoco
 
 from understudy_humanoid.character import BODIES, Body, Joint, Vector, add_trunk, build_spec
 
+__all__ = ["build_jumper"]
+
 MASS = 60.0
 _INCREASE = MASS / sum(row.mass for row in BODIES)
 

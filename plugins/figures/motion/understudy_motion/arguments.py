@@ -12,6 +12,8 @@ from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.reading import METRES, Axis, NamedUnit, ReadOptions, Unit
 
+__all__ = ["add_reading", "finite", "open_clip", "port", "positive", "share"]
+
 
 def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
     """Add the options of :class:`ReadOptions`, as a group; `loop` says whether that one too."""

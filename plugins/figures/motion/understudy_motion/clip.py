@@ -22,6 +22,18 @@ from torch import Tensor
 from understudy.errors import FileError
 from understudy_tensors import rotations
 
+__all__ = [
+    "Clip",
+    "CycleTransform",
+    "Skeleton",
+    "align_signs",
+    "angle_names",
+    "cycle_transform",
+    "resample",
+    "sample",
+    "velocities",
+]
+
 UNIT_TOLERANCE = 0.5
 """How far from 1 the norm of a given quaternion may be before it is an error.
 

@@ -15,6 +15,20 @@ from understudy_motion.clip import Clip, align_signs, cycle_transform, resample,
 from understudy_motion.kinematics import forward_kinematics, need_skeleton
 from understudy_tensors import rotations
 
+__all__ = [
+    "BLEND_SECONDS",
+    "EVEN",
+    "bridge",
+    "close_loop",
+    "cut",
+    "evenly_spaced",
+    "find_loop",
+    "reach",
+    "remove_frames",
+    "shift",
+    "smooth",
+]
+
 BLEND_SECONDS = 0.3
 """At each end of a loop: how long the blend over its seam takes. About a quarter of a gait cycle, so
 that a pose difference of 0.5 rad is closed at under 3 rad/s, a fraction of a limb's own speed."""

@@ -11,6 +11,8 @@ from understudy.errors import FileError
 from understudy_motion.clip import ANGLE, Clip, Skeleton
 from understudy_tensors import rotations
 
+__all__ = ["forward_kinematics", "need_skeleton", "tip_positions"]
+
 
 def need_skeleton(clip: Clip) -> Skeleton:
     """The clip's skeleton, whose joints are the clip's in the clip's order.

@@ -23,6 +23,8 @@ from understudy_motion.reading import (
     record_path,
 )
 
+__all__ = ["data_folder", "find", "kept"]
+
 DATA_VARIABLE = "UNDERSTUDY_DATA"
 
 

@@ -11,6 +11,8 @@ import torch
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
 
+__all__ = ["mirrored"]
+
 #: A rotation's image in the xz plane, by component: turns about x and z change their sense.
 _IMAGE = torch.tensor([1.0, -1.0, 1.0, -1.0], dtype=torch.float64)
 _SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))

@@ -23,6 +23,8 @@ from understudy.errors import ConfigError, FileError
 from understudy.setup.registry import Registry
 from understudy_motion.clip import MAX_DISTANCE, Clip, Skeleton
 
+__all__ = ["MAX_ROTATIONS", "RECORD_SUFFIX", "Axis", "ReadOptions", "Unit", "metres_of", "readers"]
+
 NamedUnit = Literal["m", "cm", "mm", "inch", "foot"]
 Unit = NamedUnit | float
 """Of length: a name, or the metres in it."""

@@ -14,6 +14,8 @@ from understudy_motion.clip import Clip
 from understudy_motion.keyframes import keyframed
 from understudy_motion.reading import Axis, ReadOptions, Unit
 
+__all__ = ["Floor", "Motion"]
+
 Floor = Literal["lowest", "standing"]
 
 

@@ -18,6 +18,8 @@ from understudy.errors import FileError
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
 
+__all__ = ["ClipWriter", "Shape", "Shown", "write_clip", "write_figures"]
+
 
 @dataclass(frozen=True)
 class Shape:

@@ -8,6 +8,8 @@ from torch import Tensor
 from understudy import distributed
 from understudy.task import State
 
+__all__ = ["Judged", "totals"]
+
 
 def totals(*values: Tensor) -> list[float]:
     """The sum of each of `values`, of any shape, over all processes that learn together."""

@@ -6,6 +6,9 @@
 
 Without the import, ``gymnasium.make("understudy_gym.envs:spacetime/walk")``. Observations are float32,
 by name, or with ``flat=True`` in one row. Actions are in [-1, 1], or with ``actions="raw"`` the task's.
+
+``info["rewards"]`` has by term what each gave (added to the reward, or multiplied it with), and
+``info["ended_by"]``, where an episode ended, the names of the terminations that ended it.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.running.environment import rows
+from understudy.running.environment import Step, rows
 from understudy.setup.plugins import installed
 from understudy_gym.worlds import RENDER_MODES, Worlds, columns, flattened, known_render_mode
 
@@ -81,13 +84,20 @@ class UnderstudyEnv(gymnasium.Env):
         batch = {k: np.asarray(v)[None] for k, v in action.items()} if isinstance(action, Mapping) \
             else np.asarray(action)[None]  # fmt: skip
         step = self.worlds.advance(columns(self.worlds.space, batch, self.worlds.device))
+        rewards, ended = self.worlds.account(step)
+        info: dict[str, Any] = {"rewards": {n: float(value[0]) for n, value in rewards.items()}}
+        if ended[0]:
+            info["ended_by"] = ended[0]
         return (
             self._observed(step.observations),
             float(step.rewards[0]),
             bool(step.terminated[0]),
             bool(step.truncated[0]),
-            {},
+            info,
         )
+
+    def __repr__(self) -> str:
+        return f"<{self.worlds!r}>"
 
     def render(self) -> Any:
         """(height, width, 3) uint8, or None without a render mode."""
@@ -179,9 +189,10 @@ class UnderstudyVectorEnv(VectorEnv):
     def step(self, actions: Any):
         batch = columns(self.worlds.space, actions, self.worlds.device)
         if self._mode is AutoresetMode.SAME_STEP:
-            step, info = self.worlds.step(batch), {}
+            step = self.worlds.step(batch)
+            info = self._account(step)
             if step.final_observations is not None and bool(step.ended.any()):
-                info = self._final(step.final_observations, step.ended.cpu().numpy())
+                info |= self._final(step.final_observations, step.ended.cpu().numpy())
             return *self._given(step.observations, step), info
         resting = self._ended
         if self._mode is AutoresetMode.DISABLED and bool(resting.any()):
@@ -190,6 +201,7 @@ class UnderstudyVectorEnv(VectorEnv):
                 f"The worlds {numbers} have ended. Reset them with options={{'reset_mask': mask}}."
             )
         step = self.worlds.advance(batch)
+        info = self._account(step, ~resting)
         observations = step.observations
         if bool(resting.any()):  # they were stepped beside the others, to no effect
             observations = {
@@ -199,7 +211,23 @@ class UnderstudyVectorEnv(VectorEnv):
             step.rewards = torch.where(resting, 0.0, step.rewards)
             step.terminated, step.truncated = step.terminated & ~resting, step.truncated & ~resting
         self._ended = step.ended
-        return *self._given(observations, step), {}
+        return *self._given(observations, step), info
+
+    def _account(self, step: Step, judged: Tensor | None = None) -> dict[str, Any]:
+        """As Gymnasium's own vector environments give it: arrays, and which worlds have the value."""
+        rewards, ended = self.worlds.account(step)
+        has = np.ones(self.num_envs, bool) if judged is None else judged.cpu().numpy()
+        given = {
+            name: np.where(has, value, 0.0).astype(np.float32) for name, value in rewards.items()
+        }
+        info: dict[str, Any] = {"rewards": given | {f"_{n}": has for n in given}, "_rewards": has}
+        over = has & np.array([bool(names) for names in ended])
+        if over.any():
+            info["ended_by"] = np.full(self.num_envs, None, dtype=object)
+            for world in over.nonzero()[0]:
+                info["ended_by"][world] = ended[world]
+            info["_ended_by"] = over
+        return info
 
     def _given(self, observations: Mapping[str, Tensor], step: Any) -> tuple[Any, ...]:
         return (
@@ -217,6 +245,9 @@ class UnderstudyVectorEnv(VectorEnv):
             if ended[world]:
                 final[world] = value
         return {"final_obs": final, "_final_obs": ended}
+
+    def __repr__(self) -> str:
+        return f"<{self.worlds!r}; autoreset {self._mode.value}>"
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """One picture a world, (height, width, 3) uint8, or None without a render mode."""

@@ -18,6 +18,8 @@ from understudy.errors import ConfigError
 from understudy.task import Box
 from understudy_gym.worlds import Worlds
 
+__all__ = ["UnderstudyVecEnv"]
+
 
 class UnderstudyVecEnv(VecEnv):
     """`num_envs` worlds of the task `task`; groups of observations are the task's, by name.

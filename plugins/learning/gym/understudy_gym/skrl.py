@@ -20,6 +20,8 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy_gym.worlds import Worlds, flattened
 
+__all__ = ["UnderstudyWrapper", "use_final_observations"]
+
 A = TypeVar("A", bound=Agent)
 
 

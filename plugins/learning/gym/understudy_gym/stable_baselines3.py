@@ -15,6 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from understudy_gym.worlds import Worlds, columns, flattened, known_render_mode
 
+__all__ = ["UnderstudyVecEnv"]
+
 
 class UnderstudyVecEnv(VecEnv):
     """`num_envs` worlds of the task `task`, with flat observations.

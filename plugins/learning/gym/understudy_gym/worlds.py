@@ -17,6 +17,8 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import ActionSpace, Box
 
+__all__ = ["Worlds", "flattened"]
+
 Actions = Literal["scaled", "raw"]
 #: What ``render`` can give.
 RENDER_MODES = ("rgb_array",)
@@ -193,6 +195,34 @@ class Worlds:
             for name, value in step.observations.items()
         }
         return step
+
+    def account(self, step: Step) -> tuple[dict[str, np.ndarray], list[list[str]]]:
+        """Of the decision that gave `step`: by reward term, what it added to the reward (``reward.combine=sum``)
+        or multiplied it with (``product``), (N,); and for each world, which terminations ended its episode
+        (none where it goes on), ``time limit`` and ``numbers went wrong`` among them.
+        """
+        environment = self.environment
+        names, terms = list(environment.rewarded), list(environment.rewarded.values())
+        rewards = torch.nan_to_num(torch.stack(terms).float()).cpu().numpy() if terms else []
+        outcomes = {term.name: term.outcome for term in environment.parts.terminations}
+        reasons = {n: fired for n, fired in step.endings.items() if outcomes[n] != "report"}
+        of_time = step.truncated.clone()
+        for name, fired in reasons.items():
+            of_time &= ~fired if outcomes[name] == "truncation" else True
+        reasons |= {"time limit": of_time, "numbers went wrong": step.unsound}
+        fired = (torch.stack(list(reasons.values())) & step.ended).cpu().numpy()
+        ended = [
+            [n for n, row in zip(reasons, fired, strict=True) if row[i]]
+            for i in range(self.num_worlds)
+        ]
+        return dict(zip(names, rewards, strict=True)), ended
+
+    def __repr__(self) -> str:
+        seen = ", ".join(f"{k} {list(v)}" for k, v in self.environment.observation_shapes.items())
+        return (
+            f"{self._made_with[0][0]}: {self.num_worlds} worlds on {self.device}, {self.steps_per_second:g} steps a "
+            f"second, episodes of {self.episode_steps} steps; sees {seen}; acts {self.space.size}"
+        )
 
     @torch.no_grad()
     def one_episode(

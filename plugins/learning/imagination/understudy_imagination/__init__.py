@@ -18,7 +18,7 @@ def understudy_register(register: Registrar) -> None:
         "gradients of the task through a learned model, at real states",
     )
     register.citation(
-        "imagination",
+        "heess2015",
         "Heess et al. 2015. Learning continuous control policies by stochastic value gradients. "
         "arXiv:1510.09142.",
     )

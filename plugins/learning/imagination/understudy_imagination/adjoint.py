@@ -18,6 +18,10 @@ from understudy.task import Policy
 from understudy_imagination.imagined import Imagined
 from understudy_imagination.model import WorldModel
 from understudy_imagination.rigid import Posed, Rigid
+from understudy_networks.graphs import Captured
+
+#: What a step back is given and what it gives, by these prefixes.
+_STATE, _FIXED, _SEEN = "state/", "fixed/", "seen/"
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,13 @@ class Adjoint:
         self._rigid, self._imagined, self._model = rigid, imagined, model
         self._policy, self._weights = policy, weights
         self._decay, self._clip = decay, clip
+        #: What the newest step back gave.
+        self._made: dict[str, Tensor] = {}
+        self._back = Captured(self._step_back, imagined.reach.device)
+
+    def forget_graphs(self) -> None:
+        """Capture anew: where policy and model keep their weights has changed."""
+        self._back = Captured(self._step_back, self._imagined.reach.device)
 
     def __call__(self, window: Window) -> Gradients:
         imagined, steps = self._imagined, len(window)
@@ -102,19 +113,37 @@ class Adjoint:
             state = {name: value[t] for name, value in window.before.items()}
             fixed = {name: value[t] for name, value in constants.items()}
             going = along[t] + after.masked_fill(window.ended[t].unsqueeze(1), 0.0)
-            by_state, by_action, mean, observations = self._step(
-                state, fixed, window.actions[t], going
+            self._back(
+                {
+                    **{f"{_STATE}{name}": value for name, value in state.items()},
+                    **{f"{_FIXED}{name}": value for name, value in fixed.items()},
+                    "action": window.actions[t],
+                    "going": going,
+                }
             )
-            actions[t] = by_action + direct[t]
-            after = self._tamed(by_state)
-            means.append(mean)
-            seen.append(observations)
+            made = {name: value.clone() for name, value in self._made.items()}
+            actions[t], after = made["action"] + direct[t], made["after"]
+            means.append(made["mean"])
+            seen.append(_named(made, _SEEN))
         return Gradients(
             clean(actions),
             torch.stack(means[::-1]),
             {name: torch.stack([s[name] for s in seen[::-1]]) for name in seen[0]},
             cost.view_as(window.ended),
         )
+
+    def _step_back(self, given: Mapping[str, Tensor]) -> None:
+        """One decision back, into ``_made``: `given` are its state, what does not move with it, the
+        action, and the derivative ``going`` (N, 2 nv) by the state that it led to."""
+        by_state, by_action, mean, observations = self._step(
+            _named(given, _STATE), _named(given, _FIXED), given["action"], given["going"]
+        )
+        found = {f"{_SEEN}{name}": value for name, value in observations.items()}
+        found |= {"action": by_action, "after": self._tamed(by_state), "mean": mean}
+        for name, value in found.items():
+            if name not in self._made:
+                self._made[name] = torch.empty_like(value)
+            self._made[name].copy_(value)
 
     def _costs(self, window: Window) -> tuple[Tensor, Tensor, Tensor]:
         """What states and actions cost: the sum (L N,), and its derivatives by the states reached
@@ -183,8 +212,16 @@ def clean(gradient: Tensor) -> Tensor:
 def limited(gradient: Tensor, most: float) -> Tensor:
     """`gradient` (B, D), its rows no longer than `most` times the median of those that are not 0."""
     length = torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
-    median = torch.where(length > 0, length, torch.nan).nanmedian()
-    return gradient * (most * median / length.clamp(min=1e-30)).clamp(max=1.0).nan_to_num(1.0)
+    counts = length > 0
+    ordered = torch.where(counts, length, torch.inf).flatten().sort().values
+    middle = (counts.sum() - 1).clamp(min=0) // 2  # torch's nanmedian waits for the device
+    median = ordered.gather(0, middle.view(1))
+    return gradient * (most * median / length.clamp(min=1e-30)).clamp(max=1.0)
+
+
+def _named(given: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """What `given` has with this prefix, without it."""
+    return {k.removeprefix(prefix): v for k, v in given.items() if k.startswith(prefix)}
 
 
 def _flat(fields: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -63,6 +63,17 @@ class Imagined:
         reach = [torch.as_tensor(b.reach).expand(b.size) for b in self._boxes]
         #: (A,) what counts as one unit of each number of an action.
         self.reach = torch.cat(reach).float().to(context.device)
+        #: Per box: the field that says its middle, or the middle (size,) itself.
+        self._middles = [
+            around
+            if isinstance(around := box.around, str)
+            else torch.tensor(
+                around if around is not None else [0.0] * box.size,
+                dtype=torch.float32,
+                device=context.device,
+            )
+            for box in self._boxes
+        ]
         #: Terminations that are to be kept away from, and say how near they are.
         self.margins = [
             term
@@ -146,14 +157,9 @@ class Imagined:
 
     def offset(self, action: Tensor, fields: Mapping[str, Tensor]) -> Tensor:
         """`action` (B, A) from the middle of its space, in units of its reach."""
-        middles = []
-        for part in self._boxes:
-            around = part.around
-            if isinstance(around, str):
-                middles.append(fields[around])
-            else:
-                middle = action.new_tensor(around if around is not None else [0.0] * part.size)
-                middles.append(middle.expand(len(action), part.size))
+        middles = [
+            fields[m] if isinstance(m, str) else m.expand(len(action), -1) for m in self._middles
+        ]
         return (action - torch.cat(middles, dim=1)) / self.reach
 
     def reward(self, fields: Mapping[str, Tensor]) -> Tensor | None:

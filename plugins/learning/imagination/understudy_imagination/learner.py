@@ -3,12 +3,15 @@ follows the task's gradient through it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 
+from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator, private_rng
@@ -21,6 +24,7 @@ from understudy_imagination.replay import Replay
 from understudy_imagination.rigid import Rigid
 from understudy_mujoco.scene import MujocoScene
 from understudy_networks import averages, optimisers
+from understudy_networks.graphs import Captured
 from understudy_networks.nn import set_precision
 from understudy_networks.policies import check_units
 from understudy_networks.returns import digest, explained_variance, observations_of
@@ -34,6 +38,10 @@ _SETTLING = 3
 _SAMPLES, _FEWEST = 2048, 8
 #: Iterations from one look at how far the model goes wrong to the next.
 _LOOKS = 8
+#: Most optimiser steps of the critic an iteration: with many worlds its batches are larger.
+_CRITIC_STEPS = 16
+#: What a step of the actor is given.
+_SEEN, _GOAL = "seen/", "goal"
 #: The parameters of worlds of which kinematics does not know.
 _FIXED = ("body_", "mocap_")
 
@@ -189,6 +197,7 @@ class Imagination(Learner):
         self._iterations, self._trained = 0, 0
         self._bad = torch.zeros((), dtype=torch.int64, device=device)
         self._skipped = torch.zeros((), device=device)
+        self._capture()
 
     @property
     def flat(self) -> tuple[str, ...]:
@@ -252,10 +261,10 @@ class Imagination(Learner):
             return {}
         found = model_errors(self._rigid, self._imagined, self.model, window)
         return {
-            f"model_error/{name}/{horizon}": float(off[body])
-            for horizon, off in found.items()
+            f"model_error/{name}/{horizon}": off[body]
+            for horizon, off in ((h, o.tolist()) for h, o in found.items())
             for body, name in self._bodies.items()
-            if off[body].isfinite()
+            if math.isfinite(off[body])
         }
 
     def _settle(self) -> None:
@@ -268,12 +277,15 @@ class Imagination(Learner):
         """Train the model; returns the mean loss."""
         total = torch.zeros_like(self._skipped)
         for _ in range(steps):
-            inputs, targets, counts = self.replay.draw(
-                self.options.model.batch_size, self._generator
+            drawn = self.replay.draw(self.options.model.batch_size, self._generator)
+            total += self._step(
+                "model", dict(zip(("inputs", "targets", "counts"), drawn, strict=True))
             )
-            loss = (self.model.loss(inputs, targets) * counts).sum() / counts.sum().clamp(min=1.0)
-            total += self._descend("model", loss)
         return float(total) / steps
+
+    def _model_loss(self, drawn: Mapping[str, Tensor]) -> Tensor:
+        losses, counts = self.model.loss(drawn["inputs"], drawn["targets"]), drawn["counts"]
+        return (losses * counts).sum() / counts.sum().clamp(min=1.0)
 
     def _improve(self, window: Window) -> dict[str, float]:
         """Move the policy's actions against the cost's derivative, where enough followed them."""
@@ -289,9 +301,8 @@ class Imagination(Learner):
             rows = torch.randint(
                 len(goal), (options.batch_size,), generator=self._generator, device=goal.device
             )
-            picked = {name: value[rows] for name, value in seen.items()}
-            mean = self.policy.distribution(picked).mode()
-            self._descend("actor", ((mean - goal[rows]) / reach).square().mean() / options.step**2)
+            picked = {f"{_SEEN}{name}": value[rows] for name, value in seen.items()}
+            self._step("actor", {**picked, _GOAL: goal[rows]})
         with torch.no_grad():
             now = self.policy.distribution(seen).mode()
             moved = ((now - found.means[:kept].flatten(0, 1)) / reach).square().mean().sqrt()
@@ -301,6 +312,11 @@ class Imagination(Learner):
             "moved": float(moved),
             "step": options.step * share,
         }
+
+    def _actor_loss(self, picked: Mapping[str, Tensor]) -> Tensor:
+        seen = {k.removeprefix(_SEEN): v for k, v in picked.items() if k != _GOAL}
+        off = (self.policy.distribution(seen).mode() - picked[_GOAL]) / self._imagined.reach
+        return off.square().mean() / self.options.step**2
 
     def _goals(self, found: Gradients, kept: int, step: float) -> Tensor:
         """(kept N, A): the policy's first actions, moved by `step` of their reach in the mean."""
@@ -313,12 +329,37 @@ class Imagination(Learner):
         """One epoch of the critic; returns the mean loss."""
         returns, seen = batch["returns"], observations_of(batch)
         order = torch.randperm(len(returns), generator=self._generator, device=returns.device)
-        parts = order.split(self.options.batch_size)
+        parts = order.split(max(self.options.batch_size, math.ceil(len(order) / _CRITIC_STEPS)))
         total = torch.zeros_like(self._skipped)
         for rows in parts:
             values = self.policy.value({name: value[rows] for name, value in seen.items()})
             total += self._descend("critic", nn.functional.mse_loss(values, returns[rows]))
         return float(total) / len(parts)
+
+    def _capture(self) -> None:
+        """Forget recorded steps: they hold the addresses of the optimisers' state. Averages over
+        processes are not recorded."""
+        device = self._bad.device
+        self.adjoint.forget_graphs()
+        losses = {"model": self._model_loss, "actor": self._actor_loss}
+        self._loss = {name: torch.zeros_like(self._skipped) for name in losses}
+        works = {
+            name: functools.partial(self._take_step, name, loss) for name, loss in losses.items()
+        }
+        if distributed.size() == 1:
+            self._steps = {name: Captured(work, device) for name, work in works.items()}
+        else:
+            self._steps = works
+
+    def _step(self, name: str, batch: Mapping[str, Tensor]) -> Tensor:
+        """One step on `batch`; returns the loss."""
+        self._steps[name](batch)
+        return self._loss[name]
+
+    def _take_step(
+        self, name: str, loss: Callable[[Mapping[str, Tensor]], Tensor], batch: Mapping[str, Tensor]
+    ) -> None:
+        self._loss[name].copy_(self._descend(name, loss(batch)))
 
     def _descend(self, name: str, loss: Tensor) -> Tensor:
         """One step down `loss` (); if it or its gradient is not finite, none. Returns it, or 0."""
@@ -379,3 +420,4 @@ class Imagination(Learner):
         self._iterations, self._trained = int(state["iterations"]), int(state["trained"])
         self._bad.copy_(state["bad_steps"])
         self._generator.set_state(state["generator"].cpu())
+        self._capture()

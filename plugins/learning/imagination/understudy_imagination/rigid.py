@@ -60,6 +60,7 @@ class Rigid:
         self._to_qvel = self._rows(np.argsort(np.concatenate([line_dofs, turns.ravel()])))
         self._scalars = slice(3 * len(free), None)  # of the lines
         self._zeros = self._numbers(model.qpos0[at[scalar]])
+        self._unturned = self._numbers(np.eye(4)[0])
         self._axes = self._numbers(model.jnt_axis[scalar])
         self._hinges = len(hinge)
         #: Columns of :meth:`lengths` and :meth:`shape`.
@@ -223,7 +224,7 @@ class Rigid:
     def root(self, qpos: Tensor) -> Tensor:
         """(B, 4): the rotation of the first free joint; none where there is no such joint."""
         if not self.frees:
-            return qpos.new_tensor([1.0, 0.0, 0.0, 0.0]).expand(len(qpos), 4)
+            return self._unturned.expand(len(qpos), 4)
         return self._rotations(qpos)[:, 0]
 
     def in_root(self, qpos: Tensor, speed: Tensor, *, back: bool = False) -> Tensor:
@@ -277,7 +278,7 @@ class Rigid:
         scalars = qpos.index_select(1, self._lines)[:, self._scalars] - self._zeros
         rates = qvel.index_select(1, self._line_dofs)[:, self._scalars]
         hinge = rotations.from_axis_angle(self._axes[: self._hinges], scalars[:, : self._hinges])
-        still = qpos.new_tensor([[[1.0, 0.0, 0.0, 0.0]]]).expand(count, 1, 4)
+        still = self._unturned.expand(count, 1, 4)
         turns = torch.cat([rotations.normalize(self._rotations(qpos)), hinge, still], dim=1)
         spins = torch.cat(
             [
@@ -345,7 +346,7 @@ class Rigid:
         for rows, parents in self._levels[1:]:
             above = rotations.multiply(above.index_select(1, parents), turns[:, rows])
             levels.append(above)
-        world = turns.new_tensor([1.0, 0.0, 0.0, 0.0]).expand(len(turns), 1, 4)
+        world = self._unturned.expand(len(turns), 1, 4)
         return torch.cat([*levels, world], dim=1).index_select(1, self._bodies)
 
     @property

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 
 from understudy import distributed
 
+__all__ = ["average", "average_gradients", "mean", "moments"]
+
 
 def mean(value: Tensor) -> Tensor:
     """The mean of `value` over processes."""

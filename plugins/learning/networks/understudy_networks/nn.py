@@ -19,6 +19,8 @@ from understudy.task import ActionSpace, Box, Distribution
 from understudy_networks import averages
 from understudy_networks.convolution import Convolution
 
+__all__ = ["DiagonalGaussian", "Precision", "mlp", "set_precision"]
+
 _Layer = TypeVar("_Layer", nn.Linear, Convolution)
 
 

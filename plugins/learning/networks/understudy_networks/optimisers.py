@@ -11,6 +11,17 @@ from torch.optim import SGD, Adam, Optimizer
 from understudy.errors import TrainingError
 from understudy.task import State
 
+__all__ = [
+    "adam",
+    "differentiate",
+    "gradient_views",
+    "load_state",
+    "refuse_hopeless",
+    "sgd",
+    "state_of",
+    "step",
+]
+
 
 def adam(parameters: Sequence[nn.Parameter], rate: Tensor, *, weight_decay: float = 0.0) -> Adam:
     """Adam (Kingma and Ba 2015). `rate` () is read at every step; decay is added to the gradient."""

@@ -31,15 +31,21 @@ from understudy_networks.nn import (
     scaled,
 )
 
+__all__ = ["MLPPolicy", "action_space", "check_units", "observation_size"]
+
 ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {"relu": relu, "elu": nn.ELU, "tanh": nn.Tanh}
 
 
 class MLPPolicy(Policy):
-    """Actor and critic are MLPs of one flat observation, which is normalised."""
+    """Actor and critic are MLPs of flat observations side by side, which are normalised."""
 
     @dataclass(frozen=True)
     class Options:
-        observation: str = "state"  #: name of the encoder read
+        observation: str | tuple[str, ...] = (
+            "state"  #: name of the encoder read, or several in their order
+        )
+        #: What the critic reads in its place, which the actor need not know; null is what the actor reads.
+        critic: str | tuple[str, ...] | None = None
         hidden: tuple[int, ...] = (1024, 512)  #: units per layer (thesis, section 3.4.1)
         activation: Literal["relu", "elu", "tanh"] = "relu"  #: between the layers
         #: Standard deviation of the boxes' numbers, in their units.
@@ -48,6 +54,7 @@ class MLPPolicy(Policy):
         final_scale: float = 0.01  #: scale of the actor's last layer at the start
 
         def __post_init__(self) -> None:
+            check_names(self, "observation", "critic")
             check_units("hidden", self.hidden)
             check_noise(self.noise)
             check_range(self, "final_scale", least=0)
@@ -56,22 +63,29 @@ class MLPPolicy(Policy):
         super().__init__()
         self.options = options
         self._space = space = action_space(context, "policy 'mlp'")
-        size = observation_size(context, options.observation, "policy 'mlp'")
+        self._actor_sees, self._critic_sees = seen_by(options.observation, options.critic)
+        size = joined_size(context, self._actor_sees, "policy 'mlp'")
         activation = ACTIVATIONS[options.activation]
         self.normaliser = RunningNormaliser(size)
-        layers = [size, *options.hidden]
         self.actor = mlp(
-            [*layers, head_size(space)], activation=activation, final_scale=options.final_scale
+            [size, *options.hidden, head_size(space)],
+            activation=activation,
+            final_scale=options.final_scale,
         )
-        self.critic = mlp([*layers, 1], activation=activation)
+        self.critic_normaliser = None  # the actor's
+        if self._critic_sees != self._actor_sees:
+            size = joined_size(context, self._critic_sees, "policy 'mlp'")
+            self.critic_normaliser = RunningNormaliser(size)
+        self.critic = mlp([size, *options.hidden, 1], activation=activation)
         self.log_deviation = log_deviation(space, options.noise, options.learn_noise)
 
     def distribution(self, observations: Mapping[str, Tensor]) -> Distribution:
-        outputs = self.actor(self.normaliser(observations[self.options.observation]))
+        outputs = self.actor(self.normaliser(joined(observations, self._actor_sees)))
         return action_distribution(self._space, outputs, self.log_deviation.exp())
 
     def value(self, observations: Mapping[str, Tensor]) -> Tensor:
-        return self.critic(self.normaliser(observations[self.options.observation])).squeeze(-1)
+        seen = joined(observations, self._critic_sees)
+        return self.critic((self.critic_normaliser or self.normaliser)(seen)).squeeze(-1)
 
     def actor_parameters(self) -> Iterator[nn.Parameter]:
         yield from self.actor.parameters()
@@ -82,7 +96,9 @@ class MLPPolicy(Policy):
         return self.critic.parameters()
 
     def observe(self, observations: Mapping[str, Tensor]) -> None:
-        self.normaliser.observe(observations[self.options.observation])
+        self.normaliser.observe(joined(observations, self._actor_sees))
+        if self.critic_normaliser is not None:
+            self.critic_normaliser.observe(joined(observations, self._critic_sees))
 
     @torch.no_grad()
     def schedule(self, samples: int) -> None:
@@ -91,7 +107,7 @@ class MLPPolicy(Policy):
 
 
 class CNNPolicy(Policy):
-    """Actor and critic see an image (C, H, W) through convolutions and a flat observation beside it.
+    """Actor and critic see an image (C, H, W) through convolutions and flat observations beside it.
 
     The network is that of Zhang et al. 2020, figure 3: convolutions with max-pooling, a fully
     connected layer of the image's features, those beside the flat observation into an MLP, ReLU
@@ -102,7 +118,10 @@ class CNNPolicy(Policy):
     @dataclass(frozen=True)
     class Options:
         image: str = "image"  #: name of the encoder of shape (C, H, W)
-        flat: str | None = "state"  #: name of the encoder of shape (D,); null for the image alone
+        #: Name of the encoder of shape (D,), or several in their order; null for the image alone.
+        flat: str | tuple[str, ...] | None = "state"
+        #: Those that the critic has beside the image in place of ``flat``; null is what the actor has.
+        critic: str | tuple[str, ...] | None = None
         filters: tuple[int, ...] = (2, 2)  #: per convolution, stride 1
         kernels: tuple[int, ...] = (5, 3)  #: pixels, odd
         pool: int = 2  #: pixels, width and stride of the max-pooling after each convolution
@@ -122,6 +141,7 @@ class CNNPolicy(Policy):
                 )
             if any(width < 1 or width % 2 == 0 for width in self.kernels):
                 raise ValueError(f"kernels={self.kernels} is not possible: they must be odd.")
+            check_names(self, "flat", "critic")
             check_units("filters", self.filters)
             check_units("hidden", self.hidden)
             check_range(self, "pool", "features", least=1, most=10_000)
@@ -134,28 +154,41 @@ class CNNPolicy(Policy):
         self.options = options
         self._space = space = action_space(context, "policy 'cnn'")
         shape = image_shape(context, options.image, "policy 'cnn'")
-        size = observation_size(context, options.flat, "policy 'cnn'") if options.flat else 0
+        self._actor_sees, self._critic_sees = seen_by(options.flat or (), options.critic)
+        size = joined_size(context, self._actor_sees, "policy 'cnn'")
         self.normaliser = RunningNormaliser(size)
-        layers = [options.features + size, *options.hidden]
         self.actor_eye, self.critic_eye = _eye(options, shape), _eye(options, shape)
-        self.actor = mlp([*layers, head_size(space)], final_scale=options.final_scale)
-        self.critic = mlp([*layers, 1])
+        layers = [*options.hidden, head_size(space)]
+        self.actor = mlp([options.features + size, *layers], final_scale=options.final_scale)
+        self.critic_normaliser = None  # the actor's
+        if self._critic_sees != self._actor_sees:
+            size = joined_size(context, self._critic_sees, "policy 'cnn'")
+            self.critic_normaliser = RunningNormaliser(size)
+        self.critic = mlp([options.features + size, *options.hidden, 1])
         self.log_deviation = log_deviation(space, options.noise, options.learn_noise)
 
     def distribution(self, observations: Mapping[str, Tensor]) -> Distribution:
-        outputs = self.actor(self._see(self.actor_eye, observations))
-        return action_distribution(self._space, outputs, self.log_deviation.exp())
+        seen = self._see(self.actor_eye, observations, self.normaliser, self._actor_sees)
+        return action_distribution(self._space, self.actor(seen), self.log_deviation.exp())
 
     def value(self, observations: Mapping[str, Tensor]) -> Tensor:
-        return self.critic(self._see(self.critic_eye, observations)).squeeze(-1)
+        normaliser = self.critic_normaliser or self.normaliser
+        seen = self._see(self.critic_eye, observations, normaliser, self._critic_sees)
+        return self.critic(seen).squeeze(-1)
 
-    def _see(self, eye: nn.Module, observations: Mapping[str, Tensor]) -> Tensor:
-        """(…, features + D): what `eye` makes of the image, beside the flat observation."""
+    def _see(
+        self,
+        eye: nn.Module,
+        observations: Mapping[str, Tensor],
+        normaliser: nn.Module,
+        names: tuple[str, ...],
+    ) -> Tensor:
+        """(…, features + D): what `eye` makes of the image, beside the flat observations `names`."""
         image = observations[self.options.image]
         features = eye(image.flatten(0, -4)).view(*image.shape[:-3], -1)
-        if self.options.flat is None:
+        if not names:
             return features
-        return torch.cat([features, self.normaliser(observations[self.options.flat])], dim=-1)
+        return torch.cat([features, normaliser(joined(observations, names))], dim=-1)
 
     def actor_parameters(self) -> Iterator[nn.Parameter]:
         yield from itertools.chain(self.actor_eye.parameters(), self.actor.parameters())
@@ -166,8 +199,10 @@ class CNNPolicy(Policy):
         return itertools.chain(self.critic_eye.parameters(), self.critic.parameters())
 
     def observe(self, observations: Mapping[str, Tensor]) -> None:
-        if self.options.flat is not None:
-            self.normaliser.observe(observations[self.options.flat])
+        if self._actor_sees:
+            self.normaliser.observe(joined(observations, self._actor_sees))
+        if self.critic_normaliser is not None:
+            self.critic_normaliser.observe(joined(observations, self._critic_sees))
 
     @torch.no_grad()
     def schedule(self, samples: int) -> None:
@@ -222,6 +257,28 @@ def observation_size(context: Context, name: str, who: str) -> int:
     return shape[0]
 
 
+Names = str | tuple[str, ...]
+
+
+def seen_by(actor: Names, critic: Names | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The observations that the actor reads, and those that the critic does: the actor's if it names none."""
+    sees = (actor,) if isinstance(actor, str) else actor
+    if critic is None:
+        return sees, sees
+    return sees, (critic,) if isinstance(critic, str) else critic
+
+
+def joined_size(context: Context, names: tuple[str, ...], who: str) -> int:
+    """Of the flat observations `names` side by side."""
+    return sum(observation_size(context, name, who) for name in names)
+
+
+def joined(observations: Mapping[str, Tensor], names: tuple[str, ...]) -> Tensor:
+    """(…, D): the flat observations `names` side by side, in this order."""
+    found = [observations[name] for name in names]
+    return found[0] if len(found) == 1 else torch.cat(found, dim=-1)
+
+
 def image_shape(context: Context, name: str, who: str) -> tuple[int, int, int]:
     """(C, H, W) of the image observation `name`."""
     shape = observation_shape(context, name, who)
@@ -236,6 +293,16 @@ def log_deviation(space: ActionSpace, noise: Schedule, learned: bool) -> nn.Para
     """Logarithm of the standard deviation of each of the space's real numbers."""
     start = torch.full((box_columns(space),), noise.start).log()
     return nn.Parameter(start, requires_grad=learned)
+
+
+def check_names(options: object, *names: str) -> None:
+    """A ValueError names the option that lists no observation, or one twice."""
+    for name in names:
+        given = getattr(options, name)
+        if isinstance(given, tuple) and (not given or len(set(given)) < len(given)):
+            raise ValueError(
+                f"{name}={given} is not possible: name each observation once, one at least."
+            )
 
 
 def check_units(name: str, units: tuple[int, ...]) -> None:

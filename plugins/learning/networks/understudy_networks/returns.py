@@ -10,6 +10,8 @@ from torch import Tensor
 from understudy.task import Policy, Rollout
 from understudy_networks import averages
 
+__all__ = ["digest", "explained_variance", "observations_of"]
+
 _SEEN = "observations/"
 
 

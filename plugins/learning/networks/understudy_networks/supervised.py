@@ -14,6 +14,8 @@ from understudy.running.warm_start import misshapen
 from understudy.task import State
 from understudy_networks import averages, optimisers
 
+__all__ = ["NetworkJob"]
+
 N = TypeVar("N", bound=nn.Module)
 
 

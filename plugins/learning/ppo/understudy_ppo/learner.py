@@ -16,9 +16,9 @@ from understudy.options import check_range
 from understudy.random import generator
 from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
 from understudy_networks import averages, optimisers
+from understudy_networks.graphs import Captured
 from understudy_networks.nn import Precision, set_precision
 from understudy_networks.returns import digest, explained_variance, observations_of
-from understudy_ppo.graphs import Captured
 from understudy_ppo.losses import KLPenalty, clipped_surrogate
 from understudy_ppo.threads import SideBySide
 

@@ -11,6 +11,8 @@ from torch import Tensor
 from understudy.errors import FileError, RunError
 from understudy.records import checkpoint
 
+__all__ = ["files", "load"]
+
 #: The bank that a harvest leaves in its run folder.
 NAME = "bank"
 

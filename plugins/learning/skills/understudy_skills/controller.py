@@ -17,6 +17,8 @@ from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Wired, renamed
 from understudy_skills.skill import copy_run, open_skill
 
+__all__ = ["Controller"]
+
 
 class Controller(nn.Module):
     """What another run learned, as a function of this task's state: fields in, controls out.

@@ -169,22 +169,22 @@ class Harvest(Job):
     def iterate(self, samples: int) -> dict[str, Any]:
         environment, steps = self.environment, self.options.decisions
         seen: dict[str, list[Tensor]] = {name: [] for name in self._names}
-        which: list[Tensor] = []
+        counted_any = False
         for _ in range(steps):
             distribution = self.policy.distribution(environment.observations)
             mode = self.options.deterministic
             action = distribution.mode() if mode else distribution.sample(self._streams)
             reached, counted, ended = self._decide(action)
-            which.append(counted.clone())
+            rows = counted.nonzero().squeeze(1)  # few: all worlds' garments would be gigabytes
+            counted_any |= len(rows) > 0
             for name, value in self._chosen(reached, ended).items():
-                seen[name].append(value.clone())
-        counts = torch.cat(which)
-        new = {name: torch.cat(values)[counts].cpu() for name, values in seen.items()}
+                seen[name].append(value[rows].cpu())
+        new = {name: torch.cat(values) for name, values in seen.items()}
         self._found = {
             name: torch.cat([self._found[name], value]) if self._found else value
             for name, value in new.items()
         }
-        self._barren = 0 if counts.any() else self._barren + 1
+        self._barren = 0 if counted_any else self._barren + 1
         if self._barren >= self.options.patience:
             raise TrainingError(
                 f"No episode of {self.options.run} {self._wanted()} in "

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from understudy.records import checkpoint, runs
 
+__all__ = ["files_of"]
+
 
 def files_of(run: str) -> list[Path]:
     """The ``run.json`` and the newest checkpoint of the run folder `run`, which :meth:`Inputs.file` keeps.

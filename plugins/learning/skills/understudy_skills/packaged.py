@@ -7,6 +7,8 @@ from pathlib import Path
 
 from understudy.setup.registry import Registrar
 
+__all__ = ["register_skills"]
+
 
 def register_skills(register: Registrar, folder: Path) -> None:
     """Offer the packed skills in `folder` (``understudy play RUN --pack FILE``): ``walk.json`` of the plugin

@@ -20,10 +20,13 @@ from understudy.records import checkpoint, runs
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment, build_policy
 from understudy.setup.composition import compose_raw
-from understudy.setup.config import Experiment, refuse_code, validate
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
+from understudy.setup.validation import refuse_code, validate
 from understudy.task import Policy
+
+__all__ = ["Skill", "names", "open_skill", "pack", "rounded", "unpack"]
 
 #: Of each row of a matrix: the largest weight.
 _STEPS = 127

@@ -21,9 +21,9 @@ from understudy.options import make_options
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.setup.plugins import installed
-from understudy.task import Context
 from understudy_amorphous.character import GRIPS, TOOL, Figure, Grip, figure, placed
 from understudy_amorphous.scene import AmorphousScene
+from understudy_characters.recording import scene_of
 from understudy_characters.shapes import shapes
 from understudy_motion.arguments import finite, positive
 from understudy_motion.clip import Clip
@@ -42,6 +42,8 @@ AT_LIMIT = float(np.radians(0.5))
 
 class HoldTool(Command):
     """Writes the figure's motion as a clip, and a video of figure, tool and material."""
+
+    example = "understudy amorphous character runs/gather cook.glb --no-video"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
@@ -204,18 +206,8 @@ def _recorded(run: Run) -> _Recorded:
 
 def _scene(run: Run) -> AmorphousScene:
     experiment = run.experiment()
-    control = experiment.root.control
-    context = Context(
-        seed=0,
-        device=torch.device("cpu"),
-        num_worlds=1,
-        control_dt=1.0 / control.frequency,
-        substeps=control.substeps,
-        registry=experiment.registry,
-        inputs=experiment.inputs,
-    )
     chosen = experiment.need("scene")
-    scene = chosen.build(context)
+    scene = scene_of(experiment, {})
     if not isinstance(scene, AmorphousScene):
         raise ConfigError(
             f"The run's scene '{chosen.component.name}' has no tool for a hand; give a run of "

@@ -4,15 +4,29 @@ from pathlib import Path
 
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
+from understudy_skills.packaged import register_skills
 
 #: Plugins that this one builds on.
-REQUIRES = ("gripping", "hand", "mujoco", "networks", "ppo", "tensors", "terms")
+REQUIRES = (
+    "bayes",
+    "gripping",
+    "hand",
+    "mujoco",
+    "networks",
+    "ppo",
+    "skills",
+    "sweeps",
+    "tensors",
+    "terms",
+)
 
 _HERE = "understudy_chopsticks"
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
+    register_skills(register, Path(__file__).parent / "skills")
+
     def add(kind: str, name: str, where: str, summary: str) -> None:
         register.component(kind, f"chopsticks/{name}", f"{_HERE}.{where}", summary)
 
@@ -26,6 +40,12 @@ def understudy_register(register: Registrar) -> None:
     add("reward", "contact", "tracking:contact", "eq. 5.5: fingertips at their places")
     add("termination", "dropped", "tracking:dropped", "a stick is far from where it is planned")
     add("termination", "contact_lost", "tracking:contact_lost", "fingertips left their places")
+    register.component(
+        "outer_loop",
+        "chopsticks/grips",
+        f"{_HERE}.search:GripSearch",
+        "places of fingers, by style",
+    )
     register.task("chopsticks/open_close", "hold two sticks, and open and close them as planned")
     register.citation(
         "yang2022chopsticks",

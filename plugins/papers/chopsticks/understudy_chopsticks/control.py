@@ -18,20 +18,21 @@ from understudy_hand.tools import tips
 class State(Encoder):
     """Table 5.1 without an object: arm and hand, sticks, fingertips' distances, normal forces, the plan ahead.
 
-    Sticks are in the palm's frame. Forces are divided by 1 N beyond their logarithm: log(1 + f).
+    Sticks are in the palm's frame. Forces f N are those of the last sub-step, as log(1 + f).
     """
 
     @dataclass(frozen=True)
     class Options:
-        #: Normal forces on fingertips and on the sticks' tips; costs a forward computation a step.
-        forces: bool = True
+        forces: bool = True  #: normal forces on fingertips and on the sticks' tips
         planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = gripping(context, "encoder 'chopsticks/state'").scene
         self._options, self._hinges = options, scene.hinges
         names = (*(f"{finger}_distal" for finger in scene.measures.names), *tips("sticks"))
-        self._touch = tuple(f"sensor_touch_{name}" for name in names) if options.forces else ()
+        self._touch = (
+            tuple(f"recent_sensor_touch_{name}" for name in names) if options.forces else ()
+        )
         self.reads = ("qpos", "qvel", "stick_state", "tip_distance", "plan_ahead", *self._touch)
         touching = len(gripping(context, "encoder").grip.touching)
         planned = GRIPPER + (2 * scene.hinges if options.planned_hand else 0)

@@ -12,7 +12,7 @@ from torch import Tensor
 from understudy import random
 from understudy.options import check_range
 from understudy.running.trials import Trial
-from understudy.setup.config import Part
+from understudy.setup.root import Part
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, climb, highest, upper_bound
 from understudy_bayes.book import Book, SearchOptions
@@ -22,6 +22,7 @@ from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions, fitted
 
 Z_MIN, Z_MAX = 0.0, 1.0
+SAME = 1e-6  #: of each parameter's range: places that are the same
 
 
 class CMFBO(BookedSearch):
@@ -37,8 +38,12 @@ class CMFBO(BookedSearch):
         initial: int = 16  #: trials at z_min, the cheapest, at points that no model chose
         fidelity: Fidelity = field(default_factory=Fidelity)  #: the difficulty from z_min to z_max
         #: ε: how well y must be known at one fidelity before the next is asked about, a standard
-        #: deviation as a share of the range of all y seen; half the noise's is always enough.
+        #: deviation as a share of the objective's scale: of ``ceiling`` where the search has one (the chapter's
+        #: objectives reach 1), else of the range of all y seen.
         epsilon: float = 0.02
+        #: What share of the noise's standard deviation is always enough, what four trials at one place could tell;
+        #: 0 is algorithm 3 as printed.
+        noise: float = 0.5
         #: What share of the search's end is for full difficulty, whatever ε says: only trials there can
         #: be the answer. 0 is algorithm 4 as printed.
         reserve: float = 0.25
@@ -60,6 +65,7 @@ class CMFBO(BookedSearch):
             super().__post_init__()
             check_range(self, "epsilon", "close", above=0)
             check_range(self, "reserve", least=0, most=1)
+            check_range(self, "noise", least=0)
             if self.transfer and not self.parts:
                 raise ValueError(
                     "parts must not be empty: name what to transfer, or transfer=false."
@@ -84,8 +90,9 @@ class CMFBO(BookedSearch):
     def _progress(self, model: Surrogate, number: int) -> tuple[Tensor, float]:
         """Algorithm 3: (x_t, z_t), the easiest task about which too little is known."""
         book, weight = self._book, beta(len(self._book.space), number + 1)
-        enough = self._options.epsilon * _range(book.data().y) / model.scale
-        enough = max(enough, model.noise / 2)  # what four trials there could tell
+        scale = self._options.ceiling or _range(book.data().y)
+        enough = self._options.epsilon * scale / model.scale
+        enough = max(enough, model.noise * self._options.noise)
         z, close = Z_MIN, self._options.close
         x = maximise(upper_bound(model, weight, z, of=Z_MAX), book, self._seed, number)
         easiest = x.unsqueeze(0)
@@ -96,10 +103,14 @@ class CMFBO(BookedSearch):
         return x, z
 
     def _finish(self, model: Surrogate, number: int) -> tuple[Tensor, float]:
-        """(x_t, z_max), x_t by L-BFGS from the trials that promise most there."""
-        expected = upper_bound(model, 0.0, Z_MAX)
+        """(x_t, z_max): the trial's place that promises most there, if it was not tried at z_max yet, else x_t by
+        L-BFGS from the four that promise most."""
+        expected, data = upper_bound(model, 0.0, Z_MAX), self._book.data()
         bound = upper_bound(model, beta(len(self._book.space), number + 1), Z_MAX)
-        starts = highest(expected, self._book.data().x, 4)
+        starts = highest(expected, data.x, 4)
+        tried = torch.cat([data.x[data.z >= Z_MAX], self._book.places(self._book.pending)[0]])
+        if not bool(((tried - starts[0]).abs().amax(1) < SAME).any()):
+            return starts[0], Z_MAX
         return climb(bound, starts, within=self._options.close), Z_MAX
 
     def _nearest(self, model: Surrogate, x: Tensor, z: float) -> Mapping[str, Any] | None:

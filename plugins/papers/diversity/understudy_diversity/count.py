@@ -30,6 +30,8 @@ class Count(Command):
     """Counts the different strategies of searches from their journals, by any measures and distances, and
     gives the mean over searches with its 95 % interval (Student's t): the counts of several seeds."""
 
+    example = "understudy diversity count runs/vault"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("folder", nargs="+", help="folder of a search")
         for name, what in (

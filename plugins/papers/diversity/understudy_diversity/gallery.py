@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+from markupsafe import Markup
+
 from understudy import __version__
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
@@ -27,7 +29,7 @@ from understudy_diversity.strategies import (
     kinds,
 )
 from understudy_report import words
-from understudy_report.markup import check_markup, grid
+from understudy_report.markup import check_markup, grid, piece
 from understudy_report.page import html_page
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.page import SweepPage
@@ -67,7 +69,7 @@ class Gallery(SweepPage):
         exhibits = _exhibits(strategies, len(known), folder, options.gallery)
         content = "".join(
             [
-                f'<p class="headline">{escape(_headline(exhibits, strategies, known, options))}</p>',
+                piece("headline", _headline(exhibits, strategies, known, options)),
                 _wall(exhibits, options, _ranges(strategies, options)),
                 _peaks(exhibits, options.gallery),
                 _section(
@@ -153,7 +155,7 @@ def _value(value: float | None, options: GalleryOptions, *, long: bool = False) 
 
 
 def _section(title: str, content: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>{content}</section>" if content else ""
+    return str(piece("section", title, Markup(content))) if content else ""
 
 
 def _chip(kind: int) -> str:
@@ -164,7 +166,7 @@ def _wall(
     exhibits: Sequence[Exhibit], options: Options, ranges: Mapping[str, tuple[float, float]]
 ) -> str:
     if not exhibits:
-        return '<p class="failed">No trial succeeded often enough to show a strategy.</p>'
+        return piece("failed", "No trial succeeded often enough to show a strategy.")
     return f'<div class="wall">{"".join(_card(e, options, ranges) for e in exhibits)}</div>'
 
 

@@ -10,7 +10,7 @@ from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy.running.evaluation import Evaluation, wilson_interval
 from understudy.running.warm_start import newest_state
-from understudy.setup.config import at
+from understudy.setup.validation import at
 from understudy_characters.recording import unsimulated
 from understudy_inspect.judging import load
 from understudy_jumping.arena import ArenaOptions
@@ -29,6 +29,8 @@ class Heights(Command):
 
     Prints what it tries, and leaves the evaluation of the highest in ``heights.json`` of the run folder.
     """
+
+    example = "understudy jumping heights runs/high"
 
     takes_overrides = True
 

@@ -42,6 +42,8 @@ class Join(Command):
     """Writes the motion of two runs' recordings, the run-up moved to where the jump begins: as a clip
     of any format, or as a video. Videos, .glb and .gltf files also have the jump's obstacle and mat."""
 
+    example = "understudy jumping join runs/run_up runs/jump jump.mp4"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("run_up", help="run folder of the run-up")
         parser.add_argument("jump", help="run folder of the jump")

@@ -49,7 +49,6 @@ _PARTS = {
         "forward": ("forward", "runs forward"),
     },
     ("cmfbo", "outer_loop"): {"random": ("RandomFidelity", "random points, rising fidelity")},
-    ("chopsticks", "policy"): {"side_by_side": ("SideBySide", "an MLP of several observations")},
     ("poses", "poses"): {"arcs": ("Arcs", "arcs and waves of an arm")},
     ("poses", "job"): {"autoencoder": ("LearnPoses", "an auto-encoder of poses")},
     ("styles", "scene"): {"arm": ("ArmScene", "an arm of many joints")},

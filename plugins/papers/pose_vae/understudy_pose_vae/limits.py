@@ -13,6 +13,8 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy_characters.scene import CharacterScene
 
+__all__ = ["Range", "check_axes", "servo_axes", "target_limits"]
+
 Range = tuple[float, float]
 
 

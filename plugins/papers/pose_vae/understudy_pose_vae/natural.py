@@ -16,6 +16,8 @@ FILE = "naturalness.json"
 class Naturalness(Command):
     """Judges runs of a character by how far its poses are from captured ones, and by its jerk."""
 
+    example = "understudy pose_vae naturalness runs/poses runs/walk runs/walk_with_poses"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:

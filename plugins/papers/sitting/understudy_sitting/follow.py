@@ -84,6 +84,8 @@ class Follower(World):
 class Follow(Command):
     """Shows the figure in the browser, where a click on the floor sends it, or films a walk around."""
 
+    example = "understudy sitting follow sitting/meta"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "runs", nargs="*", metavar="RUN", default=_SKILLS,

@@ -27,6 +27,8 @@ _ZONE = ("experiment=sitting/whole", "initial_states=sitting/around_chair", "ini
 class Kinematics(Command):
     """Prints how near the pelvis comes to the seat when the clip is simply played."""
 
+    example = "understudy sitting kinematics sitting/meta"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:

@@ -33,6 +33,8 @@ _SHADOWED = 4.0
 class SitInRoom(Command):
     """Writes a video of the controller RUN sitting down on a chair of a scene of boxes."""
 
+    example = "understudy sitting room sitting/meta"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:

@@ -46,6 +46,8 @@ SIDES = ("right", "left")
 class Trials(Command):
     """Judges a controller that sits down, over many trials in one batch; writes RUN/trials.json."""
 
+    example = "understudy sitting trials sitting/meta"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:

@@ -27,6 +27,8 @@ class Learned(Command):
     """Writes the cycle of a run's recorded motion that closes best, as a clip that loops: what a poor
     reference becomes once physics has had its say. It can be learned from in its place."""
 
+    example = "understudy motion learned runs/spacetime-walk-001 repaired.npz"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("run", help="the folder of a run that learned a clip")
         parser.add_argument("destination", type=Path, help="the clip to write, such as walk.npz")

@@ -15,6 +15,8 @@ from understudy_cloth.mesh import SHARED_VERTICES, edges_of, face_areas
 class Check(Command):
     """Prints a garment's size, loops and patches; exit status 2 and one sentence if it cannot be used."""
 
+    example = "understudy garment check gown.yaml"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "file", type=Path, metavar="GARMENT.yaml", help="the file that names mesh and loops"

@@ -32,6 +32,8 @@ from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.shapes import build_tools
 from understudy_warp_torch.world_state import WorldState
 
+__all__ = ["ClothSimulator"]
+
 #: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged.
 _EXTENT, _SPEED = 1e3, 1e3
 #: Of the mean edge: so thick is a layer, unless the fabric says otherwise. Vertices of one layer then

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from understudy.errors import FileError
 
+__all__ = ["Bounds", "read_apart", "serve"]
+
 _REFUSED = 3
 
 

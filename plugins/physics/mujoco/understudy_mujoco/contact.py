@@ -10,6 +10,8 @@ import mujoco
 from understudy.errors import ConfigError
 from understudy.options import check_range
 
+__all__ = ["Contact"]
+
 _INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
     "rk4": mujoco.mjtIntegrator.mjINT_RK4,

@@ -4,6 +4,8 @@ import mujoco
 
 from understudy_mujoco.opengl import no_opengl
 
+__all__ = ["open_renderer"]
+
 
 def open_renderer(
     model: mujoco.MjModel, width: int, height: int, max_geom: int = 10_000

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import mujoco
+import numpy as np
 
 from understudy.task import Shape
+
+__all__ = ["AT_ITERATIONS", "AT_LIMIT", "RECENT", "Stage", "limits", "readable"]
+
+#: What the names of fields that are one sub-step old begin with.
+RECENT = "recent_"
+#: Names in ``report()``: steps of one world, or of one actuator.
+AT_ITERATIONS, AT_LIMIT = "worlds_at_the_iteration_limit", "actuators_at_their_limit"
 
 
 class Stage(IntEnum):
@@ -26,6 +34,7 @@ class Field:
     stage: Stage
     shape: Shape
     columns: slice
+    recent: bool = False  #: as the last sub-step had it, before it moved the state
 
 
 #: MjData's arrays that tasks may read. Names and frames are MuJoCo's.
@@ -69,7 +78,11 @@ _STAGES = {
 
 def readable(model: mujoco.MjModel) -> dict[str, Field]:
     """Everything that can be read of `model`: :data:`ARRAYS`, ``sensordata``, and every named sensor
-    as ``sensor_NAME`` (dim,)."""
+    as ``sensor_NAME`` (dim,).
+
+    What needs forces is there a second time, as ``recent_FIELD``: as the last sub-step computed it on its
+    way, which is one sub-step old and costs no forward computation; 0 where an episode begins.
+    """
     data = mujoco.MjData(model)
     stages = dict(ARRAYS)
     if _NEED_BODY_FORCES & set(model.sensor_type.tolist()):
@@ -88,4 +101,16 @@ def readable(model: mujoco.MjModel) -> dict[str, Field]:
             start, size = int(model.sensor_adr[index]), int(model.sensor_dim[index])
             columns = slice(start, start + size)
             found[f"sensor_{name}"] = Field("sensordata", stage, (size,), columns)
-    return found
+    recent = {
+        f"{RECENT}{name}": replace(field, stage=Stage.KINEMATICS, recent=True)
+        for name, field in found.items()
+        if field.stage == Stage.ACCELERATION and field.array not in BODY_FORCES
+    }
+    return found | recent
+
+
+def limits(model: mujoco.MjModel) -> np.ndarray:
+    """(nu,) N or N m: the most force of each actuator; infinite where it has no limit."""
+    low, high = model.actuator_forcerange.T
+    most = np.maximum(np.abs(low), np.abs(high))
+    return np.where(model.actuator_forcelimited, most, np.inf)

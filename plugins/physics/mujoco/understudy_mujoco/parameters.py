@@ -10,6 +10,8 @@ import mujoco
 from understudy.errors import ConfigError, suggestion
 from understudy.task import Shape
 
+__all__ = ["MOCAP", "Parameter", "chosen", "parameters"]
+
 #: Fields of MjModel (mocap poses: of MjData), and the kind of object that each has a row for.
 FIELDS = {
     "mocap_pos": "mocap",

@@ -17,6 +17,12 @@ from understudy_mujoco.contact import Contact
 from understudy_mujoco.mjcf import read_mjcf, split_root
 from understudy_mujoco.trial import spec_of, try_out
 
+__all__ = ["LICENCES", "MjcfFile", "MujocoScene"]
+
+#: Files beside a model that say on what terms it may be used, which a run keeps with it; and most bytes.
+LICENCES = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "COPYING")
+_LICENCE_BYTES = 2**18
+
 
 def _log_nothing() -> None:
     """Keep MuJoCo from writing each warning to the console and, without end, to MUJOCO_LOG.TXT in
@@ -94,6 +100,9 @@ class MjcfFile(MujocoScene):
 
         def keep(folder: Path) -> None:
             self._mjcf.write(folder / own.name)
+            for name in LICENCES:
+                if (found := own.parent / name).is_file() and not found.is_symlink():
+                    (folder / name).write_bytes(found.read_bytes()[:_LICENCE_BYTES])
 
         folder = inputs.folder_of(f"mjcf {own}", own.parent, keep)
         kept = folder != own.parent

@@ -16,7 +16,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.records.runs import cores
 from understudy.task import Context, Shape, Simulator
-from understudy_mujoco.fields import Stage, readable
+from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT, RECENT, Stage, limits, readable
 from understudy_mujoco.lean import NEED_ALL, lean, read_no_clock
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
@@ -82,11 +82,16 @@ class MujocoSimulator(Simulator):
         self._counts = np.zeros(len(_WARNINGS), dtype=np.int64)
         self._broken = np.zeros(context.num_worlds, dtype=bool)
         self._asked = False  #: whether anybody was told of those
+        self._recent: dict[str, np.ndarray] = {}  #: (N, …), copies by array
+        self._reached = {AT_ITERATIONS: 0, AT_LIMIT: 0}
 
     def _start(self, model: mujoco.MjModel, worlds: int, threads: int) -> None:
         self.model = model
         self.batch = Batch(model, worlds, threads)
-        self._views = {name: self.batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
+        self._limits = limits(model)
+        self._limited = bool(np.isfinite(self._limits).any())
+        names = ("qpos", "qvel", "ctrl", "solver_niter", *["actuator_force"] * self._limited)
+        self._views = {name: self.batch.bind(name) for name in names}
         self._rows = self.batch.state
 
     def _warnings(self) -> np.ndarray:
@@ -146,12 +151,22 @@ class MujocoSimulator(Simulator):
         if name in self._varied:
             return torch.from_numpy(self._varied[name].astype(np.float32))
         field = self._readable[name]
+        if field.recent:
+            if field.array not in self._recent:
+                self._recent[field.array] = np.zeros_like(self._bound(field.array))
+            return torch.from_numpy(self._recent[field.array][:, field.columns].astype(np.float32))
         if field.array not in self._views or field.stage > self._stage:
             # bound when first read: every bound field is copied each step
-            self._views[field.array] = self.batch.bind(field.array)
+            self._bound(field.array)
             self._stage = max(field.stage, self._stage)
             self._forward()
         return torch.from_numpy(self._views[field.array][:, field.columns].astype(np.float32))
+
+    def _bound(self, array: str) -> np.ndarray:
+        """(N, …), the engine's own memory of MjData's `array`."""
+        if array not in self._views:
+            self._views[array] = self.batch.bind(array)
+        return self._views[array]
 
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
         ids = worlds.nonzero().squeeze(1).numpy()
@@ -163,6 +178,8 @@ class MujocoSimulator(Simulator):
         for name, value in mocap.items():  # in the engine they are state, here they are parameters
             self._varied[name][ids] = value
         self._set_parameters(ids, state)
+        for copy in self._recent.values():
+            copy[ids] = 0.0
         for name in self.state_fields:
             self._views[name][ids] = state[name].numpy()[ids]
         self._forward(ids)
@@ -173,10 +190,24 @@ class MujocoSimulator(Simulator):
         self._views["ctrl"][:] = control.numpy()
         before = self._warnings()
         count = self._substeps if substeps is None else substeps
-        self._run(self.batch.step, nstep=count, stage=int(_STAGE[self._stage]))
+        # what the last sub-step computed is there until forces are computed anew
+        self._run(self.batch.step, nstep=count, stage=int(_STAGE[Stage.VELOCITY]))
+        for array, copy in self._recent.items():
+            copy[:] = self._bound(array)
+        self._count_limits()
+        if self._stage == Stage.ACCELERATION:
+            self._forward()
         raised = self._warnings() - before
         self._counts += raised.sum(axis=0)
         self._broken |= raised[:, _BAD].any(axis=1)
+
+    def _count_limits(self) -> None:
+        """Of the last sub-step: solvers that used all iterations, actuators as strong as they can be."""
+        most = self._views["solver_niter"].max(axis=1)
+        self._reached[AT_ITERATIONS] += int((most >= self.model.opt.iterations).sum())
+        if self._limited:
+            force = np.abs(self._views["actuator_force"])
+            self._reached[AT_LIMIT] += int((force >= self._limits).sum())
 
     def failed(self) -> Tensor:
         sound = np.isfinite(self._views["qpos"]).all(1) & np.isfinite(self._views["qvel"]).all(1)
@@ -185,7 +216,8 @@ class MujocoSimulator(Simulator):
 
     def snapshot(self) -> dict[str, Tensor]:
         copies = {name: torch.from_numpy(value.copy()) for name, value in self._varied.items()}
-        return {"state": torch.from_numpy(self._rows.copy()), **copies}
+        recent = {f"{RECENT}{n}": torch.from_numpy(c.copy()) for n, c in self._recent.items()}
+        return {"state": torch.from_numpy(self._rows.copy()), **copies, **recent}
 
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
         ids = np.arange(self.batch.nsim) if worlds is None else worlds.nonzero().squeeze(1).numpy()
@@ -193,10 +225,13 @@ class MujocoSimulator(Simulator):
             return
         self._broken[ids] = False
         self._rows[ids] = snapshot["state"].numpy()[ids]
+        for name, copy in self._recent.items():
+            kept = snapshot.get(f"{RECENT}{name}")  # none of a time when nobody read it
+            copy[ids] = 0.0 if kept is None else kept.numpy()[ids]
         self._set_parameters(ids, snapshot)
         self._forward(ids)
 
     def report(self) -> dict[str, int]:
         return {
             name: int(count) for name, count in zip(_WARNINGS, self._counts, strict=True) if count
-        }
+        } | {name: count for name, count in self._reached.items() if count}

@@ -24,6 +24,8 @@ import numpy as np
 from understudy_mujoco.opengl import no_opengl
 from understudy_mujoco.shadows import FigureShadow, Patch, StillShadow, Top
 
+__all__ = ["LEARNED", "REFERENCE", "Camera", "Figure", "draw"]
+
 RGBA = tuple[float, float, float, float]
 
 #: The learned motion and its reference, in videos, stick figures, charts and on the motion page.

@@ -15,7 +15,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
-from understudy_mujoco.fields import Stage, readable
+from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT, RECENT, Stage, limits, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco_warp.capacity import constraint_capacity, contact_capacity
@@ -115,6 +115,7 @@ class MujocoWarpSimulator(Simulator):
         self._views = {
             name: self._torch(field.array, self.fields[field.array])[:, field.columns]
             for name, field in self._readable.items()
+            if not field.recent
         }
         self._state = {
             name: self._torch(name, tuple(getattr(self._d, name).shape[1:]))
@@ -135,6 +136,12 @@ class MujocoWarpSimulator(Simulator):
             | dropped.CCD
         )
         self._overflows = torch.zeros((), dtype=torch.int64, device=self._device)
+        self._limits = torch.tensor(limits(self.model), dtype=torch.float32, device=self._device)
+        self._limited = bool(self._limits.isfinite().any())
+        self._iterations = wp.to_torch(self._d.solver_niter)
+        #: (2,) of all steps: worlds at the iteration limit, actuators at theirs.
+        self._reached = torch.zeros(2, dtype=torch.int64, device=self._device)
+        self._recent: dict[str, Tensor] = {}  #: (N, …), copies by array
         #: (N,) worlds that began a step with numbers that the step may hide: it normalises quaternions.
         self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
         self._asked = False  #: whether anybody was told of those
@@ -173,9 +180,13 @@ class MujocoWarpSimulator(Simulator):
         flags = options.disableflags
         if not self._m.nhistory:  # nobody sees sensors between sub-steps, unless they are delayed
             options.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-        for _ in range(substeps):
+        for left in reversed(range(substeps)):
+            if left == 0 and "sensordata" in self._recent:
+                options.disableflags = flags
             mjw.step(self._m, self._d)
         options.disableflags = flags
+        for array, copy in self._recent.items():
+            wp.copy(wp.from_torch(copy), wp.from_torch(self._torch(array, self.fields[array])))
         self._refresh()
 
     def _refresh(self) -> None:
@@ -264,6 +275,13 @@ class MujocoWarpSimulator(Simulator):
 
     def read(self, name: str) -> Tensor:
         field = self._readable.get(name)
+        if field is not None and field.recent:
+            if field.array not in self._recent:
+                copy = torch.zeros_like(self._torch(field.array, self.fields[field.array]))
+                self._recent[field.array] = self._state[f"{RECENT}{field.array}"] = copy
+                self._initial[f"{RECENT}{field.array}"] = copy[:1].clone()
+                self._kernels.forget()
+            return self._recent[field.array][:, field.columns]
         if field is not None and field.stage > self._stage:
             self._stage = field.stage
             self._kernels.forget()
@@ -289,6 +307,10 @@ class MujocoWarpSimulator(Simulator):
         self._run(("step", count), lambda: self._advance(count))
         self._overflows += ((self._overflow & self._dropping) != 0).sum()
         self._overflow.zero_()
+        self._reached[0] += (self._iterations >= self.model.opt.iterations).sum()
+        if self._limited:
+            force = self._views["actuator_force"].abs()
+            self._reached[1] += (force >= self._limits).sum()
 
     def failed(self) -> Tensor:
         self._asked = True
@@ -310,9 +332,10 @@ class MujocoWarpSimulator(Simulator):
         self._bad &= ~worlds
         groups = self._set_parameters(worlds, snapshot)
         for name, view in self._state.items():
-            put_rows(view, worlds, snapshot[name])
+            put_rows(view, worlds, snapshot.get(name, self._initial[name]))
         self._settle(groups)
 
     def report(self) -> dict[str, int]:
-        count = int(self._overflows)
-        return {"contact_or_constraint_overflows": count} if count else {}
+        names = ("contact_or_constraint_overflows", AT_ITERATIONS, AT_LIMIT)
+        counts = torch.cat([self._overflows[None], self._reached]).tolist()
+        return {name: count for name, count in zip(names, counts, strict=True) if count}

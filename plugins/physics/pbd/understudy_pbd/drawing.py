@@ -11,6 +11,8 @@ import numpy as np
 from understudy_mujoco.drawing import open_renderer
 from understudy_pbd.scene import Box, Capsule, Grid, ParticleModel, Shape, TaperedCapsule
 
+__all__ = ["add_geom", "draw", "particle_colours"]
+
 #: Colours of materials without colours of their own: rice, butter, honey, broth.
 _PALETTE = np.array(
     [[0.93, 0.87, 0.73], [0.96, 0.80, 0.38], [0.85, 0.52, 0.20], [0.42, 0.66, 0.78]]

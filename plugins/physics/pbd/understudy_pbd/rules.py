@@ -9,6 +9,8 @@ from typing import Any
 
 from torch import Tensor
 
+__all__ = ["Particles", "Rule"]
+
 
 @dataclass(frozen=True)
 class Particles:

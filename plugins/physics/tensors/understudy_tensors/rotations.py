@@ -18,6 +18,28 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+__all__ = [
+    "angle_between",
+    "angular_velocity",
+    "canonical",
+    "conjugate",
+    "from_axis_angle",
+    "from_exponential_map",
+    "from_heading",
+    "heading",
+    "inverse_rotate",
+    "multiply",
+    "normalize",
+    "rotate",
+    "slerp",
+    "tangent_normal",
+    "to_exponential_map",
+    "to_matrix",
+    "turn_matrix",
+    "turned",
+    "twist_angle",
+]
+
 # Below this sine of the half angle, log and its small-angle limit agree to the last bit of float64,
 # and the square is still a normal number in float32.
 _SMALL = 1e-12

@@ -10,6 +10,8 @@ from torch import Tensor
 from understudy.running.environment import rows
 from understudy.task import Simulator
 
+__all__ = ["TensorSimulator"]
+
 
 class TensorSimulator(Simulator):
     """Keeps fields and parameters, (N, …) by name, in ``_state``, which steps change in place."""

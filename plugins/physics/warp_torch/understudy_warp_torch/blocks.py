@@ -8,6 +8,8 @@ from typing import Any
 
 import warp as wp
 
+__all__ = ["global_memory", "shared_memory", "wait_for_block"]
+
 
 @wp.func_native(
     """

@@ -14,6 +14,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
+__all__ = ["Kernels", "put_rows"]
+
 
 def start_warp() -> None:
     """Initialise Warp, with a kernel cache that can be written.

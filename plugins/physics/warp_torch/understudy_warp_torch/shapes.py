@@ -18,6 +18,22 @@ import warp as wp
 
 from understudy_warp_torch.tools import Box, Capsule, Grid, Shape, TaperedCapsule, Tool
 
+__all__ = [
+    "GRID",
+    "Tools",
+    "build_tools",
+    "friction",
+    "from_rotation_vector",
+    "local_distance",
+    "move_tool",
+    "place_shape",
+    "rotation",
+    "shape_distance",
+    "to_rotation_vector",
+    "tool_between",
+    "xyz",
+]
+
 BOX, CAPSULE, GRID, TAPERED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 #: Farther than anything touches, m.
 FAR = wp.constant(1e6)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+__all__ = ["Box", "Capsule", "Grid", "Shape", "TaperedCapsule", "Tool"]
+
 
 @dataclass(frozen=True)
 class Box:

@@ -10,6 +10,8 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy_warp_torch.kernels import put_rows
 
+__all__ = ["WorldState"]
+
 
 class WorldState:
     """Views of a simulator's own memory, each (N, …), by name.

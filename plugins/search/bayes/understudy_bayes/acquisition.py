@@ -12,6 +12,8 @@ from torch import Tensor
 from understudy_bayes.libraries import gen_candidates_scipy
 from understudy_bayes.surrogate import Surrogate
 
+__all__ = ["Acquisition", "beta", "climb", "highest", "upper_bound"]
+
 #: Of points (m, d) of the unit cube, values (m,).
 Acquisition = Callable[[Tensor], Tensor]
 

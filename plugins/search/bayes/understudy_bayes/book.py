@@ -17,6 +17,8 @@ from understudy.running.trials import Report, Trial
 from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.space import Parameter, Space, check_paths
 
+__all__ = ["Book", "SearchOptions"]
+
 
 @dataclass(frozen=True)
 class SearchOptions:
@@ -27,6 +29,9 @@ class SearchOptions:
     #: Samples, of all trials together (N_total of algorithm 4).
     budget: float | None = None
     initial: int = 8  #: trials at points that no model chose
+    #: Whether those count: false has ``trials`` and ``budget`` begin after them, so that searches whose first
+    #: trials cost more are left with as much as others.
+    initial_counts: bool = True
     #: C of eq. 6.5: y = objective · exp(-samples / C), so that learning faster is better; null is y =
     #: objective.
     sample_scale: float | None = None
@@ -111,22 +116,32 @@ class Book:
 
     def spent(self, number: int) -> float:
         """Which share of ``trials`` or ``budget``, the larger one, is gone before trial `number`."""
-        options = self.options
-        share = 0.0 if options.trials is None else number / options.trials
+        options, free = self.options, self._free()
+        share = 0.0 if options.trials is None else (number - len(free)) / options.trials
         if options.budget is None:
             return share
         costs = [report.cost for report in self.reports.values()]
-        ahead = len(self.pending) * statistics.fmean(costs) if costs else 0.0
-        return max(share, (sum(costs) + ahead) / options.budget)
+        running = [trial for trial in self.pending if trial.key not in free]
+        ahead = len(running) * statistics.fmean(costs) if costs else 0.0
+        return max(share, (self._cost(free) + ahead) / options.budget)
 
     @property
     def done(self) -> float:
         """Which share of the search is finished, for whoever waits for it."""
-        options, finished = self.options, self.reports.values()
-        share = 0.0 if options.trials is None else len(finished) / options.trials
+        options, free = self.options, self._free()
+        counted = [key for key in self.reports if key not in free]
+        share = 0.0 if options.trials is None else len(counted) / options.trials
         if options.budget is not None:
-            share = max(share, sum(report.cost for report in finished) / options.budget)
+            share = max(share, self._cost(free) / options.budget)
         return min(1.0, share)
+
+    def _free(self) -> list[str]:
+        """The trials that do not count."""
+        return [] if self.options.initial_counts else [*self.trials][: self.options.initial]
+
+    def _cost(self, free: Sequence[str]) -> float:
+        """Of all finished trials but those."""
+        return sum(report.cost for key, report in self.reports.items() if key not in free)
 
     @property
     def pending(self) -> list[Trial]:
@@ -225,10 +240,10 @@ class Book:
         """A row for each trial. ``z`` is its fidelity of whatever kind, ``whole`` as above; ``best`` is the
         highest y of a whole trial up to it; ``found`` marks the search's answer, and the highest y of
         all where that is another one (algorithm 4 as printed, which compares values of different
-        fidelities); the latter says when there is no answer."""
-        answer, highest = self.best(), self.best(whole=False)
+        fidelities); the latter says when there is no answer. ``counts`` is there where the first trials do not."""
+        options, answer, highest = self.options, self.best(), self.best(whole=False)
         of_all = "highest y" if answer else "highest y; no trial at full fidelity, so no answer"
-        rows, best = [], None
+        rows, best, free = [], None, self._free()
         for key, trial in self.trials.items():
             report = self.reports.get(key)
             y = None if report is None else self.y(report)
@@ -247,6 +262,7 @@ class Book:
                     "y": y,
                     "samples": None if report is None else report.cost,
                     "best": best,
+                    **({} if options.initial_counts else {"counts": key not in free}),
                     "found": "answer" if key == answer else of_all if key == highest else "",
                 }
             )

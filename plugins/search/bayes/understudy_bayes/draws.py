@@ -8,6 +8,8 @@ from torch.quasirandom import SobolEngine
 
 from understudy import random
 
+__all__ = ["many", "spread", "uniform"]
+
 
 def uniform(seed: int, number: int, d: int) -> list[float]:
     """A point (d,) of the unit cube, independent of all others."""

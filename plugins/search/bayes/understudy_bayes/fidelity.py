@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from understudy.running.trials import Trial
 
+__all__ = ["Fidelity"]
+
 DIFFICULTY = "difficulty"
 
 

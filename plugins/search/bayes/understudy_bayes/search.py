@@ -8,6 +8,8 @@ from typing import Any, Literal
 from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.book import Book
 
+__all__ = ["BookedSearch"]
+
 
 class BookedSearch(OuterLoop):
     """A search that keeps its trials in a book; which one is next, others say."""

@@ -11,6 +11,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+__all__ = ["Parameter", "check_paths"]
+
 
 @dataclass(frozen=True)
 class Parameter:

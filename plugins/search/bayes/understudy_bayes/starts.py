@@ -9,6 +9,8 @@ from understudy_bayes import draws
 from understudy_bayes.acquisition import Acquisition, climb, highest
 from understudy_bayes.book import Book
 
+__all__ = ["maximise"]
+
 
 def maximise(
     function: Acquisition, book: Book, seed: int, number: int, raw: int = 512, restarts: int = 8

@@ -31,6 +31,8 @@ from understudy_bayes.libraries import (
 )
 from understudy_bayes.space import Space
 
+__all__ = ["Surrogate", "SurrogateOptions", "fitted"]
+
 
 @dataclass(frozen=True)
 class SurrogateOptions:

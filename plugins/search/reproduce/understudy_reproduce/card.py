@@ -8,19 +8,20 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
 
 from understudy import __version__
 from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
 from understudy_report import words
-from understudy_report.markup import check_markup
+from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_report.values import mapping
 from understudy_reproduce.tables import Figure, PaperTable, variant_name
-from understudy_sweeps.intervals import mean_of
+from understudy_sweeps.intervals import UNDECIDED, mean_of, verdict
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import SAMPLES, SECONDS, SUCCESS, Result, Results
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
@@ -61,6 +62,15 @@ class Cell:
             parts.append(f"{failed} failed")
         return "; ".join(parts) or _NOTHING
 
+    def verdict(self, figure: Figure, printed: Any) -> str:
+        """Whether ours is better than the paper's number; "" where there is none. Samples of a training that
+        missed its criterion are more than it had, which decides nothing."""
+        if figure.better is None or not isinstance(printed, int | float):
+            return ""
+        missed = figure.of == SAMPLES and any(r.ok and r.state != "criterion" for r in self.results)
+        found = verdict(self.values(figure.of), float(printed), figure.better)
+        return UNDECIDED if missed and found else found
+
     @property
     def minutes(self) -> float:
         """Of training, over all seeds and resumes."""
@@ -93,11 +103,24 @@ class Card:
         asked = len(self.table.variants()) * len(self.table.seeds)
         done = sum(r.report is not None for r in trials)
         minutes = sum(cell.minutes for cell in self.cells.values())
+        if done == 0:
+            return f"0 of {asked} trainings are finished."
         where = ", ".join(sorted({_device(r) for r in trials if r.report})) or "no machine yet"
         return (
             f"{done} of {asked} trainings are finished, in {minutes:.1f} minutes of training on {where} "
             "(building and evaluating not counted)."
         )
+
+    def compared(self) -> Iterator[str]:
+        """A line for each cell that the paper has: its number, ours, and the verdict."""
+        figure = self.table.figures[0]
+        for row, cells in self.table.paper.items():
+            for column, number in cells.items():
+                cell = self.cells[row, column]
+                said = cell.verdict(figure, number)
+                ours = cell.text(figure)
+                where = row if len(self.table.columns) == 1 else f"{row}, {column}"
+                yield f"{where}: paper {_printed(number)}; ours {ours}{f'; {said}' if said else ''}"
 
     def tables(self) -> Iterator[tuple[str, Table]]:
         """A table for each figure, the paper's first."""
@@ -114,7 +137,8 @@ class Card:
         heads, columns = [""], []
         for column in self.table.columns:
             of_paper = any(column in cells for cells in printed.values())
-            heads += [f"{column}, paper", f"{column}, ours"] if of_paper else [column]
+            own = [f"{column}, paper", f"{column}, ours"] if of_paper else [column]
+            heads += [*own, "verdict"] if of_paper and figure.better else own
             columns.append((column, of_paper))
         rows = []
         for row in self.table.rows:
@@ -123,6 +147,8 @@ class Card:
                 number = printed.get(row, {}).get(column)
                 cells += [_printed(number)] if of_paper else []
                 cells.append(self.cells[row, column].text(figure))
+                if of_paper and figure.better:
+                    cells.append(self.cells[row, column].verdict(figure, number) or _NOTHING)
             rows.append(cells)
         return Table(heads, rows)
 
@@ -141,12 +167,11 @@ class Card:
             *(["## Known deviations", "\n".join(f"- {in_markdown(d)}" for d in deviations)] if deviations else []),
             f"`understudy reproduce {self.name}`, understudy {__version__}.",
         ]  # fmt: skip
-        sections = [f'<p class="headline">{escape(table.source)}. {escape(self.headline())}</p>']
-        sections += [f"<section><h2>{escape(h)}</h2>{t.html()}</section>" for h, t in tables]
-        sections.append(f"<p>{escape(_INTERVALS)}</p>")
+        sections = [piece("headline", f"{table.source}. {self.headline()}")]
+        sections += [piece("section", h, Markup(t.html())) for h, t in tables]
+        sections.append(piece("paragraphs", [_INTERVALS]))
         if deviations:
-            items = "".join(f"<li>{escape(d)}</li>" for d in deviations)
-            sections.append(f"<section><h2>Known deviations</h2><ul>{items}</ul></section>")
+            sections.append(piece("section", "Known deviations", piece("items", deviations)))
         content = "".join(sections)
         check_markup(content)
         over = f"understudy reproduce {self.name} · {__version__}"
@@ -155,6 +180,7 @@ class Card:
             "card.csv": self._csv().encode(errors="replace"),
             "card.md": "\n\n".join(markdown).encode(errors="replace") + b"\n",
         }
+        self.folder.mkdir(parents=True, exist_ok=True)
         for name, data in files.items():
             write_atomically(self.folder / name, data)
         return self.folder / "card.md"

@@ -20,6 +20,8 @@ from understudy_sweeps.trial import written
 class Reproduce(Command):
     """Runs a table's trainings as a sweep: the same command goes on where it was stopped."""
 
+    example = "understudy reproduce spacetime/table_3_1 --rows walk,run --columns bounds --seeds 0"
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -40,13 +42,13 @@ class Reproduce(Command):
         if options.table is None:
             for name in table_files(plugins):
                 try:
-                    print(f"{name}: {load_table(name, plugins).title}")
+                    print("\n    ".join(listed(name, load_table(name, plugins))))
                 except UnderstudyError as error:
                     print(f"{name} cannot be used: {error}")
             return 0
         whole = load_table(options.table, plugins)
         table = whole.only(options.rows, options.columns, options.seeds)
-        folder = Path("runs") / "reproduce" / options.table
+        folder = folder_of(options.table)
         for override in options.overrides:
             if override.lstrip("+").startswith("run.dir="):
                 folder = Path(override.partition("=")[2])
@@ -67,6 +69,29 @@ class Reproduce(Command):
         print(card.text())
         print(f"card: {path}")
         return 0
+
+
+def folder_of(name: str) -> Path:
+    """Where the table `name` is run unless ``run.dir=`` says otherwise."""
+    return Path("runs") / "reproduce" / name
+
+
+def listed(name: str, table: PaperTable) -> list[str]:
+    """The table in lines: what it is, what of it was run here and came out, and what it takes."""
+    lines = [f"{name}: {table.title} ({table.source})"]
+    if table.searches:
+        searches = len(table.variants()) * len(table.seeds)
+        lines.append(
+            f"{searches} searches; `understudy reproduce {name} --card` compares what is there"
+        )
+    else:
+        card = Card(name, table, folder_of(name))
+        lines.append(card.headline())
+        lines += card.compared()
+    lines += [f"takes: {table.cost}"] if table.cost else []
+    lines += [f"needs first: {table.needs}"] if table.needs else []
+    lines += [f"not run yet: {table.open}"] if table.open else []
+    return lines
 
 
 def experiment_of(table: PaperTable) -> list[str]:

@@ -8,22 +8,22 @@ import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from understudy import __version__
 from understudy.errors import ConfigError
 from understudy.records.checkpoint import write_atomically
 from understudy.running.trials import OuterLoop, Report
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.config import validate
 from understudy.setup.plugins import installed
+from understudy.setup.validation import validate
 from understudy_report import words
 from understudy_report.charts import Chart, Series, draw_series
-from understudy_report.markup import check_markup
+from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_reproduce.tables import PaperTable, variant_name
 from understudy_sweeps.curves import legend, mean_curve, style_of
@@ -55,6 +55,7 @@ class Found:
     curve: np.ndarray
     whole: int = 0  #: trials at full fidelity
     finished: bool = False
+    whole_samples: float = 0.0  #: that whole trials cost
 
     @property
     def spent(self) -> float:
@@ -178,17 +179,13 @@ class Comparison:
               if table.deviations else []),
             f"`understudy reproduce {self.name}`, understudy {__version__}.",
         ]  # fmt: skip
-        sections = [f'<p class="headline">{escape(table.source)}. {escape(self.headline())}</p>']
+        sections = [piece("headline", f"{table.source}. {self.headline()}")]
         for title, shown in self.tables():
-            pictures = f'<div class="pair">{self._charts(title)}</div>'
-            sections.append(
-                f"<section><h2>{escape(title)}</h2>{legend(list(table.columns))}{pictures}"
-                f"{shown.html()}</section>"
-            )
-        sections += [f"<p>{escape(note)}</p>" for note in _NOTES]
+            charts = f'{legend(list(table.columns))}<div class="pair">{self._charts(title)}</div>'
+            sections.append(piece("section", title, Markup(charts + shown.html())))
+        sections.append(piece("paragraphs", _NOTES))
         if table.deviations:
-            items = "".join(f"<li>{escape(d)}</li>" for d in table.deviations)
-            sections.append(f"<section><h2>Known deviations</h2><ul>{items}</ul></section>")
+            sections.append(piece("section", "Known deviations", piece("items", table.deviations)))
         content = "".join(sections)
         check_markup(content)
         created = time.strftime("%Y-%m-%d %H:%M")
@@ -237,17 +234,18 @@ def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
             f"{type(loop).__name__} does not say what its trials are worth, so it cannot be compared "
             "with other searches. Choose one of `bayes` or `cmfbo`."
         )
-    spent, best, whole, points = 0.0, np.nan, 0, []
+    spent, best, whole, at_whole, points = 0.0, np.nan, 0, 0.0, []
     for key, report in journal.finished.items():  # in the order in which they ended
         row = rows[key]
-        spent += report.cost
+        spent += report.cost if row.get("counts", True) else 0.0
         if row["whole"]:
             whole += 1
+            at_whole += report.cost
             if row["y"] is not None:
                 best = np.fmax(best, row["y"])
         points.append((spent, best))
     finished = loop.share is not None and loop.share >= 1
-    return Found(seed, np.array(points).reshape(-1, 2), whole, finished)
+    return Found(seed, np.array(points).reshape(-1, 2), whole, finished, at_whole)
 
 
 def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
@@ -265,6 +263,7 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
         f"against {name}",
         "in the end",
         "samples",
+        "of whole trials",
         "trials (at full fidelity)",
     ]
     rows = []
@@ -279,6 +278,7 @@ def _compared(cells: Mapping[str, Sequence[Found]]) -> Table:
                 shown_mean(None if column == name else difference, sign=True),
                 _counted([v for v in ends if v is not None], len(ends), len(found)),
                 words.short(statistics.fmean(one.spent for one in found)),
+                words.short(statistics.fmean(one.whole_samples for one in found)),
                 ", ".join(f"{len(one.curve)} ({one.whole})" for one in found),
             ]
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 
@@ -13,6 +13,8 @@ from understudy.errors import ConfigError, FileError, suggestion
 from understudy.options import make_options
 from understudy.setup.composition import option_directories
 from understudy.setup.plugins import Plugins
+
+__all__ = ["load_table"]
 
 FOLDER = "reproduction"
 
@@ -24,6 +26,8 @@ class Figure:
     of: str  #: ``samples``, ``success_rate``, ``objective``, ``seconds``, or a measure
     title: str = ""  #: in words; empty is the name
     share: bool = False  #: whether it is of episodes, and so in per cent, as every success is
+    #: Which way is better than the number that the paper prints: verdicts say whether ours is; null gives none.
+    better: Literal["less", "more"] | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,9 @@ class PaperTable:
     #: Row and column, ``ROW/COLUMN``, that are left out.
     without: tuple[str, ...] = ()
     deviations: tuple[str, ...] = ()  #: known ones, in a sentence each
+    cost: str = ""  #: what all of it takes, in words: samples, minutes, and on what
+    needs: str = ""  #: what must be trained before, as a command
+    open: str = ""  #: what of it nobody has run yet, in words
     searches: bool = False  #: whether each cell is a search with an outer loop of its own
 
     def __post_init__(self) -> None:

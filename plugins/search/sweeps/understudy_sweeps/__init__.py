@@ -18,6 +18,12 @@ def understudy_register(register: Registrar) -> None:
         "understudy_sweeps.command:Sweep",
         "run an outer loop over trainings: understudy sweep ablation=… or search=…",
     )
+    register.component(
+        "command",
+        "compare",
+        "understudy_sweeps.compare:Compare",
+        "show runs beside one another and what differs, as a page: understudy compare RUN RUN",
+    )
     for name, target, summary in (
         ("grid", "grid:Grid", "variants × seeds"),
         ("chain", "chain:Chain", "trainings that build on one another"),

@@ -14,6 +14,11 @@ from understudy_sweeps.sweep import sweep
 class Sweep(Command):
     """Runs an outer loop over trainings, or goes on with it."""
 
+    example = (
+        "understudy sweep experiment=miniature/go outer_loop=grid executor=in_process "
+        "'outer_loop.variants={ppo: [], trpo: [learner=trpo]}'"
+    )
+
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:

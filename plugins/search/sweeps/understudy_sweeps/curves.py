@@ -12,6 +12,8 @@ from understudy_report.values import number
 from understudy_sweeps.intervals import t_quantile
 from understudy_sweeps.results import SUCCESS, Result, Variant
 
+__all__ = ["legend", "mean_curve", "style_of"]
+
 _EVALUATION = "evaluation/"
 _TRAINING = (
     Chart("Return of training episodes", "episode/return"),

@@ -19,6 +19,8 @@ from understudy.task import Context, Scene
 from understudy_motion.readers.npz import Archive
 from understudy_report.video import write_video
 
+__all__ = ["recorded_tracks", "scene_of"]
+
 #: Of a tile, in pixels, by the number of columns: drawn without a GPU, a pixel costs time.
 _WIDTHS = {1: 640, 2: 480, 3: 360}
 _RATE = 30.0  #: frames a second, at most

@@ -6,8 +6,11 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
-from scipy.special import stdtrit
+from scipy.special import stdtr, stdtrit
+
+__all__ = ["UNDECIDED", "mean_of", "paired_difference", "verdict"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,20 @@ def mean_of(values: Sequence[float]) -> Mean | None:
         return Mean(mean, n)
     reach = t_quantile(n) * statistics.stdev(values) / math.sqrt(n)
     return Mean(mean, n, mean - reach, mean + reach)
+
+
+HOLDS, FAILS, UNDECIDED, ONE = "holds", "does not hold", "undecided", "one seed"
+"""Verdicts on a claim, by a two-sided Student's t over seeds at p < 0.05."""
+
+
+def verdict(values: Sequence[float], than: float, better: Literal["less", "more"]) -> str:
+    """Whether what the `values` are drawn around is less, or more, `than` a number; "" of none."""
+    if len(values) < 2:
+        return ONE if values else ""
+    ahead = statistics.fmean(values) - than if better == "more" else than - statistics.fmean(values)
+    spread = statistics.stdev(values) / math.sqrt(len(values))
+    p = 2 * float(stdtr(len(values) - 1, -abs(ahead) / spread)) if spread > 0 else float(ahead == 0)
+    return UNDECIDED if p >= 0.05 else HOLDS if ahead > 0 else FAILS
 
 
 def t_quantile(count: int) -> float:

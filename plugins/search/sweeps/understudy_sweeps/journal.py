@@ -21,6 +21,8 @@ from understudy.records.checkpoint import sync, write_atomically
 from understudy.running.trials import Report, Trial
 from understudy.setup.composition import refuse_resolvers
 
+__all__ = ["Journal"]
+
 _MOST = 2**30  #: bytes of a journal
 
 

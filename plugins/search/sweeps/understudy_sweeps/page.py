@@ -16,11 +16,13 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from understudy import __version__
 from understudy.errors import UnderstudyError
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
-from understudy_report.markup import check_markup
+from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_report.values import Row, mapping
 from understudy_sweeps import search, tables
@@ -29,6 +31,8 @@ from understudy_sweeps.film import Tile, columns_of, make_film
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result, Results, Variant, best_of, objective_of, variants_of
 from understudy_sweeps.tables import Table
+
+__all__ = ["STYLE", "SweepPage"]
 
 #: CSS of all that a sweep draws, beside the report's.
 STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
@@ -139,19 +143,8 @@ class Page:
             return "<p>The video is drawn when all trials are finished.</p>"
         tiles, reason = self._film
         if reason:
-            return f'<p class="failed">There is no video: {escape(reason)}.</p>'
-        columns = columns_of(len(tiles))
-        rows = -(-len(tiles) // columns)
-        names = "".join(
-            f'<span style="left:{100 * (i % columns) / columns:.2f}%;'
-            f'top:{100 * (i // columns) / rows:.2f}%;{style_of(tile.index)}">{escape(tile.name)}</span>'
-            for i, tile in enumerate(tiles)
-        )
-        data = base64.b64encode((self.folder / "film.mp4").read_bytes()).decode()
-        return (
-            '<div class="card"><div class="film"><video autoplay muted loop controls playsinline '
-            f'src="data:video/mp4;base64,{data}"></video>{names}</div></div>'
-        )
+            return piece("failed", f"There is no video: {reason}.")
+        return film_html(self.folder / "film.mp4", tiles)
 
     # ------------------------------------------------------------------ the files
 
@@ -161,10 +154,8 @@ class Page:
         sections = self._of_variants(variants, results) if variants else self._of_search(results)
         failed = [[r.trial.key, r.report.status] for r in results if r.report and not r.ok]
         if failed:
-            sections.append(_Section("What failed", table=Table(["trial", "why"], failed)))
-        content = f'<p class="headline">{escape(headline)}</p>' + "".join(
-            s.html() for s in sections
-        )
+            sections.append(Section("What failed", table=Table(["trial", "why"], failed)))
+        content = "".join([piece("headline", headline), *(s.html() for s in sections)])
         check_markup(content)
         created = time.strftime("%Y-%m-%d %H:%M")
         over = f"understudy sweep · {__version__}"
@@ -180,9 +171,7 @@ class Page:
         for name, data in files.items():
             write_atomically(self.folder / name, data)
 
-    def _of_variants(
-        self, variants: Sequence[Variant], results: Sequence[Result]
-    ) -> list[_Section]:
+    def _of_variants(self, variants: Sequence[Variant], results: Sequence[Result]) -> list[Section]:
         notes = [_INTERVALS]
         if len(variants) > 1:
             objective = objective_of(results)
@@ -190,33 +179,52 @@ class Page:
         notes += _published(self._paper, variants)
         compared = tables.compared(variants, self._paper)
         sections = [
-            _Section("Comparison", table=compared, notes=notes),
-            _Section("Side by side", self._video()),
+            Section("Comparison", table=compared, notes=notes),
+            Section("Side by side", self._video()),
         ]
-        curves = "".join(
-            f'<h3>{heading}</h3><div class="charts">{charts}</div>'
-            for heading, charts in learning_curves(variants).items()
-        )
-        if curves:
-            sections.append(
-                _Section("Learning", legend([v.name for v in variants]) + curves, notes=[_CURVES])
-            )
+        sections += learning_section(variants)
         measures = tables.all_measures(variants)
         if len(measures.rows) > 1:
-            sections.append(_Section("All measures", table=measures))
+            sections.append(Section("All measures", table=measures))
         trials = tables.trials(results)
-        return [*sections, _Section("Trials", table=trials, notes=[_EPISODES])]
+        return [*sections, Section("Trials", table=trials, notes=[_EPISODES])]
 
-    def _of_search(self, results: Sequence[Result]) -> list[_Section]:
+    def _of_search(self, results: Sequence[Result]) -> list[Section]:
         return [
-            _Section("Search", search.charts(results, objective_of(results))),
-            _Section("Trials, the best first", table=tables.trials(results)),
-            _Section("The best", self._video()),
+            Section("Search", search.charts(results, objective_of(results))),
+            Section("Trials, the best first", table=tables.trials(results)),
+            Section("The best", self._video()),
         ]
+
+
+def learning_section(variants: Sequence[Variant]) -> list[Section]:
+    """The curves of the variants over each other; none if there are none."""
+    curves = "".join(
+        f'<h3>{heading}</h3><div class="charts">{charts}</div>'
+        for heading, charts in learning_curves(variants).items()
+    )
+    names = legend([v.name for v in variants])
+    return [Section("Learning", names + curves, notes=[_CURVES])] if curves else []
+
+
+def film_html(film: Path, tiles: Sequence[Tile]) -> str:
+    """The video `film` of `tiles` within the page, each under its name."""
+    columns = columns_of(len(tiles))
+    rows = -(-len(tiles) // columns)
+    names = "".join(
+        f'<span style="left:{100 * (i % columns) / columns:.2f}%;'
+        f'top:{100 * (i // columns) / rows:.2f}%;{style_of(tile.index)}">{escape(tile.name)}</span>'
+        for i, tile in enumerate(tiles)
+    )
+    data = base64.b64encode(film.read_bytes()).decode()
+    return (
+        '<div class="card"><div class="film"><video autoplay muted loop controls playsinline '
+        f'src="data:video/mp4;base64,{data}"></video>{names}</div></div>'
+    )
 
 
 @dataclass(frozen=True)
-class _Section:
+class Section:
     """A part of the page: pictures, which are HTML, a table, and what they mean."""
 
     title: str
@@ -226,8 +234,8 @@ class _Section:
 
     def html(self) -> str:
         table = self.table.html() if self.table else ""
-        body = self.pictures + table + _paragraphs(self.notes)
-        return f"<section><h2>{escape(self.title)}</h2>{body}</section>"
+        body = "".join([self.pictures, table, piece("paragraphs", self.notes)])
+        return str(piece("section", self.title, Markup(body)))
 
     def markdown(self) -> str:
         if self.table is None:
@@ -284,7 +292,3 @@ def _published(paper: Mapping[str, Any] | None, variants: Sequence[Variant]) -> 
     names = {v.name for v in variants}
     others = [f"{k} {v:g}" for k, v in mapping(paper.get("values")).items() if k not in names]
     return notes + ([f"It also has: {', '.join(others)}."] if others else [])
-
-
-def _paragraphs(texts: Sequence[str]) -> str:
-    return "".join(f"<p>{escape(text)}</p>" for text in texts)

@@ -20,6 +20,8 @@ from typing import Any
 from understudy.running.trials import Executor, Report, Trial, Work
 from understudy_sweeps.journal import trial_of
 
+__all__ = ["PAUSE", "Host", "Limits", "Lost", "Pool", "begun", "job", "message_of"]
+
 #: Seconds without a message after which whoever waits may look around.
 PAUSE = 0.5
 

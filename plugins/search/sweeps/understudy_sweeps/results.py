@@ -12,6 +12,8 @@ from understudy_report.values import Row, mapping, number, own_evaluation
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.trial import folder_of
 
+__all__ = ["SAMPLES", "SECONDS", "SUCCESS", "Result", "Results"]
+
 #: Figures of every trial beside its measures.
 SUCCESS, OBJECTIVE, SAMPLES, SECONDS = "success_rate", "objective", "samples", "seconds"
 #: The share of episodes whose numbers went wrong, a measure of the trials that had some.

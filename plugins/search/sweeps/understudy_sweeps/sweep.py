@@ -35,6 +35,8 @@ from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
 from understudy_sweeps.trial import JUDGED, REFUSED, folder_of, note_stop, overrides_of
 
+__all__ = ["sweep"]
+
 #: Overrides that are the sweep's own, not its trials'.
 _OWN = re.compile(r"[+~]*(run\.dir|outer_loop|executor)\b")
 

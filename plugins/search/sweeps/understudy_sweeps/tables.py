@@ -27,6 +27,8 @@ from understudy_sweeps.results import (
     objective_of,
 )
 
+__all__ = ["Table", "in_markdown", "shown_mean"]
+
 _NOTHING = "–"
 #: Between which a figure can lie, so that its interval need not say more.
 _BOUNDS = {

@@ -25,6 +25,8 @@ from understudy.running.training import Reporter, Training
 from understudy.running.trials import Report, Trial, Work
 from understudy.setup.composition import load_experiment, replaced
 
+__all__ = ["folder_of", "run_trial", "written"]
+
 #: In a trial's folder: after how many samples the outer loop ended it early.
 _STOPPED = "stopped.json"
 #: In a trial's folder, once it is finished: what it was judged by.

@@ -39,6 +39,7 @@ def understudy_register(register: Registrar) -> None:
 
 @hookimpl
 def understudy_run_observers() -> Iterable[RunObserver]:
+    from understudy_inspect.code import RecordCode
     from understudy_inspect.origins import RecordOrigins
 
-    return [RecordOrigins()]
+    return [RecordOrigins(), RecordCode()]

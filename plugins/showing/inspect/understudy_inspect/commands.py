@@ -21,6 +21,8 @@ from understudy_inspect.replay import replay_step
 class ListPlugins(Command):
     """Each plugin with its status and components."""
 
+    example = "understudy plugins"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--json", action="store_true")
 
@@ -52,6 +54,8 @@ class ListPlugins(Command):
 class ListTasks(Command):
     """Each task with its summary and plugin."""
 
+    example = "understudy tasks"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--json", action="store_true")
 
@@ -68,6 +72,8 @@ class ListTasks(Command):
 
 class ListExperiments(Command):
     """What ``experiment=…`` can choose, with a line on each, plugin by plugin."""
+
+    example = "understudy experiments"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--json", action="store_true")
@@ -90,6 +96,8 @@ class ListExperiments(Command):
 class Describe(Command):
     """A part: what it is, its options with defaults, where they are from; or a file of options."""
 
+    example = "understudy describe learner/ppo"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "part", help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk"
@@ -102,6 +110,8 @@ class Describe(Command):
 
 class ShowConfiguration(Command):
     """Every value of a composed and checked configuration, defaults too, with its origin."""
+
+    example = "understudy config experiment=spacetime/walk learner=trpo"
 
     takes_overrides = True
 
@@ -124,6 +134,8 @@ class ShowConfiguration(Command):
 
 class Replay(Command):
     """Repeats the step in which a run's numbers went wrong, from the dump in its ``faults/``."""
+
+    example = "understudy replay runs/spacetime-walk-001"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("run", help="run folder")

@@ -56,6 +56,8 @@ complete -c understudy -n 'not understudy completion words -- (commandline -cp |
 class Completion(Command):
     """Prints what a shell needs to complete understudy's command line."""
 
+    example = "source <(understudy completion bash)"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("shell", choices=[*_SCRIPTS, "words"], help="or, for these, the words")
         parser.add_argument("line", nargs="?", default="", help="(words) the line up to the cursor")
@@ -115,7 +117,7 @@ def _keys(given: Sequence[str], last: str, plugins: Plugins) -> Iterator[str]:
     """Keys of the configuration that `given` composes; those with a dot once one is typed."""
     # Imported where they are needed: they import torch, and somebody is waiting.
     from understudy.setup.composition import compose_raw
-    from understudy.setup.config import root_keys, validate
+    from understudy.setup.validation import root_keys, validate
     from understudy_inspect.origins import paths
 
     groups = ["experiment", "task", "ablation", "search", *plugins.registry.slots]

@@ -9,15 +9,17 @@ import re
 import textwrap
 import typing
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import yaml
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import REQUIRED, Option, options_of, schema_of, sentences
-from understudy.setup.config import EXTRAS, Root
+from understudy.options import REQUIRED, Option, in_words, options_of, schema_of, sentences
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
+from understudy.setup.root import Root
+from understudy.setup.validation import EXTRAS
 from understudy_inspect.catalogue import Offer, offers
 
 #: What components of a kind take besides their own options.
@@ -87,7 +89,8 @@ def _component(component: Component, plugins: Plugins) -> str:
     comments = sentences(factory)
     parts = [
         f"{component.kind}/{component.name}: {component.summary}".rstrip(": "),
-        f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")"),
+        f"plugin {component.plugin} ({component.distribution} {component.version})".replace(" )", ")")
+        + _place(factory),
         *_paragraphs(factory),
         *(_paragraphs(schema) if schema is not None and "(" not in (schema.__doc__ or "(") else []),
     ]  # fmt: skip
@@ -114,6 +117,17 @@ def _component(component: Component, plugins: Plugins) -> str:
     if cited:
         parts.append("\n".join(["Please cite", *(f"  {text}" for text in cited)]))
     return "\n\n".join(part for part in parts if part)
+
+
+def _place(factory: Any) -> str:
+    """A line that says in which file `factory` is, from the working folder where it is below that."""
+    thing = inspect.unwrap(factory)
+    try:
+        file, line = Path(inspect.getfile(thing)), inspect.getsourcelines(thing)[1]
+    except (OSError, TypeError):  # there is no source
+        return ""
+    here = Path.cwd()
+    return f"\nin {file.relative_to(here) if file.is_relative_to(here) else file}, line {line}"
 
 
 def _offer(group: str, offer: Offer, plugins: Plugins) -> str:
@@ -156,7 +170,8 @@ def _rows(
     """(key, default as one types it, type and comment) of each option, and of those within it."""
     for name, option in options.items():
         inner = _dataclass_in(option.annotation)
-        kind, about = _type(option.annotation), comments.get(name, "").replace("``", "")
+        kind = "" if option.annotation is Any else in_words(option.annotation).removeprefix("a ")
+        about = comments.get(name, "").replace("``", "")
         text = f"{kind}; {about}" if kind and about else kind or about
         default = "…" if option.default is REQUIRED else _typed(option.default)
         if inner is not None and dataclasses.is_dataclass(option.default):
@@ -179,19 +194,3 @@ def _dataclass_in(annotation: Any) -> type | None:
         if dataclasses.is_dataclass(item) and isinstance(item, type):
             return item
     return None
-
-
-def _type(annotation: Any) -> str:
-    if typing.get_origin(annotation) is typing.Literal:
-        return " or ".join(str(choice) for choice in typing.get_args(annotation))
-    words = {int: "whole number", float: "number", str: "text", bool: "true or false", Any: ""}
-    if annotation in words:
-        return words[annotation]
-    if typing.get_origin(annotation) in (tuple, list):
-        inner = [_type(a) for a in typing.get_args(annotation) if a is not Ellipsis]
-        return f"list of {inner[0]}" if len(set(inner)) == 1 and inner[0] else "list"
-    if typing.get_origin(annotation) in (dict, Mapping):
-        return "mapping"
-    choices = [_type(a) for a in typing.get_args(annotation) if a is not type(None)]
-    choices = [choice for choice in dict.fromkeys(choices) if choice]
-    return " or ".join([*choices, *(["null"] if type(None) in typing.get_args(annotation) else [])])

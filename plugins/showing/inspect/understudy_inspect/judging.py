@@ -25,6 +25,8 @@ from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
 from understudy_inspect.half_step import compared
 
+__all__ = ["load"]
+
 #: Words for what one changes of an evaluation most often, and the keys that they stand for.
 _EVALUATION = {"episodes": "evaluation.final_episodes", "seconds": "evaluation.seconds"}
 _PICTURE = {
@@ -45,6 +47,8 @@ class Evaluate(Command):
     """Judges the newest checkpoint on starts that no training drew, and again at half the time step of
     physics; writes ``evaluation.json`` and the page. What is judged otherwise, of whatever words follow, has
     a file of its own: ``evaluation-episodes-4.json``."""
+
+    example = "understudy evaluate runs/spacetime-walk-001 episodes=32 checkpoint=best"
 
     takes_overrides = True
 
@@ -99,6 +103,8 @@ class Render(Command):
     """Judges the newest checkpoint while recording it, and makes the run's pictures and report anew. What
     is drawn otherwise, of whatever words follow, is a folder of its own in ``RUN/renders``, which serves as a
     run wherever one is played or exported."""
+
+    example = "understudy render runs/spacetime-walk-001 seconds=12 size=960x540 camera=90"
 
     takes_overrides = True
 

@@ -14,8 +14,9 @@ from understudy.errors import UnderstudyError
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.setup.composition import for_hydra, hydra_session, sorts
-from understudy.setup.config import Experiment, validate
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, installed, kernel_conf
+from understudy.setup.validation import validate
 
 
 class RecordOrigins(RunObserver):

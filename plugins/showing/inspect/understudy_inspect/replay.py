@@ -12,8 +12,8 @@ from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.running.environment import sound
 from understudy.setup.building import build_environment
-from understudy.setup.config import refuse_code, validate
 from understudy.setup.plugins import Plugins, installed
+from understudy.setup.validation import refuse_code, validate
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,12 @@ _HERE = "understudy_report"
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.kind("report_section", "a part of a run's report page")
+    register.component(
+        "command",
+        "runs",
+        f"{_HERE}.listing:ListRuns",
+        "list runs, newest first, with their results",
+    )
 
     def add(name: str, target: str, summary: str) -> None:
         register.component("report_section", name, f"{_HERE}.{target}", summary)

@@ -12,6 +12,8 @@ import numpy as np
 from understudy_report import words
 from understudy_report.values import Row, number
 
+__all__ = ["HEIGHT", "WIDTH", "Axes", "Chart", "Series", "draw_series", "grid", "svg", "thinned"]
+
 
 @dataclass(frozen=True)
 class Chart:

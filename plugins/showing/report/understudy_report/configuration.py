@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from html import escape
 from typing import Any
 
 import yaml
+from markupsafe import Markup
 
 from understudy.records.runs import Run
 from understudy_report import words
-from understudy_report.markup import grid
+from understudy_report.markup import grid, piece
 from understudy_report.section import ReportSection
 from understudy_report.values import mapping
 
@@ -32,10 +32,7 @@ class Configuration(ReportSection):
         if origins:
             return _values(plain, origins)
         text = yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=88)
-        return (
-            '<details class="card"><summary>The composed configuration</summary>'
-            f"<pre>{escape(text)}</pre></details>"
-        )
+        return str(piece("folded", "The composed configuration", piece("verbatim", text)))
 
 
 #: How the origin of what nobody set begins.
@@ -52,9 +49,9 @@ def _values(config: Mapping[str, Any], origins: Mapping[str, Any]) -> str:
         "What files and the command line set": [r for r in rows if not r[2].startswith(_DEFAULT)],
         "Defaults": [r for r in rows if r[2].startswith(_DEFAULT)],
     }
+    heads = ("Key", "Value", "Set by")
     return "".join(
-        f'<details class="card"><summary>{title} ({len(found)} values)</summary>'
-        f"{grid(('Key', 'Value', 'Set by'), found)}</details>"
+        piece("folded", f"{title} ({len(found)} values)", Markup(grid(heads, found)))
         for title, found in tables.items()
         if found
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from html import escape
+
+from markupsafe import Markup
 
 from understudy.records.runs import Run
 from understudy_report import words
 from understudy_report.headline import percent_interval
-from understudy_report.markup import bar, grid, table
+from understudy_report.markup import bar, grid, nested, piece, table
 from understudy_report.section import ReportSection
 from understudy_report.values import Row, interval, mapping, number, read_evaluation
 
@@ -23,7 +24,7 @@ class EvaluationSection(ReportSection):
         evaluation = read_evaluation(run)
         if not evaluation:
             return None
-        facts = table((k, escape(words.text(v))) for k, v in _facts(evaluation) if v is not None)
+        facts = table((k, nested(v)) for k, v in _facts(evaluation) if v is not None)
         violated = table(
             (name, bar(share))
             for name, value in mapping(evaluation.get("violated")).items()
@@ -32,12 +33,10 @@ class EvaluationSection(ReportSection):
         measures = grid(
             ("Measure", "Over an episode", "Mean", "95 % interval", "Spread"), _measures(evaluation)
         )
-        cards = f"<div><h3>All episodes</h3>{facts}</div>" + (
-            f"<div><h3>Episodes that violated a bound</h3>{violated}</div>" if violated else ""
-        )
-        if measures:
-            measures = f'<div class="card"><h3>Measures</h3>{measures}</div>'
-        return f'<div class="card columns">{cards}</div>{measures}'
+        cards = [("All episodes", Markup(facts))]
+        if violated:
+            cards.append(("Episodes that violated a bound", Markup(violated)))
+        return str(piece("evaluation", cards, Markup(measures)))
 
 
 def _facts(evaluation: Row) -> Iterator[tuple[str, object]]:

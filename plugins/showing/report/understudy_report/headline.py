@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
 from understudy.records.runs import Run
 from understudy.setup.registry import Registry
 from understudy_report import words
+from understudy_report.markup import piece
 from understudy_report.section import ReportSection
 from understudy_report.values import Row, interval, mapping, number, read_evaluation
 
@@ -24,11 +24,8 @@ class Headline(ReportSection):
         meaning += _unsound(evaluation)
         if changed := words.text(evaluation.get("changed") or ""):
             meaning = f"Judged otherwise than it was trained: {changed}. {meaning}"
-        explained = f"<p>{escape(meaning)}</p>" if meaning else ""
-        return (
-            f'<p class="headline">{escape(_sentence(run.info, evaluation, rows))}</p>{explained}'
-            f'<div class="tiles">{_tiles(evaluation, rows)}</div>'
-        )
+        sentence = _sentence(run.info, evaluation, rows)
+        return str(piece("headline", sentence, meaning, _tiles(evaluation, rows)))
 
 
 def percent_interval(evaluation: Row) -> str:
@@ -153,7 +150,7 @@ def _hardware(info: Row) -> str:
     return f" on {cores:.0f} core{'s' if cores > 1 else ''}" if cores else ""
 
 
-def _tiles(evaluation: Row, rows: Sequence[Row]) -> str:
+def _tiles(evaluation: Row, rows: Sequence[Row]) -> list[tuple[str, str]]:
     samples, seconds = _effort(evaluation, rows)
     rate, lasted = (number(evaluation.get(k)) for k in ("success_rate", "mean_episode_seconds"))
     objective = mapping(evaluation.get("objective"))
@@ -165,8 +162,4 @@ def _tiles(evaluation: Row, rows: Sequence[Row]) -> str:
         ("samples", None if samples is None else words.short(samples)),
         ("training", None if seconds is None else words.duration(seconds)),
     ]
-    return "".join(
-        f'<div class="tile"><b>{escape(value)}</b><span>{escape(label)}</span></div>'
-        for label, value in tiles
-        if value is not None
-    )
+    return [(label, value) for label, value in tiles if value is not None]

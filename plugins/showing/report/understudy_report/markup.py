@@ -1,48 +1,65 @@
-"""Pieces of HTML for report sections, and what the page asks of a section's HTML."""
+"""Pieces of HTML for report sections, and what the page asks of a section's HTML.
+
+Run folders are from strangers. So templates escape by default, and only what they made
+(:class:`~markupsafe.Markup`) stays as it is.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from understudy_report import words
 from understudy_report.stick_figures import PLAYER_SCRIPT
 
+__all__ = ["bar", "check_markup", "grid", "nested", "piece", "table"]
+
+
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(Path(__file__).parent / "templates"), autoescape=True,
+    undefined=StrictUndefined,
+)  # fmt: skip
+_PIECES = _TEMPLATES.get_template("pieces.html").module
+
+
+def piece(name: str, *content: Any) -> Markup:
+    """A piece of ``templates/pieces.html``. Of `content`, whatever is not a piece itself is escaped."""
+    return Markup(getattr(_PIECES, name)(*content))
+
+
+def page(**content: Any) -> str:
+    """The whole page, escaped as pieces are."""
+    return _TEMPLATES.get_template("page.html").render(**content)
+
 
 def table(rows: Iterable[tuple[Any, str]]) -> str:
-    """A table of names, which are escaped, and of values that are HTML already."""
-    body = "".join(
-        f'<tr><th scope="row">{escape(words.text(name))}</th><td>{value}</td></tr>'
-        for name, value in rows
-    )
-    return f"<table>{body}</table>" if body else ""
+    """A table of names, which are escaped, and of values that are HTML already. HTML."""
+    found = [(words.text(name), Markup(value)) for name, value in rows]
+    return str(piece("table", found)) if found else ""
 
 
 def grid(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table with a head, all of plain text; the first of each row is its name."""
-    body = "".join(
-        f'<tr><th scope="row">{escape(name)}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        + "</tr>"
-        for name, *cells in rows
-    )
-    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
-    return f'<table class="grid-table"><tr>{head}</tr>{body}</table>' if body else ""
+    """A table with a head, all of plain text; the first of each row is its name. HTML."""
+    found = [tuple(row) for row in rows]
+    return str(piece("grid", heads, found)) if found else ""
 
 
 def nested(value: Any) -> str:
     """A value as escaped HTML; mappings as inner tables."""
     if isinstance(value, Mapping):
         return table((k, nested(v)) for k, v in value.items())
-    return escape(words.text(value))
+    return str(escape(words.text(value)))
 
 
 def bar(share: float) -> str:
-    """A share as a bar beside its percentage."""
+    """A share as a bar beside its percentage. HTML."""
     width = 100 * min(max(share, 0.0), 1.0)
-    return f'<span class="bar"><i style="width:{width:.1f}%"></i></span> {words.share(share)}'
+    return str(piece("bar", f"{width:.1f}", words.share(share)))
 
 
 # What a browser ends by itself; every other element must be closed.

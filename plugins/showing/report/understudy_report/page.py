@@ -1,6 +1,6 @@
 """The report of a run: one HTML file that needs nothing else, not even the network.
 
-Names, configurations and metrics may come from strangers, so all text is escaped where it enters
+Names, configurations and metrics may come from strangers, so templates escape all text that enters
 the page, and the page's security policy lets no script run but the stick figure player.
 """
 
@@ -9,21 +9,23 @@ from __future__ import annotations
 import base64
 import hashlib
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
-from string import Template
+
+from markupsafe import Markup
 
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.setup.registry import Component, Registry
 from understudy_report import words
-from understudy_report.markup import check_markup
+from understudy_report.markup import check_markup, piece
+from understudy_report.markup import page as whole_page
 from understudy_report.section import ReportSection
 from understudy_report.stick_figures import PLAYER_SCRIPT
 from understudy_report.values import mapping, sequence
 
+__all__ = ["html_page", "name_of"]
+
 _HERE = Path(__file__).parent
-_PAGE = Template((_HERE / "page.html").read_text(encoding="utf-8"))
 _STYLE = (_HERE / "page.css").read_text(encoding="utf-8")
 
 
@@ -43,7 +45,7 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
         if the file cannot be written; the old one is untouched.
     """
     page = html_page(
-        _name(run),
+        name_of(run),
         "understudy report",
         words.text(run.info.get("created", ""))[:16].replace("T", " "),
         _sections(run, registry or run.registry),
@@ -53,7 +55,7 @@ def write_report(run: Run, registry: Registry | None = None) -> Path:
     return path
 
 
-def _name(run: Run) -> str:
+def name_of(run: Run) -> str:
     """The experiment of `run`, else its task, else its folder's name."""
     given = map(words.text, sequence(run.info.get("overrides")))
     named = [o.partition("=")[2] for o in given if o.lstrip("+").startswith("experiment=")]
@@ -63,13 +65,13 @@ def _name(run: Run) -> str:
 
 def html_page(title: str, over: str, created: str, content: str, style: str = "") -> bytes:
     """A page of `content`, which is HTML, in the style of all pages and what `style` adds to it."""
-    page = _PAGE.substitute(
-        policy=_security_policy(),
-        style=_STYLE + style,
-        title=escape(title),
-        over=escape(over),
-        created=escape(created),
-        sections=content,
+    page = whole_page(
+        policy=Markup(_security_policy()),
+        style=Markup(_STYLE + style),
+        title=title,
+        over=over,
+        created=created,
+        content=Markup(content),
     )
     # JSON can smuggle in lone surrogates, which UTF-8 has no bytes for.
     return page.encode(errors="replace")
@@ -81,16 +83,14 @@ class _Part:
 
     order: float
     title: str
-    content: str  # HTML
+    content: Markup
 
 
 def _sections(run: Run, registry: Registry) -> str:
     names = registry.names("report_section")
     parts = [_part(registry.find("report_section", name), run) for name in names]
-    return "".join(
-        "<section>" + (f"<h2>{escape(part.title)}</h2>" if part.title else "") + part.content + "</section>"
-        for part in sorted((p for p in parts if p is not None), key=lambda p: p.order)
-    )  # fmt: skip
+    shown = sorted((p for p in parts if p is not None), key=lambda p: p.order)
+    return Markup().join(piece("section", part.title, part.content) for part in shown)
 
 
 def _part(component: Component, run: Run) -> _Part | None:
@@ -103,11 +103,11 @@ def _part(component: Component, run: Run) -> _Part | None:
         if content is None:
             return None
         check_markup(content)
-        return _Part(order, title, content)
+        return _Part(order, title, Markup(content))
     except Exception as error:  # it comes from any plugin, and the others are worth reading
         why = f"{type(error).__name__}: {error}"
         text = f"The section '{component.name}' of plugin '{component.plugin}' is left out: {why[:500]}"
-        return _Part(order, title, f'<p class="failed">{escape(text)}</p>')
+        return _Part(order, title, piece("failed", text))
 
 
 def _security_policy() -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -12,8 +13,12 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 
+__all__ = ["clock"]
+
 #: Seconds between lines where there is no terminal.
 _PAUSE = 10.0
+#: Share of the usual samples before which no time is told from them: learners that first gather are fast at first.
+_EARLY = 0.25
 
 
 class ProgressLine(RunObserver):
@@ -26,6 +31,8 @@ class ProgressLine(RunObserver):
         self._printed = 0.0
 
     def started(self, run: Run) -> None:
+        where = shlex.quote(str(run.path))
+        self._console.print(f"Curves: tensorboard --logdir {where}", soft_wrap=True, markup=False)
         if self._console.is_terminal:
             self._live = Progress(
                 TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"),
@@ -78,8 +85,11 @@ def ending(config: Mapping[str, Any], row: Mapping[str, float], left: float | No
     """When it is over, in words: `left` are the seconds that the budget leaves at this speed."""
     criterion = (config.get("evaluation") or {}).get("criterion")
     until = f"until {criterion:.0%} succeed, ".replace("%", " %") if criterion else ""
-    more = (config["budget"].get("usual_samples") or 0) - row["samples"]
-    seconds = row["seconds"] * more / max(row["samples"], 1)
+    usual = config["budget"].get("usual_samples") or 0
+    if until and row["samples"] < _EARLY * usual:
+        return until.rstrip(", ")
+    more = usual - row["samples"]
+    seconds = more / max(row["samples_per_second"], 1e-9)
     if until and more > 0 and seconds < (left or seconds + 1):
         return f"{until}usually in {clock(seconds)}"
     return f"{until}at most {clock(left)} left" if left is not None else until.rstrip(", ")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from html import escape
+
+from markupsafe import Markup
 
 from understudy.records.runs import Run
 from understudy_report import words
-from understudy_report.markup import nested, table
+from understudy_report.markup import nested, piece, table
 from understudy_report.section import ReportSection
 from understudy_report.values import Row, mapping, sequence
 
@@ -27,27 +28,21 @@ class Provenance(ReportSection):
             "Seed": mapping(info.get("config")).get("seed"),
             **{str(k).capitalize(): v for k, v in mapping(info.get("machine")).items()},
         }
-        cited = "".join(
-            f"<li>{escape(words.text(c))}</li>" for c in sequence(info.get("citations"))
-        )
+        cited = [words.text(c) for c in sequence(info.get("citations"))]
         parts = {
-            "Run": table(
-                (k, escape(words.text(v))) for k, v in facts.items() if v not in (None, "")
-            ),
+            "Run": table((k, nested(v)) for k, v in facts.items() if v not in (None, "")),
             "Versions": nested(mapping(info.get("versions"))),
-            "Sources": "".join(
-                f"<h4>{escape(words.text(k))}</h4>{nested(v)}"
+            "Sources": Markup().join(
+                piece("named", words.text(k), Markup(nested(v)))
                 for k, v in mapping(info.get("sources")).items()
             ),
             "Components": _components(map(mapping, sequence(info.get("components")))),
-            "Please cite": f"<ul>{cited}</ul>" if cited else "",
+            "Please cite": piece("items", cited) if cited else "",
         }
-        cards = "".join(
-            f'<div class="card"><h3>{title}</h3>{content}</div>'
-            for title, content in parts.items()
-            if content
-        )
-        return f'<div class="masonry">{cards}</div>' if cards else None
+        cards = [
+            piece("card", title, Markup(content)) for title, content in parts.items() if content
+        ]
+        return str(piece("masonry", cards)) if cards else None
 
 
 def _components(components: Iterable[Row]) -> str:
@@ -55,8 +50,9 @@ def _components(components: Iterable[Row]) -> str:
     return table(
         (
             f"{words.text(c.get('kind', ''))}/{words.text(c.get('name', ''))}",
-            f"{escape(words.text(c.get('plugin', '')))} <small>"
-            f"{escape(words.text(c.get('distribution', '')))} {escape(words.text(c.get('version', '')))}</small>",
+            piece(
+                "plugin", *(words.text(c.get(k, "")) for k in ("plugin", "distribution", "version"))
+            ),
         )
         for c in components
     )

@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 
 from understudy.records.runs import Run
 
+__all__ = ["ReportSection"]
+
 
 class ReportSection(ABC):
     """One part of the page, made without arguments and from the run folder alone.
@@ -23,8 +25,8 @@ class ReportSection(ABC):
     def html(self, run: Run) -> str | None:
         """The section's HTML, or None if the run has nothing for it.
 
-        Text from elsewhere must be escaped (:func:`html.escape`, or the helpers of
-        :mod:`understudy_report.markup`). Elements must nest, nothing may be loaded but ``data:``
+        Text from elsewhere must be escaped (the helpers of
+        :mod:`understudy_report.markup` do, or :func:`html.escape`). Elements must nest, nothing may be loaded but ``data:``
         addresses, and no script may run; the page shows a sentence in place of a section that raises
         or breaks this.
         """

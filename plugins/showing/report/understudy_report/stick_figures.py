@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+__all__ = ["stick_figure_animation", "stick_figure_svg"]
+
 #: Metres. What lies farther from the origin comes from a simulation that blew up.
 _FARTHEST = 1e4
 #: Colours of the two figures, as in videos, and of the ground; a page may set the variables.

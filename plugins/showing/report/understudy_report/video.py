@@ -15,6 +15,8 @@ import numpy as np
 
 from understudy.errors import RunError
 
+__all__ = ["write_video"]
+
 
 def write_video(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
     """Write `frames`, each (H, W, 3) uint8, as an H.264 video that every browser plays.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
+__all__ = ["duration", "share", "short", "text"]
+
 
 def text(value: Any) -> str:
     """`value` on one line: lists as words, everything else as JSON would say it."""

@@ -14,6 +14,8 @@ from understudy_motion.clip import Clip, cycle_transform
 from understudy_motion.editing import EVEN
 from understudy_tensors import rotations
 
+__all__ = ["check_clip"]
+
 UNEVEN, UNEVEN_MAJOR = EVEN, 0.5
 """Relative deviation of a frame's duration. Files round it by up to 1 %; half a frame is a lost one."""
 

@@ -24,6 +24,7 @@ from understudy_doctor.repair import Repair, make_loop, repair
 from understudy_doctor.summary import as_json, comparison, findings_as_json, text, verdict
 from understudy_motion.arguments import add_reading, open_clip
 from understudy_motion.clip import Clip, angle_names
+from understudy_motion.section import Floor
 from understudy_motion.writing import write_clip
 
 DEFAULT_CHARACTER = "humanoid"
@@ -31,6 +32,8 @@ DEFAULT_CHARACTER = "humanoid"
 
 class Check(Command):
     """Examines a clip; exit status 1 if something is majorly wrong with it."""
+
+    example = "understudy motion check walk.npz --loop --fix cycle.npz"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
@@ -49,6 +52,12 @@ class Check(Command):
         )
         parser.add_argument(
             "--loop", action="store_true", help="with --fix: cut out the best loop and close it"
+        )
+        parser.add_argument(
+            "--floor",
+            choices=typing.get_args(Floor),
+            default="lowest",
+            help="how training is to put it on the floor (motion.floor), which says where flights land",
         )
         add_reading(parser, loop=False)
 
@@ -70,13 +79,13 @@ class Check(Command):
                 f"{clip.name}: a robot's angles; --character ROBOT.xml says how it moves by them.",
                 file=sys.stderr,
             )
-        before = examine(clip, character)
+        before = examine(clip, character, options.floor)
         after, done = before, None
         if options.fix is not None:
             done = _repaired(before, options.loop)
             done = replace(done, clip=replace(done.clip, name=options.fix.stem))
             _write(done.clip, options, registry)
-            after = final(examine(done.clip, character))
+            after = final(examine(done.clip, character, options.floor))
         if options.page is not None:
             content = page(after, done.done if done else ())
             write_atomically(options.page, content.encode(errors="replace"))
@@ -103,7 +112,7 @@ def _repaired(before: Examination, loop: bool) -> Repair:
     # Frames and spikes first: a loop is found by matching frames.
     mended = repair(before)
     cut = make_loop(mended.clip, before.character)
-    again = repair(examine(cut.clip, before.character))
+    again = repair(examine(cut.clip, before.character, before.floor))
     return Repair(again.clip, (*mended.done, *cut.done, *again.done), again.left)
 
 

@@ -19,9 +19,13 @@ from understudy_doctor.clip_checks import check_clip, closes
 from understudy_doctor.clip_repairs import undamaged
 from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.flight_check import check_flights
+from understudy_doctor.letting_go import LOW, LettingGo, landed, let_go
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.proportions import check_proportions, leg_scale, scaled
 from understudy_motion.clip import Clip
+from understudy_motion.section import Floor
+
+__all__ = ["foot_contacts"]
 
 NEEDS_CHARACTER = (
     "ground, feet, joint limits, torques: the clip's joints are those of no known character "
@@ -42,6 +46,8 @@ class Examination:
     findings: tuple[Finding, ...]
     skipped: tuple[str, ...]
     scale: float = 1.0  #: of the clip, for the character's legs, at which it was measured
+    gone: LettingGo | None = None  #: what becomes of bodies that are let go in its states
+    floor: Floor = "lowest"  #: how training is to put it on the floor
 
     @property
     def worst(self) -> Severity | None:
@@ -59,10 +65,11 @@ def final(examined: Examination) -> Examination:
     return replace(examined, findings=tuple(findings))
 
 
-def examine(clip: Clip, character: Character | None) -> Examination:
-    """Examine `clip`, on `character` if there is one."""
+def examine(clip: Clip, character: Character | None, floor: Floor = "lowest") -> Examination:
+    """Examine `clip`, on `character` if there is one; training is to put it on the floor by `floor`
+    (``motion.floor``)."""
     found = list(check_clip(clip))
-    skipped, measured, scale = [NORMALISED], None, 1.0
+    skipped, measured, scale, gone = [NORMALISED], None, 1.0, None
     if character is None:
         skipped.append(NEEDS_CHARACTER)
     else:
@@ -74,9 +81,12 @@ def examine(clip: Clip, character: Character | None) -> Examination:
                 skipped.append(OPEN_LOOP)
             measured, scale = measure(clip, character)
             found += [*check_proportions(clip, scale), *check_on_character(clip, measured)]
-            found += check_flights(clip, measured)
+            asked = clip if scale == 1.0 else measured.clip
+            aloft = float(np.ptp(measured.heights.min(1))) > LOW
+            gone = let_go(asked, character, floor) if aloft else landed(asked)
+            found += check_flights(measured, gone)
     found.sort(key=lambda f: (f.severity != Severity.MAJOR, f.start, f.kind, f.joints))
-    return Examination(clip, character, measured, tuple(found), tuple(skipped), scale)
+    return Examination(clip, character, measured, tuple(found), tuple(skipped), scale, gone, floor)
 
 
 def measure(clip: Clip, character: Character) -> tuple[Measurements, float]:

@@ -10,6 +10,8 @@ import numpy as np
 
 from understudy_motion.clip import Clip
 
+__all__ = ["Severity"]
+
 
 class Severity(StrEnum):
     """How much a finding matters."""

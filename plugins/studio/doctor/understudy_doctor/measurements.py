@@ -10,14 +10,13 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
-import torch
 from torch import Tensor
 
 from understudy_characters.character import Character
 from understudy_characters.contacts import feet
-from understudy_characters.shapes import shapes
 from understudy_doctor.dynamics import Effort, Support, effort, support
 from understudy_doctor.findings import intervals
+from understudy_doctor.surface import surface_points
 from understudy_motion.clip import Clip, velocities
 from understudy_motion.editing import evenly_spaced
 from understudy_motion.kinematics import forward_kinematics
@@ -141,7 +140,7 @@ class Measurements:
     @cached_property
     def surface(self) -> tuple[np.ndarray, Tensor]:
         """Points spread over each joint's geoms: whose they are (P,), and where, (F, P, 3)."""
-        owners, points = _surface_points(self.character)
+        owners, points = surface_points(self.character)
         positions, world = self.kinematics
         where = positions[:, owners] + rotations.rotate(world[:, owners], points)
         return owners, where
@@ -211,16 +210,3 @@ class Measurements:
         lowest = np.where(np.isfinite(self.heights), self.heights, 0.0)[:, owners]
         bearing = self.touching[:, owners] & (height <= lowest + _LOW)
         return support(self.character, self.effort, owners, points.numpy(), bearing)
-
-
-def _surface_points(character: Character) -> tuple[np.ndarray, Tensor]:
-    """Of each geom the vertices that are outermost in 26 directions: the joint's row (P,), and the
-    place in the joint's frame (P, 3)."""
-    grid = np.array(np.meshgrid(*[[-1, 0, 1]] * 3)).reshape(3, -1).T
-    directions = grid[np.abs(grid).sum(1) > 0]
-    owners, points = [], []
-    for shape in shapes(character):
-        chosen = shape.vertices[np.unique((shape.vertices @ directions.T).argmax(0))]
-        owners += [character.joint_names.index(shape.joint)] * len(chosen)
-        points.append(chosen)
-    return np.array(owners), torch.from_numpy(np.concatenate(points))

@@ -21,11 +21,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from understudy.errors import ConfigError
 from understudy_characters.character import Character
+from understudy_doctor.ballistic import mend_flights
 from understudy_doctor.character_checks import STANDS_ON
 from understudy_doctor.clip_repairs import mend_frames, mend_held, mend_seam, mend_spikes
 from understudy_doctor.examination import Examination, examine
 from understudy_doctor.findings import Severity, intervals
-from understudy_doctor.measurements import Measurements
+from understudy_doctor.measurements import GRAVITY, Measurements
 from understudy_doctor.proportions import scaled
 from understudy_motion.clip import Clip, cycle_transform, sample
 from understudy_motion.editing import (
@@ -56,7 +57,7 @@ less than that share of their way, the clip was made to stay in place."""
 WORSE = 1.05
 """Times: by how much a repair may raise the worst value of a kind; less is noise."""
 BALLISTIC_MARGIN = 0.008
-"""m by which it may bend a flight: 1 cm, with room for how the centre of mass is measured."""
+"""m by which it may bend a flight away from a parabola: 1 cm, with room for how the centre of mass is measured."""
 _STRAIGHT = 1e6  # times: how much stiffer a curve is where it must be straight
 
 _BodyRepair = Callable[[Clip, Measurements], tuple[Clip, list[str]]]
@@ -78,7 +79,7 @@ def repair(examined: Examination) -> Repair:
     it needs those that come after it, with them. What was left is tried once more in the end.
     """
     feet = examined.measured.feet if examined.measured else ()
-    steps = [*_FIRST, *map(_foot_step, feet), _LAST]
+    steps = [*_FIRST, *map(_foot_step, feet), *_LAST]
     state = _State(examined)
     whole = _carry_out(steps, state)
     if not harm(examined, whole.examined):
@@ -147,7 +148,7 @@ def _carry_out(steps: Sequence[_Step], state: _State) -> _State:
         else:
             mended, words = step.mend(examined)
         if words:
-            state = _State(examine(mended, character), (*state.done, *words))
+            state = _State(examine(mended, character, examined.floor), (*state.done, *words))
     return state
 
 
@@ -172,20 +173,31 @@ def harm(before: Examination, after: Examination) -> str:
 
 
 def straying(before: Examination, after: Examination) -> float:
-    """m: how far a repair moves the centre of mass, in flight, from a parabola: from where it was, but
-    for a constant and for a steady velocity."""
+    """m: by how much farther a repair leaves the centre of mass, in flight, from a parabola that falls
+    at g than it was. Where the repair changed how long the clip is, flights are those of its result."""
     old, new = before.measured, after.measured
-    if old is None or new is None or abs(new.clip.duration - old.clip.duration) > old.dt:
-        return 0.0  # frames were taken out
-    times, most = old.clip.times.numpy(), 0.0
-    there = CubicSpline(new.clip.times.numpy(), new.centre)(times)
-    for first, last in old.flights:
-        during = slice(first, last + 1)
-        moved, clock = (there - old.centre)[during], times[during] - times[first]
+    if old is None or new is None:
+        return 0.0
+    if abs(new.clip.duration - old.clip.duration) > old.dt:
+        was, now = (max(map(_off(m), m.flights), default=0.0) for m in (old, new))
+        return now - was
+    there = CubicSpline(new.clip.times.numpy(), new.centre)(old.clip.times.numpy())
+    return max((_off(old, there)(f) - _off(old)(f) for f in old.flights), default=0.0)
+
+
+def _off(measured: Measurements, centre: np.ndarray | None = None) -> Callable[[Any], float]:
+    """How far, m at most, the centre of mass is in a flight from the nearest parabola that falls at g."""
+    path = measured.centre if centre is None else centre
+
+    def off(flight: tuple[int, int]) -> float:
+        during = slice(flight[0], flight[1] + 1)
+        clock = measured.dt * np.arange(flight[1] - flight[0] + 1)
+        rest = path[during] + 0.5 * np.array([0.0, 0.0, GRAVITY]) * clock[:, None] ** 2
         steady = np.column_stack([np.ones_like(clock), clock])
-        bent = moved - steady @ np.linalg.lstsq(steady, moved, rcond=None)[0]
-        most = max(most, float(np.linalg.norm(bent, axis=1).max()))
-    return most
+        rest = rest - steady @ np.linalg.lstsq(steady, rest, rcond=None)[0]
+        return float(np.linalg.norm(rest, axis=1).max())
+
+    return off
 
 
 def make_loop(clip: Clip, character: Character | None) -> Repair:
@@ -244,6 +256,13 @@ def _mend_proportions(examined: Examination) -> tuple[Clip, list[str]]:
     scale = examined.scale
     what = f"scaled travel and height by {scale:.2f}, and time by {math.sqrt(scale):.2f}"
     return scaled(examined.clip, scale), [f"{what}, for legs of another length"]
+
+
+def _mend_flights(examined: Examination) -> tuple[Clip, list[str]]:
+    character = examined.character
+    if character is None or examined.measured is None or examined.scale != 1.0:
+        return examined.clip, []
+    return mend_flights(examined.clip, character)
 
 
 def _mend_level(clip: Clip, measured: Measurements) -> tuple[Clip, list[str]]:
@@ -395,11 +414,17 @@ _FIRST = (
     _Step(frozenset({"duplicate_frames", "uneven_frames"}), _on_clip(mend_frames), on_body=False),
     _Step(frozenset({"spike"}), _on_clip(mend_spikes), on_body=False),
     _Step(frozenset({"seam_pose", "seam_velocity"}), _on_clip(mend_seam), on_body=False),
+    _Step(frozenset({"flight"}), _mend_flights, on_body=False),
     _Step(frozenset({"ground_offset"}), _mend_level),
     _Step(frozenset({"penetration", "float"}), _mend_ground),
     _Step(frozenset({"foot_skate"}), _mend_travel),
 )
-_LAST = _Step(frozenset({"joint_limit"}), _mend_hinges)
+_LAST = (
+    _Step(frozenset({"joint_limit"}), _mend_hinges),
+    # Locked feet may be in the ground again, and what moved legs moved the centre of mass.
+    _Step(frozenset({"penetration"}), _mend_ground),
+    _Step(frozenset({"flight"}), _mend_flights, on_body=False),
+)
 
 
 def _foot_step(foot: int) -> _Step:

@@ -9,8 +9,11 @@ import numpy as np
 
 from understudy_doctor.examination import Examination
 from understudy_doctor.findings import Finding, Severity, intervals
+from understudy_doctor.letting_go import LettingGo
 
 Row = dict[str, Any]
+PARTS = 10
+"""Of the clip: starts are told of by tenths."""
 
 
 def heading(examined: Examination) -> str:
@@ -39,6 +42,8 @@ def text(examined: Examination) -> str:
     lines = [heading(examined), *(finding.line() for finding in examined.findings)]
     for joint, spans in contacts(examined).items():
         lines.append(f"contact: {joint} {', '.join(f'{a:.2f}–{b:.2f}' for a, b in spans)} s")
+    if examined.gone is not None:
+        lines.append(f"let go: {let_go_words(examined.gone)}")
     lines += [f"not checked: {what}" for what in examined.skipped]
     return "\n".join([*lines, verdict(examined.findings)])
 
@@ -60,7 +65,25 @@ def as_json(examined: Examination) -> Row:
         "ground": _rounded(examined.measured.ground) if examined.measured else None,
         "contacts": {joint: [*map(list, spans)] for joint, spans in contacts(examined).items()},
         "torque": torques(examined),
+        "let_go": None if examined.gone is None else _let_go(examined.gone),
         "skipped": list(examined.skipped),
+    }
+
+
+def let_go_words(gone: LettingGo) -> str:
+    """What becomes of bodies that are let go in the clip's states, in a line."""
+    share = f"{100 * gone.share:.1f} % of {len(gone.times)} starts land outside of the bounds"
+    if not gone.bad.any():
+        return share
+    tenths = ", ".join(f"{100 * part:.0f}" for part in gone.by_phase(PARTS))
+    return f"{share}; by tenths of the clip: {tenths} %"
+
+
+def _let_go(gone: LettingGo) -> Row:
+    return {
+        "starts": len(gone.times),
+        "bad": _rounded(gone.share),
+        "by_phase": [_rounded(part) for part in gone.by_phase(PARTS)],
     }
 
 

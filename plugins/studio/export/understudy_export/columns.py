@@ -34,6 +34,8 @@ from understudy_motion.readers.angles import RATE
 class ExportColumns(Command):
     """Writes a clip as a table in the order of columns of another trainer."""
 
+    example = "understudy motion export walk.npz robot.xml walk.csv --for mjlab"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
         parser.add_argument(

@@ -24,6 +24,7 @@ from understudy_characters.recording import (
     run_character,
 )
 from understudy_characters.shapes import bones, shapes
+from understudy_credits.walk import answer, in_a_line, open_made
 from understudy_export.figure import figure
 from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.clip import Clip, resample, sample
@@ -34,13 +35,14 @@ from understudy_mujoco.studio import REFERENCE
 
 BONES = "none"
 ONNX = ".onnx"
+PAGE = ".html"
 REFERENCE_TABLE = ".reference.npz"
 """The ending of what is written beside a policy that follows a motion."""
 OF_MOTIONS = (
     "reference", "beside", "character", "rate", "seconds", "cycles",
     "unit", "up", "skeleton", "source_rate",
 )  # fmt: skip
-"""Options that mean nothing to a policy."""
+"""Options that mean nothing to a policy, nor to a page of what was recorded."""
 BESIDE = 0.74
 """In heights of the figure: how far to the left the reference is put, as in videos."""
 CURE = "give a lower --rate, fewer --seconds or fewer --cycles"
@@ -55,6 +57,8 @@ class Export(Command):
     Of a run .glb and .gltf files also have what stands around the figure.
     """
 
+    example = "understudy export runs/spacetime-walk-001 walk.glb"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "source",
@@ -63,7 +67,8 @@ class Export(Command):
         parser.add_argument(
             "destination",
             type=Path,
-            help="the file to write, such as walk.glb, .usdc or .bvh; policy.onnx is the trained policy",
+            help="the file to write, such as walk.glb, .usdc or .bvh; policy.onnx is the trained policy, page.html "
+            "plays what was recorded in a browser",
         )
         parser.add_argument(
             "--reference", action="store_true", help="the motion that the run learned from"
@@ -97,6 +102,8 @@ class Export(Command):
     def run(self, options: argparse.Namespace) -> int:
         if options.destination.suffix.lower() == ONNX:
             return _policy(options)
+        if options.destination.suffix.lower() == PAGE:
+            return _page(options)
         registry = installed().registry
         clip, character = _moving(options, registry)
         if options.character == BONES:
@@ -121,16 +128,29 @@ class Export(Command):
         return 0
 
 
+def _page(options: argparse.Namespace) -> int:
+    _refuse_options(options, "shows all that was recorded")
+    from understudy_export.page import write_page
+
+    print(write_page(options.source, options.destination))
+    return 0
+
+
+def _refuse_options(options: argparse.Namespace, why: str) -> None:
+    for name in OF_MOTIONS:
+        if getattr(options, name) not in (None, False):
+            raise ConfigError(
+                f"--{name.replace('_', '-')} is of motions, and {options.destination} {why}: leave it out."
+            )
+
+
 def _policy(options: argparse.Namespace) -> int:
-    given = [name for name in OF_MOTIONS if getattr(options, name) not in (None, False)]
-    if given:
-        raise ConfigError(
-            f"--{given[0].replace('_', '-')} is of motions, and {options.destination} is a policy: leave it out."
-        )
+    _refuse_options(options, "is a policy")
     from understudy_export.policy import write_policy
     from understudy_skills.skill import open_skill
 
-    for line in write_policy(open_skill(options.source), options.destination):
+    skill = open_skill(options.source)
+    for line in write_policy(skill, options.destination, answer(open_made(options.source))):
         print(line)
     return 0
 
@@ -185,6 +205,9 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
                 raise ConfigError(
                     f"--{option.replace('_', '-')} is of clip files; {path} is a run."
                 )
+        if learned is not None and not options.reference:
+            licence, attribution = in_a_line(open_made(str(path), registry), registry)
+            learned = replace(learned, licence=licence, attribution=attribution)
         clip = reference if options.reference else learned
         if clip is None:
             raise FileError(f"{path}: its task has no reference motion to export.")

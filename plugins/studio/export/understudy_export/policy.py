@@ -92,8 +92,9 @@ class _Noting(dict[str, Tensor]):
         return super().__getitem__(name)
 
 
-def write_policy(skill: Skill, path: Path) -> list[str]:
-    """Write `skill` as the ONNX model `path`, and beside it ``NAME.reference.npz`` if its task has a
+def write_policy(skill: Skill, path: Path, licence: Mapping[str, Any]) -> list[str]:
+    """Write `skill` as the ONNX model `path` with what it was made of on what terms (`licence`, see
+    :func:`understudy_credits.walk.answer`), and beside it ``NAME.reference.npz`` if its task has a
     reference motion; returns a line on each file.
 
     Raises:
@@ -112,7 +113,7 @@ def write_policy(skill: Skill, path: Path) -> list[str]:
         with torch.no_grad():
             policy.distribution(observations)
         acting = Acting(policy.eval(), built, tuple(observations.read))
-        facts = metadata(skill, built, acting)
+        facts = {**metadata(skill, built, acting), "licence": json.dumps(licence)}
         write_model(acting, [observations[name] for name in acting.names], facts, path)
         lines = [f"{path}: {_summary(facts)}"]
         table = reference_table(built)

@@ -4,7 +4,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("skills", "characters", "motion", "mujoco", "report", "viewer")
+REQUIRES = ("skills", "characters", "motion", "mujoco", "report", "credits", "viewer")
 
 
 @hookimpl

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,15 @@ from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.plugins import installed
+from understudy_characters.scene import CharacterScene
+from understudy_credits.walk import answer, open_made
 from understudy_motion.arguments import port, positive
+from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
 from understudy_skills.skill import Skill, names, open_skill, pack, rounded, unpack
+
+__all__ = ["add_page_arguments", "film", "record", "serve"]
 
 #: s between pushes, which go to the left and to the right in turn.
 _EVERY = 3.0
@@ -26,6 +32,8 @@ _WIDTH, _HEIGHT = 800, 450
 
 class Play(Command):
     """Plays until interrupted, or for some seconds into a video."""
+
+    example = "understudy play runs/spacetime-walk-001 --video walk.mp4 --push 30"
 
     takes_overrides = True
 
@@ -70,6 +78,8 @@ class Play(Command):
             return 0
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
+            licence = answer(open_made(options.skill))
+            skill = replace(skill, card={**skill.card, "licence": licence})
             return _pack(skill, options.pack)
         if options.unpack is not None:
             unpack(skill, options.unpack)
@@ -109,12 +119,14 @@ def serve(make: Callable[[], World], options: argparse.Namespace) -> int:
             "Playing in the browser needs viser: pip install 'understudy[view]', or --video FILE."
         )
     from understudy_play.page import Page
+    from understudy_play.scene_page import ScenePage
     from understudy_viewer.page import free_port
     from understudy_viewer.serving import serve as serve_page
 
     port = free_port(options.host, options.port)
     world = make()
-    page = Page(world, options.host, port)
+    any_scene = isinstance(world.scene, MujocoScene) and not isinstance(world.scene, CharacterScene)
+    page = (ScenePage if any_scene else Page)(world, options.host, port)
     serve_page(page, f"plays {world.name}", browser=not options.no_browser)
     return 0
 

@@ -15,10 +15,14 @@ from understudy.setup.config import Experiment
 from understudy_mujoco.scene import MujocoScene
 from understudy_skills.skill import Skill
 
+__all__ = ["World"]
+
 #: Seconds: no episode is cut.
 _ENDLESS = 86400.0
 #: m: so far from its character the reference stays where it is; pushed farther, it goes along.
 _LEASH = 0.08
+#: Of the height at which its root began: lower, a character is down.
+_DOWN = 0.35
 
 
 class World(ABC):
@@ -46,14 +50,24 @@ class World(ABC):
 
     @property
     def fallen(self) -> str:
-        """How often, in words."""
-        return f"{self.falls} fall{'s' if self.falls > 1 else ''}" if self.falls else "no fall"
+        """How often, in words; and whether it is down now."""
+        if self.falls:
+            return f"{self.falls} fall{'s' if self.falls > 1 else ''}"
+        if (height := self._root_height()) < _DOWN * self._height:
+            return f"down: its root is at {height:.2f} m, and was at {self._height:.2f} m; its task ends no fall"
+        return "no fall"
+
+    def _root_height(self) -> float:
+        """m; 0 where there is no character with a free root."""
+        has = self._mass > 0 and "qpos" in self._tracks
+        return float(self.environment.table["qpos"][0, 2]) if has else 0.0
 
     def restart(self) -> None:
         """Begin a new episode."""
         self._observations = self.environment.reset(self._seed, f"play/{self._seed}")
         self._seed += 1
         self._moved = torch.zeros(2)
+        self._height = self._root_height()
 
     @abstractmethod
     def act(self, observations: Mapping[str, Tensor]) -> Tensor:

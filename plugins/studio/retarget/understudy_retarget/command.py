@@ -29,6 +29,8 @@ from understudy_retarget.retarget import Options, Report, retarget
 class Retarget(Command):
     """Puts a motion on a character, its feet on the floor, and says how well that went."""
 
+    example = "understudy motion retarget walk robot.xml robot_walk.npz"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
         parser.add_argument("character", metavar="CHARACTER", help="a character, or an MJCF file")

@@ -33,6 +33,8 @@ from understudy_retarget.goals import Goals
 from understudy_retarget.posing import lifted, pose
 from understudy_retarget.stance import standing
 
+__all__ = ["retarget"]
+
 NEEDED: tuple[str, ...] = tuple(
     f"{side}_{part}"
     for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")

@@ -22,6 +22,8 @@ _TEMPLATES = Path(__file__).parent / "templates"
 class NewPlugin(Command):
     """Writes a distribution with one reward, its test, README and entry point."""
 
+    example = "understudy new plugin balance"
+
     #: Of the templates, later ones replacing files of earlier ones.
     templates: tuple[str, ...] = ("plugin",)
 
@@ -44,6 +46,8 @@ class NewPlugin(Command):
 
 class NewPaper(Command):
     """Writes a distribution with one reward, an experiment, the paper's page and a table."""
+
+    example = "understudy new paper hopping"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         self._plugin = NewPlugin()

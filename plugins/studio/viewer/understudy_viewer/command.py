@@ -18,6 +18,8 @@ from understudy_viewer.stage import build
 class View(Command):
     """Serves the motion page until interrupted."""
 
+    example = "understudy motion view cycle.npz"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "source",

@@ -15,6 +15,8 @@ import websockets.asyncio.server as server
 from websockets import Headers
 from websockets.http11 import Request, Response
 
+__all__ = ["guarded"]
+
 
 def is_own(headers: Headers, host: str) -> bool:
     """Whether a request with these `headers` means the page served at `host`.

@@ -25,6 +25,8 @@ from understudy_viewer.panel import CONTACT, INSIDE, OUTSIDE
 from understudy_viewer.player import Player
 from understudy_viewer.stage import Actor, Colour, Stage
 
+__all__ = ["free_port"]
+
 #: Pictures per second at most, and of the side panel, whose updates cost the browser more.
 FRAME_RATE, PANEL_RATE = 60.0, 12.0
 #: Between two figures: at first, as a share of their reach, and at most, m.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import webbrowser
 from typing import Protocol
 
+__all__ = ["serve"]
+
 
 class Served(Protocol):
     """A page that is served."""

@@ -20,6 +20,8 @@ from understudy_motion.clip import Clip
 from understudy_mujoco.studio import LEARNED, REFERENCE
 from understudy_viewer.figure import Figure, figure
 
+__all__ = ["COLOURS", "Colour"]
+
 Colour = tuple[int, int, int]
 
 #: Of the first figure and of the second: as in a run's video.

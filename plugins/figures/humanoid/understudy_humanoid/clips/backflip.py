@@ -19,21 +19,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BPoly
 from scipy.optimize import fixed_point
 
-from understudy_humanoid.clips import standing
+from understudy_humanoid.clips import figure, standing
 from understudy_humanoid.clips.curves import carried, monotone, spline, through
-from understudy_humanoid.clips.figure import (
-    GRAVITY,
-    SIDES,
-    SIGN,
-    Array,
-    Pose,
-    about_y,
-    grid,
-    make_clip,
-    only_key_poses,
-    pitching,
-    turns,
-)
 from understudy_humanoid.clips.limbs import (
     PlantedLeg,
     arm,
@@ -122,44 +109,52 @@ def generated_backflip(
     Raises:
         ConfigError: a parameter is outside its range.
     """
-    motion = grid("backflip", END, frame_rate)
+    motion = figure.grid("backflip", END, frame_rate)
     times = motion.times
     goal = _centre_of_mass(times)
     legs = _legs(times, stands=float(goal[-1, 0]))
     somersault = _Somersault(times, goal, _upper_body(times), legs)
-    clip = make_clip("backflip", motion, *somersault.motion())
+    clip = figure.make_clip("backflip", motion, *somersault.motion())
     if not key_poses:
         return clip
     half = 0.5 * (OFF + TUCK)
-    return only_key_poses(clip, [0.0, CROUCH, OFF, half, TUCK, HOLD, OPEN, ON, DEEP, clip.duration])
+    return figure.only_key_poses(
+        clip, [0.0, CROUCH, OFF, half, TUCK, HOLD, OPEN, ON, DEEP, clip.duration]
+    )
 
 
 class _Somersault:
     """The motion of a body, all of whose joints turn about y, that keeps its angular momentum in
     flight."""
 
-    def __init__(self, times: Array, goal: Array, upper: Pose, legs: Sequence[PlantedLeg]) -> None:
+    def __init__(
+        self,
+        times: figure.Array,
+        goal: figure.Array,
+        upper: figure.Pose,
+        legs: Sequence[PlantedLeg],
+    ) -> None:
         self.times, self.goal, self.upper, self.legs = times, goal, upper, legs
         self.root = goal  # the latest path of the root, and pitch of the pelvis
         self.pitch = np.zeros_like(times)
 
-    def motion(self) -> tuple[Array, Pose]:
+    def motion(self) -> tuple[figure.Array, figure.Pose]:
         """The root's path and the pose."""
         fixed_point(self._rates, np.array([-5.0, -7.0]), xtol=1e-3)
         return self._carry()
 
-    def _carry(self) -> tuple[Array, Pose]:
-        upper = {**self.upper, "root": about_y(self.pitch)}
+    def _carry(self) -> tuple[figure.Array, figure.Pose]:
+        upper = {**self.upper, "root": figure.about_y(self.pitch)}
         return carried(self.goal, on_legs(upper, self.legs, self.times), start=self.root)
 
-    def _rates(self, rates: Array) -> Array:
+    def _rates(self, rates: figure.Array) -> figure.Array:
         """How fast the pelvis turns at take-off and landing, (2,) rad/s, if it keeps its angular
         momentum in between, and turns at `rates` as it takes off and when it has landed."""
         flying = np.flatnonzero((self.times > OFF) & (self.times < ON))
         flight = slice(flying[0] - 1, flying[-1] + 2)
         self.pitch = _pitch(self.times, rates)
         self.root, pose = self._carry()
-        momentum, inertia = pitching(self.times, self.root, pose)
+        momentum, inertia = figure.pitching(self.times, self.root, pose)
         # Of the joints' turning alone: what the body would have if the pelvis did not turn.
         own = (momentum - inertia * np.gradient(self.pitch, self.times))[flight]
         inertia, times = inertia[flight], self.times[flight]
@@ -171,7 +166,7 @@ class _Somersault:
         return ((kept - own) / inertia)[[1, -2]]
 
 
-def _pitch(times: Array, rates: Array) -> Array:
+def _pitch(times: figure.Array, rates: figure.Array) -> figure.Array:
     """Pitch of the pelvis (F,) rad with `rates` (2,) rad/s at take-off and landing."""
     before, after = np.array(_PITCH_BEFORE), np.array(_PITCH_AFTER)
     still, (off, on) = np.zeros(1), np.degrees(rates)[:, None]
@@ -183,22 +178,24 @@ def _pitch(times: Array, rates: Array) -> Array:
     return np.radians(_pieces(times, *(curve(times)[:, 0] for curve in curves)))
 
 
-def _pieces(times: Array, before: Array, flight: Array, after: Array) -> Array:
+def _pieces(
+    times: figure.Array, before: figure.Array, flight: figure.Array, after: figure.Array
+) -> figure.Array:
     """Each curve (F, ...) in its own time."""
     return np.where(times <= OFF, before, np.where(times < ON, flight, after))
 
 
-def _centre_of_mass(times: Array) -> Array:
+def _centre_of_mass(times: figure.Array) -> figure.Array:
     """(F, 3) m: quintics that meet a free flight in place, velocity and acceleration."""
-    up = (_ON_HEIGHT - _OFF_HEIGHT) / _FLIGHT + 0.5 * GRAVITY * _FLIGHT
+    up = (_ON_HEIGHT - _OFF_HEIGHT) / _FLIGHT + 0.5 * figure.GRAVITY * _FLIGHT
     landing = _OFF_PLACE + _SPEED * _FLIGHT
     end = landing + _CAUGHT
     height = _thrown(
         times,
-        -GRAVITY,
-        [[standing.CENTRE, 0.0, 0.0], [_CROUCH_HEIGHT, 0.0], [_OFF_HEIGHT, up, -GRAVITY]],
+        -figure.GRAVITY,
+        [[standing.CENTRE, 0.0, 0.0], [_CROUCH_HEIGHT, 0.0], [_OFF_HEIGHT, up, -figure.GRAVITY]],
         [
-            [_ON_HEIGHT, up - GRAVITY * _FLIGHT, -GRAVITY],
+            [_ON_HEIGHT, up - figure.GRAVITY * _FLIGHT, -figure.GRAVITY],
             [_DEEP_HEIGHT, 0.0],
             [standing.CENTRE, 0.0, 0.0],
         ],
@@ -213,8 +210,8 @@ def _centre_of_mass(times: Array) -> Array:
 
 
 def _thrown(
-    times: Array, acceleration: float, before: list[list[float]], after: list[list[float]]
-) -> Array:
+    times: figure.Array, acceleration: float, before: list[list[float]], after: list[list[float]]
+) -> figure.Array:
     """A coordinate (F,) of a throw.
 
     Args:
@@ -233,25 +230,28 @@ def _thrown(
     )
 
 
-def _legs(times: Array, stands: float) -> list[PlantedLeg]:
+def _legs(times: figure.Array, stands: float) -> list[PlantedLeg]:
     """The legs, whose feet end `stands` m along x from where they began."""
     down = (times <= OFF) | (times >= ON)
     landing = times > 0.5 * (OFF + ON)
     pitch = np.where(landing, monotone(times, _FEET_AFTER), monotone(times, _FEET_BEFORE))
     moved = np.stack([np.where(landing, stands, 0.0), np.zeros_like(times)], axis=1)
     legs = []
-    for side in SIDES:
-        yaw = SIGN[side] * standing.TOE_OUT
+    for side in figure.SIDES:
+        yaw = figure.SIGN[side] * standing.TOE_OUT
         ankle, foot = planted(standing.place(side) + moved, yaw, np.radians(pitch))
         legs.append(PlantedLeg(side, down, ankle, foot, leg_keys(side, _LEGS), brake=_BRAKE))
     return legs
 
 
-def _upper_body(times: Array) -> Pose:
-    def bent(keys: ArrayLike) -> Array:
+def _upper_body(times: figure.Array) -> figure.Pose:
+    def bent(keys: ArrayLike) -> figure.Array:
         return through(times, keys)[:, 0]
 
-    pose = {"chest": turns(0.0, bent(_CHEST), 0.0), "neck": turns(0.0, bent(_NECK), 0.0)}
-    for side in SIDES:
+    pose = {
+        "chest": figure.turns(0.0, bent(_CHEST), 0.0),
+        "neck": figure.turns(0.0, bent(_NECK), 0.0),
+    }
+    for side in figure.SIDES:
         pose |= arm(side, through(times, arm_keys(side, _ARMS)))
     return pose

@@ -12,21 +12,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from understudy_humanoid.clips import limbs, standing
+from understudy_humanoid.clips import figure, limbs, standing
 from understudy_humanoid.clips.curves import around, bounce, carried, monotone
-from understudy_humanoid.clips.figure import (
-    GRAVITY,
-    SIDES,
-    SIGN,
-    Array,
-    Pose,
-    Side,
-    check,
-    grid,
-    make_clip,
-    trunk,
-    turns,
-)
 from understudy_humanoid.clips.limbs import (
     PlantedLeg,
     arm,
@@ -76,25 +63,27 @@ def generated_hop(
     Raises:
         ConfigError: a parameter is outside its range.
     """
-    check("hop", 0.05, 0.3, height=height)
-    check("hop", 0.0, 0.7, distance=distance)
-    sides: list[Side] = [side for side in SIDES if leg in ("both", side)]
+    figure.check("hop", 0.05, 0.3, height=height)
+    figure.check("hop", 0.0, 0.7, distance=distance)
+    sides: list[figure.Side] = [side for side in figure.SIDES if leg in ("both", side)]
     contact, flight = _phases(height, len(sides))
     period = contact + flight
-    motion = grid("hop", period, frame_rate, cyclic=True)
+    motion = figure.grid("hop", period, frame_rate, cyclic=True)
     times = motion.times
 
     pelvis = _pelvis(times, contact, period, _LIST[leg])
     upper = _upper_body(times, contact, period, pelvis, height)
-    for side in set(SIDES) - set(sides):
+    for side in set(figure.SIDES) - set(sides):
         upper |= _free_leg(side, times, contact, period)
     middle = distance * 0.5 * contact / period - _OVER[len(sides)]
     pitch = np.radians(monotone(times / contact, _PITCH[len(sides)]))
     flying = (contact + 0.55 * flight, 16.0 + 20.0 * distance, 0.0, 28.0 + 30.0 * distance, 30.0)
     legs = []
     for side in sides:
-        aside = SIGN[side] * standing.HALF_WIDTH if leg == "both" else 0.0
-        ankle, foot = planted(np.array([middle, aside]), SIGN[side] * standing.TOE_OUT, pitch)
+        aside = figure.SIGN[side] * standing.HALF_WIDTH if leg == "both" else 0.0
+        ankle, foot = planted(
+            np.array([middle, aside]), figure.SIGN[side] * standing.TOE_OUT, pitch
+        )
         keys = leg_keys(side, [flying])
         legs.append(PlantedLeg(side, times < contact, ankle, foot, keys, period, _BRAKE))
 
@@ -105,7 +94,7 @@ def generated_hop(
         on_legs(upper, legs, times),
         room=lambda root: min(each.room(root, pelvis, reach) for each in legs),
     )
-    return make_clip("hop", motion, root, pose, advance=distance)
+    return figure.make_clip("hop", motion, root, pose, advance=distance)
 
 
 def _phases(height: float, legs: int) -> tuple[float, float]:
@@ -114,14 +103,14 @@ def _phases(height: float, legs: int) -> tuple[float, float]:
     Between touchdown and take-off the centre of mass sinks by about ``v t / pi + g t^2 / 29``, for
     the contact time t, the speed v, and a force that rises and falls like a sine.
     """
-    speed = math.sqrt(2.0 * GRAVITY * height)
-    flight = (speed + math.sqrt(speed**2 + 2.0 * GRAVITY * _DROP)) / GRAVITY
+    speed = math.sqrt(2.0 * figure.GRAVITY * height)
+    flight = (speed + math.sqrt(speed**2 + 2.0 * figure.GRAVITY * _DROP)) / figure.GRAVITY
     depth = (0.15 if legs == 2 else 0.12) + 0.3 * height
-    a, b = GRAVITY / 29.0, speed / math.pi
+    a, b = figure.GRAVITY / 29.0, speed / math.pi
     return (math.sqrt(b**2 + 4.0 * a * depth) - b) / (2.0 * a), flight
 
 
-def _free_leg(side: Side, times: Array, contact: float, period: float) -> Pose:
+def _free_leg(side: figure.Side, times: figure.Array, contact: float, period: float) -> figure.Pose:
     """The leg that does not hop, bent, swinging a little up at take-off."""
     keys = leg_keys(
         side,
@@ -134,22 +123,24 @@ def _free_leg(side: Side, times: Array, contact: float, period: float) -> Pose:
     return limbs.leg(side, around(times, keys, period))
 
 
-def _pelvis(times: Array, contact: float, period: float, roll: float) -> Rotation:
+def _pelvis(times: figure.Array, contact: float, period: float, roll: float) -> Rotation:
     """Leaning forward over bent knees, upright in flight; `roll` degrees higher on the right."""
     pitch = around(
         times,
         [(0.0, 9.0), (0.5 * contact, 17.0), (contact, 6.0), (0.5 * (contact + period), 4.0)],
         period,
     )[:, 0]
-    return turns(0.0, pitch, -roll)
+    return figure.turns(0.0, pitch, -roll)
 
 
 def _upper_body(
-    times: Array, contact: float, period: float, pelvis: Rotation, height: float
-) -> Pose:
+    times: figure.Array, contact: float, period: float, pelvis: Rotation, height: float
+) -> figure.Pose:
     """A steady trunk, a level head, and arms that are thrown forward at take-off."""
     pitch = np.degrees(pelvis.as_euler("ZYX")[:, 1])
-    pose = trunk(pelvis, turns(0.0, 0.9 * pitch + 3.0, 0.0), turns(0.0, 0.35 * pitch, 0.0))
+    pose = figure.trunk(
+        pelvis, figure.turns(0.0, 0.9 * pitch + 3.0, 0.0), figure.turns(0.0, 0.35 * pitch, 0.0)
+    )
     swing = 0.7 + 1.2 * height
     rows = [
         (0.0, 12.0 * swing, 12.0, 45.0),
@@ -157,6 +148,6 @@ def _upper_body(
         (contact, 28.0 * swing, 12.0, 50.0),
         (0.5 * (contact + period), 42.0 * swing, 14.0, 58.0),
     ]
-    for side in SIDES:
+    for side in figure.SIDES:
         pose |= arm(side, around(times, arm_keys(side, rows), period))
     return pose

@@ -14,20 +14,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from understudy_humanoid.clips import figure
 from understudy_humanoid.clips.curves import bounce, carried, monotone
-from understudy_humanoid.clips.figure import (
-    SIDES,
-    SIGN,
-    Array,
-    Pose,
-    Side,
-    check,
-    grid,
-    make_clip,
-    only_key_poses,
-    trunk,
-    turns,
-)
 from understudy_humanoid.clips.limbs import PlantedLeg, arm, leg_keys, on_legs, planted
 from understudy_motion.clip import Clip
 
@@ -66,14 +54,14 @@ def generated_run(
     Raises:
         ConfigError: a parameter is outside its range.
     """
-    check("run", 2.0, 5.0, speed=speed)
+    figure.check("run", 2.0, 5.0, speed=speed)
     contact, cycle = contact_and_cycle(speed)
-    motion = grid("run", cycle, frame_rate, cyclic=True, multiple=2)
+    motion = figure.grid("run", cycle, frame_rate, cyclic=True, multiple=2)
     times = motion.times
     effort = speed - _EASY
 
     wave = 2.0 * np.pi * times / cycle
-    pelvis = turns(7.0 * np.cos(wave - 0.2), 9.0 + effort, -4.0 * np.sin(wave))
+    pelvis = figure.turns(7.0 * np.cos(wave - 0.2), 9.0 + effort, -4.0 * np.sin(wave))
     upper = _upper_body(wave, pelvis, effort)
     legs = [
         _leg("right", times, speed, contact, cycle, 0.0),
@@ -86,12 +74,12 @@ def generated_run(
         on_legs(upper, legs, times),
         room=lambda root: min(each.room(root, pelvis, _REACH) for each in legs),
     )
-    clip = make_clip("run", motion, root, pose, advance=speed * cycle)
+    clip = figure.make_clip("run", motion, root, pose, advance=speed * cycle)
     if not key_poses:
         return clip
     step = 0.5 * cycle
     keys = [0.0, 0.5 * contact, contact, 0.5 * (contact + step)]
-    return only_key_poses(clip, [*keys, *(step + key for key in keys), clip.duration])
+    return figure.only_key_poses(clip, [*keys, *(step + key for key in keys), clip.duration])
 
 
 def contact_and_cycle(speed: float) -> tuple[float, float]:
@@ -100,15 +88,20 @@ def contact_and_cycle(speed: float) -> tuple[float, float]:
 
 
 def _leg(
-    side: Side, times: Array, speed: float, contact: float, cycle: float, strike: float
+    side: figure.Side,
+    times: figure.Array,
+    speed: float,
+    contact: float,
+    cycle: float,
+    strike: float,
 ) -> PlantedLeg:
     """The leg whose foot strikes at `strike` s."""
     since = (times - strike) % cycle
     x = speed * (times - since) + _AHEAD * speed * contact
-    place = np.stack([x, np.full_like(x, SIGN[side] * STEP_HALF_WIDTH)], axis=1)
+    place = np.stack([x, np.full_like(x, figure.SIGN[side] * STEP_HALF_WIDTH)], axis=1)
     effort = speed - _EASY
     pitch = monotone(since / contact, [(0.0, 11.0 - 3.0 * effort), *_PITCH])
-    ankle, foot = planted(place, SIGN[side] * TOE_OUT, np.radians(pitch))
+    ankle, foot = planted(place, figure.SIGN[side] * TOE_OUT, np.radians(pitch))
     swing = [
         (0.22, -2.0, 0.0, 70.0 + 2.0 * effort, 12.0),
         (0.45, 28.0, 0.0, 100.0 + 9.0 * effort, 4.0),
@@ -119,15 +112,15 @@ def _leg(
     return PlantedLeg(side, since < contact, ankle, foot, keys[np.argsort(keys[:, 0])], cycle)
 
 
-def _upper_body(wave: Array, pelvis: Rotation, effort: float) -> Pose:
+def _upper_body(wave: figure.Array, pelvis: Rotation, effort: float) -> figure.Pose:
     """Chest against the pelvis, a head that looks ahead, bent arms against the legs."""
-    thorax = turns(-10.0 * np.cos(wave - 0.4), 8.0 + 1.5 * effort, np.sin(wave))
-    pose = trunk(pelvis, thorax, turns(0.0 * wave, 4.0, 0.0))
-    for side in SIDES:
-        sign = SIGN[side]
+    thorax = figure.turns(-10.0 * np.cos(wave - 0.4), 8.0 + 1.5 * effort, np.sin(wave))
+    pose = figure.trunk(pelvis, thorax, figure.turns(0.0 * wave, 4.0, 0.0))
+    for side in figure.SIDES:
+        sign = figure.SIGN[side]
         forward = sign * np.cos(wave - 0.25)
         yaw = -sign * (12.0 + 12.0 * forward)
-        upper = turns(yaw, 6.0 - (35.0 + 4.0 * effort) * forward, sign * 12.0)
+        upper = figure.turns(yaw, 6.0 - (35.0 + 4.0 * effort) * forward, sign * 12.0)
         elbow = np.radians(92.0 - 14.0 * forward)
         pose |= arm(side, np.column_stack([upper.as_rotvec(), elbow]))
     return pose

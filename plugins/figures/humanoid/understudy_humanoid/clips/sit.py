@@ -17,21 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import root_scalar
 
-from understudy_humanoid.clips import standing
+from understudy_humanoid.clips import figure, standing
 from understudy_humanoid.clips.curves import between, carried
-from understudy_humanoid.clips.figure import (
-    ROWS,
-    SIDES,
-    SIGN,
-    Array,
-    Pose,
-    Side,
-    check,
-    grid,
-    make_clip,
-    trunk,
-    turns,
-)
 from understudy_humanoid.clips.limbs import (
     HAND,
     arm,
@@ -134,19 +121,19 @@ def _clip(
     backwards: bool = False,
 ) -> Clip:
     """The motion from standing to sitting, or `backwards`."""
-    check(name, *SEAT_HEIGHTS, seat_height=seat_height)
-    check(name, 1.2, 6.0, seconds=seconds)
-    motion = grid(name, seconds, frame_rate)
+    figure.check(name, *SEAT_HEIGHTS, seat_height=seat_height)
+    figure.check(name, 1.2, 6.0, seconds=seconds)
+    motion = figure.grid(name, seconds, frame_rate)
     sitting = _SittingDown(motion.times / seconds, timing, seat_height)
-    hands: dict[Side, Array] = {
-        side: arm_keys(side, [(0.0, 26.0, 0.0, 36.0)])[0, 1:] for side in SIDES
+    hands: dict[figure.Side, figure.Array] = {
+        side: arm_keys(side, [(0.0, 26.0, 0.0, 36.0)])[0, 1:] for side in figure.SIDES
     }
     for _ in range(2):
         root, pose = sitting.motion(hands)
-        hands = {side: _hand_on_thigh(side, root, pose) for side in SIDES}
+        hands = {side: _hand_on_thigh(side, root, pose) for side in figure.SIDES}
     root, pose = sitting.motion(hands)
     order = -1 if backwards else 1
-    return make_clip(
+    return figure.make_clip(
         name, motion, root[::order], {joint: turned[::order] for joint, turned in pose.items()}
     )
 
@@ -154,14 +141,14 @@ def _clip(
 class _SittingDown:
     """The motion from standing to sitting still, at `part` (F,) of its time."""
 
-    def __init__(self, part: Array, timing: _Timing, seat_height: float) -> None:
+    def __init__(self, part: figure.Array, timing: _Timing, seat_height: float) -> None:
         self.part, self.seat_height = part, seat_height
         most = _LEAN + _LEAN_LOWER * (0.45 - seat_height) - standing.PITCH
         lean = most * (between(part, *timing.leaning) - between(part, *timing.righting))
-        self.trunk = trunk(
-            turns(0.0, standing.PITCH + _PELVIS * lean, 0.0),
-            turns(0.0, standing.PITCH + lean, 0.0),
-            turns(0.0, standing.PITCH + 0.4 * lean, 0.0),
+        self.trunk = figure.trunk(
+            figure.turns(0.0, standing.PITCH + _PELVIS * lean, 0.0),
+            figure.turns(0.0, standing.PITCH + lean, 0.0),
+            figure.turns(0.0, standing.PITCH + 0.4 * lean, 0.0),
         )
         self.reach = timing.reach
         self.reaching = between(part, *timing.reaching)[:, None]
@@ -170,7 +157,7 @@ class _SittingDown:
         #: How many of the times are up to the seat's contact.
         self.contact = int(np.argmax(self.down >= 1.0)) + 1
 
-    def motion(self, hands: Mapping[Side, Array]) -> tuple[Array, Pose]:
+    def motion(self, hands: Mapping[figure.Side, figure.Array]) -> tuple[figure.Array, figure.Pose]:
         """The root's path and the pose, of arms that end at these coordinates (4,)."""
         upper = dict(self.trunk)
         for side, final in hands.items():
@@ -178,15 +165,15 @@ class _SittingDown:
             reached = hanging + (ahead - hanging) * self.reaching
             upper |= arm(side, reached + (final - ahead) * self.resting)
 
-        def build(root: Array, rows: slice = slice(None)) -> Pose:
+        def build(root: figure.Array, rows: slice = slice(None)) -> figure.Pose:
             pose = {joint: turned[rows] for joint, turned in upper.items()}
-            for side in SIDES:
-                yaw = SIGN[side] * standing.TOE_OUT
+            for side in figure.SIDES:
+                yaw = figure.SIGN[side] * standing.TOE_OUT
                 ankle, foot = planted(standing.place(side), yaw, np.zeros(len(root)))
                 pose |= leg(side, leg_to(side, root, pose["root"], ankle, foot))
             return pose
 
-        def lowered(hips: float, rows: slice) -> tuple[Array, Pose]:
+        def lowered(hips: float, rows: slice) -> tuple[figure.Array, figure.Pose]:
             """With the hips `hips` m high at seat contact."""
             down = self.down[rows]
             height = standing.HEIGHT + (hips - standing.HEIGHT) * down
@@ -205,17 +192,17 @@ class _SittingDown:
         return root, build(root)
 
 
-def _hand_on_thigh(side: Side, root: Array, pose: Pose) -> Array:
+def _hand_on_thigh(side: figure.Side, root: figure.Array, pose: figure.Pose) -> figure.Array:
     """The coordinates (4,) of the arm whose hand lies on the thigh in the last frame."""
-    thigh = ROWS[f"{side}_hip"]
+    thigh = figure.ROWS[f"{side}_hip"]
     root, pelvis, chest, hip = root[-1:], *(pose[k][-1:] for k in ("root", "chest", f"{side}_hip"))
     wrist = root + pelvis.apply(thigh.offset + hip.apply([thigh.size[0] + HAND, 0.0, -_ALONG]))
     return arm_to(side, root, pelvis, chest, wrist)[0]
 
 
-def _clearance(root: Array, pose: Pose, seat_height: float) -> float:
+def _clearance(root: figure.Array, pose: figure.Pose, seat_height: float) -> float:
     """Height in m of the thigh above the seat, where it is least, in the first frame."""
-    thigh = ROWS["left_hip"]
+    thigh = figure.ROWS["left_hip"]
     radius, half = thigh.size
     axis = np.outer(np.linspace(-half, half, 61), [0.0, 0.0, 1.0]) + thigh.centre
     x, _, z = (root[0] + pose["root"][0].apply(thigh.offset + pose["left_hip"][0].apply(axis))).T

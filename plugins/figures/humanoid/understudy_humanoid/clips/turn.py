@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from understudy.errors import ConfigError
-from understudy_humanoid.clips import standing
+from understudy_humanoid.clips import figure, standing
 from understudy_humanoid.clips.curves import (
     between,
     carried,
@@ -21,18 +21,6 @@ from understudy_humanoid.clips.curves import (
     inverted_pendulum,
     monotone,
     through,
-)
-from understudy_humanoid.clips.figure import (
-    SIDES,
-    SIGN,
-    Array,
-    Pose,
-    Side,
-    check,
-    grid,
-    make_clip,
-    trunk,
-    turns,
 )
 from understudy_humanoid.clips.limbs import arm, arm_keys, leg, leg_to, planted
 from understudy_motion.clip import Clip
@@ -89,8 +77,8 @@ def generated_turn_right(
     return _turn("turn_right", "right", angle, seconds, frame_rate)
 
 
-def _turn(name: str, inside: Side, angle: float, seconds: float, frame_rate: float) -> Clip:
-    check(name, 0.2, 2.0 * math.pi, angle=angle)
+def _turn(name: str, inside: figure.Side, angle: float, seconds: float, frame_rate: float) -> Clip:
+    figure.check(name, 0.2, 2.0 * math.pi, angle=angle)
     pairs = math.ceil(angle / _LARGEST_STEP - 1e-9)
     step = (seconds - 2.0 * _REST) / (2 * pairs)
     least, most = (2.0 * (_REST + pairs * time) for time in _STEP_SECONDS)
@@ -99,11 +87,11 @@ def _turn(name: str, inside: Side, angle: float, seconds: float, frame_rate: flo
             f"{name}: seconds={seconds:g} is not possible for the {2 * pairs} steps of "
             f"angle={angle:.3g}: it must be at least {least:.3g} and at most {most:.3g}."
         )
-    motion = grid(name, seconds, frame_rate)
-    times, sign = motion.times, SIGN[inside]
-    outside: Side = "left" if inside == "right" else "right"
+    motion = figure.grid(name, seconds, frame_rate)
+    times, sign = motion.times, figure.SIGN[inside]
+    outside: figure.Side = "left" if inside == "right" else "right"
     begins = _REST + step * np.arange(2 * pairs)
-    feet: dict[Side, _Foot] = {
+    feet: dict[figure.Side, _Foot] = {
         side: _Foot(side, times, begins[first::2], step, sign * angle)
         for first, side in enumerate((inside, outside))
     }
@@ -118,15 +106,15 @@ def _turn(name: str, inside: Side, angle: float, seconds: float, frame_rate: flo
     for lead in _LEADS:
         keys = [(0.02, 0.0), *zip(middles - lead, progress, strict=True), (seconds - 0.1, 1.0)]
         yaws.append(np.degrees(sign * angle) * through(times, keys)[:, 0])
-    pelvis = turns(yaws[0], standing.PITCH, _LIST * weight)
-    thorax, head = (turns(yaw, standing.PITCH, 0.0) for yaw in yaws[1:])
-    upper = trunk(pelvis, thorax, head)
+    pelvis = figure.turns(yaws[0], standing.PITCH, _LIST * weight)
+    thorax, head = (figure.turns(yaw, standing.PITCH, 0.0) for yaw in yaws[1:])
+    upper = figure.trunk(pelvis, thorax, head)
     rest = (0.0, *standing.ARM), (seconds, *standing.ARM)
-    for side in SIDES:
+    for side in figure.SIDES:
         keys = arm_keys(side, [rest[0], (0.5 * seconds, 6.0, 14.0, 26.0), rest[1]])
         upper |= arm(side, through(times, keys))
 
-    def build(root: Array) -> Pose:
+    def build(root: figure.Array) -> figure.Pose:
         pose = dict(upper)
         for side, foot in feet.items():
             reached = leg_to(side, root, pelvis, foot.ankle, foot.rotation, knee_axes=foot.around)
@@ -137,13 +125,20 @@ def _turn(name: str, inside: Side, angle: float, seconds: float, frame_rate: flo
     sunk = between(times, 0.0, _REST) - between(times, last, last + _REST)
     goal = np.column_stack([place, standing.HEIGHT - _SINK * sunk])
     root, pose = carried(goal, build, axes=(0, 1))
-    return make_clip(name, motion, root, pose, loop=True)
+    return figure.make_clip(name, motion, root, pose, loop=True)
 
 
 class _Foot:
     """A foot that steps around the origin."""
 
-    def __init__(self, side: Side, times: Array, begins: Array, step: float, angle: float) -> None:
+    def __init__(
+        self,
+        side: figure.Side,
+        times: figure.Array,
+        begins: figure.Array,
+        step: float,
+        angle: float,
+    ) -> None:
         """Each of the steps that begin at `begins` s turns the foot by its part of `angle` rad."""
         pitch, lift, turned = np.zeros((3, len(times)))
         for begin in begins:
@@ -153,16 +148,16 @@ class _Foot:
             lift += LIFT * (4.0 * swing * (1.0 - swing)) ** 3
             turned += angle / len(begins) * ease(swing)
         #: (F,) turns of the foot, and the knee over it, about the middle between the feet.
-        self.around = around = turns(np.degrees(turned), 0.0, 0.0)
+        self.around = around = figure.turns(np.degrees(turned), 0.0, 0.0)
         stands = np.append(standing.place(side), 0.0)
-        yaw = turned + SIGN[side] * standing.TOE_OUT
+        yaw = turned + figure.SIGN[side] * standing.TOE_OUT
         self.ankle, self.rotation = planted(around.apply(stands)[:, :2], yaw, pitch)
         self.ankle[:, 2] += lift
         #: (F, 2) m, where the foot bears: under its middle.
         self.middle = around.apply(stands + np.array([standing.AHEAD, 0.0, 0.0]))[:, :2]
 
 
-def _weight(times: Array, begins: Array, step: float) -> Array:
+def _weight(times: figure.Array, begins: figure.Array, step: float) -> figure.Array:
     """Which foot bears the weight: -1 the outside's, 1 the inside's, 0 both."""
     weight = -between(times, begins[0] - 0.8 * _REST, begins[0] + _SWING[0] * step)
     for number, begin in enumerate(begins[1:]):

@@ -18,20 +18,8 @@ from scipy.interpolate import BPoly, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import ConfigError
+from understudy_humanoid.clips import figure
 from understudy_humanoid.clips.curves import spline
-from understudy_humanoid.clips.figure import (
-    GRAVITY,
-    SIDES,
-    SIGN,
-    Array,
-    Pose,
-    Side,
-    check,
-    grid,
-    make_clip,
-    trunk,
-    turns,
-)
 from understudy_humanoid.clips.limbs import (
     REACH,
     SHIN,
@@ -101,29 +89,29 @@ def generated_walk(
         ConfigError: a parameter is outside its range, the arc is too tight, or the stride is too
             long for the legs.
     """
-    check("walk", 0.05, 3.0, speed=speed)
-    check("walk", 0.4, 3.0, cycle=cycle)
-    check("walk", -1.0, 1.0, heading_rate=heading_rate)
+    figure.check("walk", 0.05, 3.0, speed=speed)
+    figure.check("walk", 0.4, 3.0, cycle=cycle)
+    figure.check("walk", -1.0, 1.0, heading_rate=heading_rate)
     if abs(heading_rate) > 2.0 * speed:
         raise ConfigError(
             f"walk: heading_rate={heading_rate:g} is not possible at speed={speed:g}: the arc's "
             "radius would be below 0.5 m."
         )
-    motion = grid("walk", cycle, frame_rate, multiple=2)
+    motion = figure.grid("walk", cycle, frame_rate, multiple=2)
     phase = motion.times / cycle
     stride = speed * cycle
     wave = 2.0 * np.pi * phase
-    lean = heading_rate * speed / GRAVITY
+    lean = heading_rate * speed / figure.GRAVITY
 
     obliquity = -3.5 * np.sin(wave - 0.3) - np.degrees(lean)
-    upright = turns(5.0 * np.cos(wave), 3.0, obliquity)
+    upright = figure.turns(5.0 * np.cos(wave), 3.0, obliquity)
     joints = _upper_body(wave, upright, lean, heading_rate * _LOOK_AHEAD)
     sway = -0.02 * np.sin(wave - 0.3) + _LEANING_HEIGHT * lean
     curvature = heading_rate / speed
     place, heading = _along_arc(stride * phase, sway, curvature)
-    pelvis = turns(np.degrees(heading), 0.0, 0.0) * upright
+    pelvis = figure.turns(np.degrees(heading), 0.0, 0.0) * upright
     root = np.column_stack([place, -0.022 * np.cos(2.0 * wave - 0.8)])
-    feet: dict[Side, tuple[Array, Rotation]] = {
+    feet: dict[figure.Side, tuple[figure.Array, Rotation]] = {
         "right": _foot("right", phase, stride, 0.235 * stride, curvature),
         "left": _foot("left", phase + 0.5, stride, -0.265 * stride, curvature),
     }
@@ -139,10 +127,12 @@ def generated_walk(
     joints["root"] = pelvis
     for side, (ankle, foot) in feet.items():
         joints |= leg(side, leg_to(side, root, pelvis, ankle, foot))
-    return make_clip("walk", motion, root, joints, loop=True)
+    return figure.make_clip("walk", motion, root, joints, loop=True)
 
 
-def _along_arc(distance: Array, aside: Array | float, curvature: float) -> tuple[Array, Array]:
+def _along_arc(
+    distance: figure.Array, aside: figure.Array | float, curvature: float
+) -> tuple[figure.Array, figure.Array]:
     """Where one is, (F, 2) m, and one's heading, (F,) rad, `distance` (F,) m along an arc from the
     origin and `aside` m to its left."""
     heading = curvature * distance
@@ -153,8 +143,8 @@ def _along_arc(distance: Array, aside: Array | float, curvature: float) -> tuple
 
 
 def _foot(
-    side: Side, phase: Array, stride: float, strike: float, curvature: float
-) -> tuple[Array, Rotation]:
+    side: figure.Side, phase: figure.Array, stride: float, strike: float, curvature: float
+) -> tuple[figure.Array, Rotation]:
     """One foot's path in the world.
 
     Args:
@@ -173,25 +163,25 @@ def _foot(
     )
     swing = np.clip((within - TOE_OFF) / (1.0 - TOE_OFF), 0.0, 1.0)
     travel = strike + stride * (steps + swing**2 * (3.0 - 2.0 * swing))
-    place, heading = _along_arc(travel, SIGN[side] * STEP_HALF_WIDTH, curvature)
-    yaw = heading + SIGN[side] * TOE_OUT
+    place, heading = _along_arc(travel, figure.SIGN[side] * STEP_HALF_WIDTH, curvature)
+    yaw = heading + figure.SIGN[side] * TOE_OUT
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     ankle = np.column_stack([place + roll[:, :1] * ahead, roll[:, 1]])
-    return ankle, turns(np.degrees(yaw), _pitch(within), 0.0)
+    return ankle, figure.turns(np.degrees(yaw), _pitch(within), 0.0)
 
 
-def _pitch(phase: Array) -> Array:
+def _pitch(phase: figure.Array) -> figure.Array:
     """Foot pitch in degrees at phases (F,) near [0, 1], smooth and periodic."""
     phases = np.concatenate([_PITCH[:, 0] + cycle for cycle in (-1.0, 0.0, 1.0)])
     return PchipInterpolator(phases, np.tile(_PITCH[:, 1], 3))(phase)
 
 
-def _rolling(phase: Array) -> Array:
+def _rolling(phase: figure.Array) -> figure.Array:
     """Ankle (F, 2) m in stance, as :func:`rolled`."""
     return rolled(np.radians(_pitch(phase)))
 
 
-def _swinging(phase: Array) -> Array:
+def _swinging(phase: figure.Array) -> figure.Array:
     """Ankle (F, 2) m in swing, as in :func:`_rolling`, meeting stance with its velocity."""
     step = 1e-4
     ends = np.array([TOE_OFF, 1.0])
@@ -206,18 +196,20 @@ def _swinging(phase: Array) -> Array:
     return np.stack([along, height], axis=1)
 
 
-def _upper_body(wave: Array, pelvis: Rotation, lean: float, look: float) -> Pose:
+def _upper_body(wave: figure.Array, pelvis: Rotation, lean: float, look: float) -> figure.Pose:
     """Chest against the pelvis, a level head that looks ahead, arms against the legs.
 
     On an arc the trunk leans by `lean` rad and the head turns by `look` rad into it.
     """
-    thorax = turns(-4.0 * np.cos(wave - 0.2), 4.0, 0.8 * np.sin(wave - 0.3) - np.degrees(lean))
-    head = turns(np.degrees(look) + 0.0 * wave, 2.0, 0.0)
-    joints = trunk(pelvis, thorax, head)
-    for side in SIDES:
-        sign = SIGN[side]
+    thorax = figure.turns(
+        -4.0 * np.cos(wave - 0.2), 4.0, 0.8 * np.sin(wave - 0.3) - np.degrees(lean)
+    )
+    head = figure.turns(np.degrees(look) + 0.0 * wave, 2.0, 0.0)
+    joints = figure.trunk(pelvis, thorax, head)
+    for side in figure.SIDES:
+        sign = figure.SIGN[side]
         forward = sign * np.cos(wave - 0.25)
-        upper = turns(-sign * 3.0, 2.0 - 20.0 * forward, sign * 7.0)
+        upper = figure.turns(-sign * 3.0, 2.0 - 20.0 * forward, sign * 7.0)
         elbow = np.radians(24.0 + 12.0 * np.cos(wave - 0.55) * sign)
         joints |= arm(side, np.column_stack([upper.as_rotvec(), elbow]))
     return joints

@@ -77,6 +77,8 @@ class Wanted:
 class Fetch(Command):
     """Downloads clips of the CMU database and of DeepMimic by name, and of any other place by address."""
 
+    example = "understudy motion fetch 02_01"
+
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "clips",

@@ -33,6 +33,8 @@ from understudy_motion.reading import (
 )
 from understudy_tensors import rotations
 
+__all__ = ["RATE"]
+
 RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
 _UPRIGHT = 0.5

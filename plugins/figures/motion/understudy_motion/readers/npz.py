@@ -14,6 +14,8 @@ import numpy as np
 from understudy.errors import FileError
 from understudy_motion.reading import read_bytes
 
+__all__ = ["Archive"]
+
 MAX_MEMBERS = 256
 MAX_ARRAY_BYTES = 128 * 2**20
 """All arrays of a clip together, unpacked: ten minutes of 55 joints at 120 frames/s."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
+
+__all__ = ["Captured"]
 
 
 class Captured:
@@ -13,7 +16,7 @@ class Captured:
 
     The first calls run as they are, on the stream they will be captured on: libraries allocate, and
     autograd's bookkeeping is made, there. What `work` writes it must write in place. On the CPU it
-    is simply called.
+    is simply called. Work that cannot be captured goes on uncaptured, after a warning that says why.
     """
 
     _WARM_UP = 3
@@ -43,9 +46,22 @@ class Captured:
                 self._work(self._inputs)
             torch.cuda.current_stream().wait_stream(self._stream)
         else:
-            graph = torch.cuda.CUDAGraph()
+            self._take()
+        self._calls += 1
+
+    def _take(self) -> None:
+        graph = torch.cuda.CUDAGraph()
+        try:
             with torch.cuda.graph(graph, stream=self._stream):
                 self._work(self._inputs)
-            graph.replay()
-            self._graph = graph
-        self._calls += 1
+        except RuntimeError as error:
+            self._stream = None
+            reason = str(error).strip().splitlines()[0]
+            warnings.warn(
+                f"An update cannot be captured as a CUDA graph, so it takes longer: {reason}",
+                stacklevel=3,
+            )
+            self._work(self._inputs)
+            return
+        graph.replay()
+        self._graph = graph

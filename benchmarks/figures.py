@@ -1,0 +1,401 @@
+"""The figures on the pages, from their records.
+
+``make figures`` writes them; ``python benchmarks/figures.py --check`` says what is not as recorded.
+
+``docs/figures.yaml`` says of what record, in ``docs/benchmarks``, each figure is made; a page has it
+between ``<!-- figures: NAME -->`` and ``<!-- /figures -->``. A table of results outside of such a place
+says before it from what record it was written by hand, ``<!-- record: FILE -->``, or why it has
+none, ``<!-- no record: WHY -->``; one that only looks so, ``<!-- no result: WHY -->``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import re
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+from scipy import stats
+
+from understudy_sweeps.intervals import FAILS, HOLDS, ONE, UNDECIDED, mean_of
+from understudy_sweeps.intervals import verdict as decided
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORDS = ROOT / "docs" / "benchmarks"
+PAGES = (
+    ROOT / "README.md",
+    ROOT / "docs" / "conventions.md",
+    ROOT / "docs" / "gallery" / "index.md",
+    *sorted((ROOT / "docs" / "papers").glob("*.md")),
+    RECORDS / "README.md",
+)
+P = 0.05
+VERDICTS = (HOLDS, FAILS, UNDECIDED, ONE)
+
+_PLACE = re.compile(r"(<!-- figures: (\S+) -->)(.*?)(<!-- /figures -->)", re.S)
+_TABLE = re.compile(r"((?:^<!--.*?-->\n+)?)((?:^\|.*\n)+)", re.M)
+_RESULT = re.compile(r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d")
+_SETTINGS = re.compile(r"\bdefault\b|\boption\b|\bconstant\b|\bvalue\b.*\b(source|why)\b")
+
+
+# ---------------------------------------------------------------------- records
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a record has of one thing."""
+
+    values: Mapping[int, float]  #: by seed
+    #: By seed, how much it is at least, where a criterion was not met.
+    missed: Mapping[int, float] = field(default_factory=dict)
+    summary: tuple[float, float, int] | None = None  #: mean, half of its 95 % interval, seeds
+
+    @property
+    def seeds(self) -> int:
+        return self.summary[2] if self.summary else len(self.values) + len(self.missed)
+
+    @property
+    def mean(self) -> float:
+        known = [*self.values.values()]
+        return self.summary[0] if self.summary else sum(known) / len(known)
+
+    def bounded(self) -> Measured:
+        """With what is known from below in place of what is not."""
+        return self if self.summary else Measured({**self.values, **self.missed})
+
+
+@cache
+def rows(record: str) -> tuple[Mapping[str, Any], ...]:
+    """The lines of a record; of a sweep's journal the final reports, with the variant and seed of
+    their keys."""
+    with open(RECORDS / record, encoding="utf-8", newline="") as file:
+        if record.endswith(".csv"):
+            return tuple({**row, "measures": row} for row in csv.DictReader(file))
+        lines = [json.loads(line) for line in file]
+    found = []
+    for line in lines:
+        if "event" in line and line["event"] != "finished":
+            continue
+        row = line.get("report", line)
+        variant, _, seed = str(row.get("key", "")).rpartition("/seed")
+        found.append({"variant": variant, "seed": int(seed), **row} if seed.isdigit() else row)
+    return tuple(found)
+
+
+def records(what: Mapping[str, Any]) -> list[str]:
+    """``record`` names one file, or several that go on from each other."""
+    named = what["record"]
+    return [named] if isinstance(named, str) else named
+
+
+def lookup(row: Any, path: str) -> Any:
+    """What `row` has at a dotted path; None if nothing."""
+    for part in path.split("."):
+        if isinstance(row, list) and part.isdigit():
+            row = row[int(part)] if int(part) < len(row) else None
+        else:
+            row = row.get(part) if isinstance(row, dict) else None
+    return row
+
+
+def measure(what: Mapping[str, Any]) -> Measured:
+    """What the ``record`` has at the path ``value`` of the rows ``where`` paths have given values.
+
+    Rows that ``only`` does not hold of missed it. A seed that is there twice counts as it was last:
+    its training went on, or was measured again.
+
+    Raises:
+        ValueError: the record has nothing of it.
+    """
+    values: dict[int, float] = {}
+    missed: dict[int, float] = {}
+    there = False
+    for number, row in enumerate(row for record in records(what) for row in rows(record)):
+        if not _matches(row, what.get("where", {})):
+            continue
+        there = True
+        value, seeds = lookup(row, what["value"]), row.get("seeds")
+        if isinstance(value, list) and isinstance(seeds, int):
+            return Measured({}, {}, (value[0], value[2] - value[0], seeds))
+        if isinstance(value, list):
+            values.update(zip(seeds or range(len(value)), map(float, value), strict=True))
+        elif value is not None:
+            seed = int(row.get("seed", number))
+            values.pop(seed, None)
+            missed.pop(seed, None)
+            (values if _matches(row, what.get("only", {})) else missed)[seed] = float(value)
+    if not there:
+        where = what.get("where", {})
+        raise ValueError(f"{what['record']} has no {what['value']} where {where}.")
+    return Measured(values, missed)
+
+
+def _matches(row: Mapping[str, Any], where: Mapping[str, Any]) -> bool:
+    return all(
+        lookup(row, path) in (wanted if isinstance(wanted, list) else [wanted])
+        for path, wanted in where.items()
+    )
+
+
+# ---------------------------------------------------------------------- verdicts
+
+
+def verdict(claim: Mapping[str, Any]) -> str:
+    """Whether the record bears the claim: two-sided Student's t over seeds, at p < 0.05.
+
+    ``less`` or ``more`` is what it is compared with: a number, or another part of a record, seed by
+    seed where both have two or more of the same, else as two samples (Welch). What is known from
+    below alone counts as that, where more would only speak louder the same way; else it leaves the
+    claim undecided.
+    """
+    ours = measure(claim)
+    sign, other = (-1, claim["less"]) if "less" in claim else (1, claim["more"])
+    if not isinstance(other, Mapping):
+        if ours.seeds == 1:
+            return ONE
+        found = _decided(ours.bounded(), float(other), sign)
+        sure = HOLDS if sign > 0 else FAILS
+        return found if found == sure or not ours.missed else UNDECIDED
+    theirs = measure({**claim, **other})
+    if min(ours.seeds, theirs.seeds) == 1:
+        return ONE
+    if (ours if sign < 0 else theirs).missed:
+        return UNDECIDED
+    first, second = ours.bounded(), theirs.bounded()
+    both = sorted(set(first.values) & set(second.values))
+    if len(both) > 1:
+        found = _decided(Measured({s: first.values[s] - second.values[s] for s in both}), 0.0, sign)
+    else:
+        samples = [list(m.values.values()) for m in (first, second)]
+        found = _told(_welch(*samples), sign * (first.mean - second.mean))
+    return UNDECIDED if found == FAILS and (ours.missed or theirs.missed) else found
+
+
+def _decided(ours: Measured, than: float, sign: int) -> str:
+    """Of values that are all known."""
+    difference = sign * (ours.mean - than)
+    if ours.summary:
+        _, reach, count = ours.summary
+        error = reach / float(stats.t.ppf(0.975, count - 1))
+        return _told(2 * float(stats.t.sf(abs(difference) / error, count - 1)), difference)
+    return decided(list(ours.values.values()), than, "less" if sign < 0 else "more")
+
+
+def _welch(first: list[float], second: list[float]) -> float:
+    return float(stats.ttest_ind(first, second, equal_var=False).pvalue)  # type: ignore[attr-defined]
+
+
+def _told(p: float, difference: float) -> str:
+    return UNDECIDED if not p < P else HOLDS if difference > 0 else FAILS
+
+
+# ---------------------------------------------------------------------- words
+
+
+def number(value: float, unit: str) -> str:
+    """As a page writes it; `unit` is ``M``, ``%`` or anything that stands behind."""
+    if unit == "M":
+        return f"{value / 1e6:.2f} M"
+    if unit == "%1":
+        return f"{100 * value:.1f} %"
+    if unit == "%":
+        share = 100 * value
+        return f"{share:.0f} %" if share in (0, 100) or 1 <= share < 99 else f"{share:.1f} %"
+    if not unit and value == int(value):
+        return f"{value:.0f}"
+    digits = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2 if abs(value) >= 1 else 3
+    return f"{value:.{digits}f} {unit}".rstrip()
+
+
+def words(measured: Measured, unit: str) -> str:
+    """Mean and its 95 % interval over seeds; one or two seeds by themselves, which have none."""
+    values = list(measured.values.values())
+    if measured.summary:
+        mean, reach, _ = measured.summary
+        return f"{number(mean, unit)} ({_range(mean - reach, mean + reach, unit)})"
+    text = ", ".join(number(v, unit) for v in values) or ("" if measured.missed else "–")
+    if len(values) > 2 and (found := mean_of(values)) is not None:
+        found = found.clipped(0.0, 1.0) if unit == "%" else found
+        text = number(found.value, unit)
+        if found.low is not None and found.high is not None and found.high > found.low:
+            text += f" ({_range(found.low, found.high, unit)})"
+    if measured.missed:
+        least = number(min(measured.missed.values()), unit)
+        text += f"{'; ' if text else ''}{len(measured.missed)} not within {least}"
+    return text
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    return " to ".join(number(value, unit).removesuffix(unit).strip() for value in (low, high))
+
+
+_MEANS = "Means and 95 % intervals over seeds (Student's t; one or two seeds by themselves). "
+
+
+def origin(spec: Mapping[str, Any], files: list[str], seeds: list[int]) -> str:
+    """Seeds, hardware, date and file, as they stand below a table."""
+    numbers, links = sorted(set(seeds)), defaultdict(list)
+    for record in dict.fromkeys(files):
+        about = spec["records"][record]
+        where = f"{about['hardware']}, {about['date']}"
+        links[where].append(f"[{record}]({{records}}/{record})")
+    lines = [f"{where}: {', '.join(of)}" for where, of in links.items()]
+    which = f"Seeds {', '.join(map(str, numbers))}. " if numbers else ""
+    return f"{which}{_MEANS}{'; '.join(lines)}."
+
+
+def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
+    """A table of a record: a row for each of ``rows``, a column for each of ``columns``."""
+    printed = one.get("printed", [])
+    lines = [[one.get("head", ""), *printed, *(c["title"] for c in one["columns"])]]
+    files, seeds = [], []
+    for name, row in one["rows"].items():
+        cells = []
+        for column in one["columns"]:
+            if "words" in column:
+                cells.append(_text({**one, **row}, column["words"]))
+                continue
+            what = {"record": one["record"], **column, **row}
+            found = measure(what)
+            files += records(what)
+            seeds += [*found.values, *found.missed]
+            cells.append(words(found, column.get("in", "")))
+        lines.append([name, *map(str, row.get("words", ["–"] * len(printed))), *cells])
+    if one.get("exact"):  # nothing was drawn
+        return f"{_markdown(lines)}\n\n{origin(spec, files, []).removeprefix(_MEANS)}"
+    below = origin(spec, files, [] if one.get("trials") else seeds)
+    return f"{_markdown(lines)}\n\n{below.replace('over seeds', 'over trials') if one.get('trials') else below}"
+
+
+def _text(one: Mapping[str, Any], path: str) -> str:
+    """What the first row of the record that `one` chooses says in words."""
+    found = (row for record in records(one) for row in rows(record) if _matches(row, one["where"]))
+    return str(lookup(next(found), path))
+
+
+def claims(spec: Mapping[str, Any], page: str) -> str:
+    """The claims of a page, and what its records say of them."""
+    lines, files = [["claim", "paper", "here", "seeds", "verdict"]], []
+    for claim in spec["claims"][page]:
+        unit, other = claim.get("in", ""), claim.get("less", claim.get("more"))
+        found = measure(claim)
+        here = words(found, unit)
+        files += records(claim)
+        if isinstance(other, Mapping):
+            here += f" against {words(measure({**claim, **other}), unit)}"
+            files += records({**claim, **other})
+        printed = str(claim.get("paper", "–"))
+        cells = [claim["claim"], printed, here, str(found.seeds), f"*{verdict(claim)}*"]
+        lines.append(cells)
+    return f"{_markdown(lines)}\n\n{_HOW}\n\n{origin(spec, files, [])}"
+
+
+_HOW = (
+    "*holds*, *does not hold*: a two-sided Student's t over seeds has p < 0.05; *undecided*: it has "
+    "not, or seeds missed a criterion (not within) where that leaves it open; *one seed* tells nothing "
+    "of others. Single values are seeds."
+)
+
+
+def summary(spec: Mapping[str, Any]) -> str:
+    """How many claims of each page have which verdict."""
+    lines = [["", *VERDICTS]]
+    for page, all_of in spec["claims"].items():
+        counts = Counter(verdict(claim) for claim in all_of)
+        link = f"[{spec['titles'][page]}]({{docs}}/papers/{page}.md#what-the-records-say)"
+        lines.append([link, *(str(counts[v] or "–") for v in VERDICTS)])
+    return _markdown(lines)
+
+
+def _markdown(lines: list[list[str]]) -> str:
+    head, *body = lines
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body))
+
+
+# ---------------------------------------------------------------------- pages
+
+
+def load() -> dict[str, Any]:
+    """``docs/figures.yaml``."""
+    return yaml.safe_load((ROOT / "docs" / "figures.yaml").read_text(encoding="utf-8"))
+
+
+def figure(spec: Mapping[str, Any], name: str) -> str:
+    """What stands at the place `name`: a table, the claims of a page, or a value within a line.
+
+    Raises:
+        ValueError: there is no such figure, or its record has nothing of it.
+    """
+    kind, _, rest = name.partition("/")
+    if name == "claims":
+        return f"\n\n{summary(spec)}\n\n"
+    if kind == "claims" and rest in spec["claims"]:
+        return f"\n\n{claims(spec, rest)}\n\n"
+    if name in spec["tables"]:
+        return f"\n\n{table(spec, spec['tables'][name])}\n\n"
+    if name in spec["values"]:
+        one = spec["values"][name]
+        return words(measure(one), one.get("in", ""))
+    raise ValueError(f"there is no figure '{name}' in docs/figures.yaml.")
+
+
+def written(page: Path, spec: Mapping[str, Any], text: str | None = None) -> str:
+    """`page`, or `text` in its place, with every marked place as its record has it."""
+    text = page.read_text(encoding="utf-8") if text is None else text
+    docs, here = (os.path.relpath(p, page.parent) for p in (ROOT / "docs", RECORDS))
+
+    def write(match: re.Match[str]) -> str:
+        what = figure(spec, match[2]).replace("{records}", here).replace("{docs}", docs)
+        return f"{match[1]}{what}{match[4]}"
+
+    return _PLACE.sub(write, text)
+
+
+def untraced(page: Path, text: str | None = None) -> list[str]:
+    """The tables of results of `page` that neither are written from a record nor say which one they
+    are of, or why they have none."""
+    text = page.read_text(encoding="utf-8") if text is None else text
+    found = []
+    for match in _TABLE.finditer(_PLACE.sub("", text)):
+        said, body = match[1].strip(), match[2]
+        head = body.partition("\n")[0]
+        if not _RESULT.search(body) or _SETTINGS.search(head):
+            continue
+        record = re.fullmatch(r"<!-- record: (.*) -->", said)
+        if record:
+            found += [f"no {n}" for n in record[1].split(", ") if not (RECORDS / n).exists()]
+        elif not re.fullmatch(r"<!-- no (?:record|result): .{10,} -->", said):
+            found.append(head)
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="change nothing; 1 if it differs")
+    options = parser.parse_args()
+    spec, status = load(), 0
+    for page in PAGES:
+        before, after = page.read_text(encoding="utf-8"), written(page, spec)
+        name = page.relative_to(ROOT)
+        for head in untraced(page):
+            print(f"{name}: a table of results without a record: {head}")
+            status = 1
+        if before != after:
+            print(f"{name}: {'differs from its records' if options.check else 'written'}")
+            status = max(status, int(options.check))
+            if not options.check:
+                page.write_text(after, encoding="utf-8")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,84 @@
+"""How long a plan takes on one core, how many random tasks are planned, and how near plans come to anything.
+
+Eight objects of table 5.2 (thesis, section 5.6) lie on a table and are moved one after another, each plan from where
+the last one ended; then eight others. Prints one line and appends it to ``docs/benchmarks/planner.jsonl``.
+
+    python benchmarks/planner.py --tasks 500
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from understudy.records.runs import versions
+from understudy_gripping.grip import load_grip, standard
+from understudy_hand.scene import HandScene
+from understudy_tool_planner.configuration import NoPlan
+from understudy_tool_planner.planner import Planner
+from understudy_tool_planner.tasks import Table, random_goal, random_table
+
+RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "planner.jsonl"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--tasks", type=int, default=500)
+    parser.add_argument("--objects", type=int, default=8)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    planner = Planner(load_grip(standard()), HandScene(HandScene.Options()))
+    generator = torch.Generator().manual_seed(options.seed)
+    now, taken, clear, lengths = planner.begin(), [], [], []
+    wall, reasons = [], Counter[str]()
+    table = Table((), (), ())
+    for number in range(options.tasks):
+        one = number % options.objects
+        if one == 0:
+            table, now = random_table(generator, options.objects), planner.begin()
+        goal = random_goal(table, one, generator)
+        task, others = table.task(one, goal), table.without(one)
+        began, clock = time.process_time(), time.perf_counter()
+        try:
+            plan = planner.plan(task, now, others)
+        except NoPlan as error:
+            reasons[str(error)] += 1
+            plan = None
+        taken.append(time.process_time() - began)
+        wall.append(time.perf_counter() - clock)
+        if plan is not None:
+            clear.append(plan.clearance)
+            lengths.append(plan.seconds)
+            table, now = table.moved(one, goal), plan.end
+    row = {
+        "when": time.strftime("%Y-%m-%d"),
+        "cpu": platform.processor() or platform.machine(),
+        "versions": versions(),
+        "tasks": options.tasks,
+        "objects": options.objects,
+        "planned": len(clear) / options.tasks,
+        "processor_ms": np.percentile(1e3 * np.array(taken), [50, 95, 100]).round(1).tolist(),
+        "wall_ms": np.percentile(1e3 * np.array(wall), [50, 95, 100]).round(1).tolist(),
+        "least_clearance_mm": round(1e3 * min(clear), 4),
+        "median_clearance_mm": round(1e3 * float(np.median(clear)), 3),
+        "median_plan_s": round(float(np.median(lengths)), 2),
+        "reasons": dict(reasons),
+    }
+    print(json.dumps(row))
+    with open(options.out, "a", encoding="utf-8") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Whether the motions that ship are to be believed: each packaged skill of a character, played, beside its clip.
+
+``python benchmarks/shipped.py`` plays every skill of a character that `understudy play` lists, measures feet, ground, flights and
+jerk of what it does and of the clip that it follows, and writes ``docs/benchmarks/shipped.jsonl``, from which
+``make figures`` writes the table in ``docs/conventions.md`` and the gallery. ``THRESHOLDS`` are those there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from understudy.setup.plugins import installed
+from understudy_characters.character import Character, load_character
+from understudy_doctor.findings import intervals
+from understudy_doctor.measurements import Measurements
+from understudy_play.command import record
+from understudy_play.player import Player
+from understudy_skills.skill import names, open_skill
+
+RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "shipped.jsonl"
+SECONDS = 8.0
+#: What a motion may have to ship: its clip's own and so much more, or so much in all where that is more.
+THRESHOLDS = {
+    "slide": (0.10, 0.30),  # m/s, mean of feet that touch the floor
+    "sink": (0.005, 0.02),  # m, the deepest point
+    "air": (0.07, 0.10),  # s, the longest time without the floor
+    "jerk": (0.0, 400.0),  # m/s³, median of the joints'; see `believable`
+}
+RATIO = 2.0  # of jerk to the clip's
+
+
+def measured(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
+    """Foot slide, penetration, air time and jerk of a motion (T, nq)."""
+    times = dt * torch.arange(len(qpos), dtype=torch.float64)
+    poses = torch.from_numpy(qpos[:, : character.model.nq]).double()
+    clip = character.clip(poses, times, name="played")
+    found = Measurements(clip, character)
+    lowest = np.where(np.isfinite(found.heights), found.heights, np.inf).min(1)
+    feet = list(found.feet)
+    speed = np.linalg.norm(found.slides, axis=-1)[:, feet] / found.dt
+    stands = (found.touching[:-1] & found.touching[1:])[:, feet]
+    aloft = (lowest > 0.02) & ~found.supported  # who sits is carried by the chair
+    up = [(last - first + 1) * found.dt for first, last in intervals(aloft, close=1)]
+    third = np.diff(found.kinematics[0].numpy(), n=3, axis=0) / found.dt**3
+    return {
+        "slide": float(speed[stands].mean()) if stands.any() else 0.0,
+        "sink": float(max(0.0, -lowest.min())),
+        "air": float(max(up, default=0.0)),
+        "jerk": float(np.median(np.linalg.norm(third, axis=-1))),
+    }
+
+
+def believable(played: dict[str, float], clip: dict[str, float] | None) -> list[str]:
+    """What keeps a motion from shipping; without a clip to compare with, the limits alone count."""
+    beyond = []
+    for name, (more, most) in THRESHOLDS.items():
+        own = clip[name] if clip is not None else 0.0
+        limit = max(most, RATIO * own) if name == "jerk" else max(most, own + more)
+        beyond += [name] if played[name] > limit else []
+    return beyond
+
+
+def characters() -> list[str]:
+    """The packaged skills of characters; what a hand does with sticks has neither feet nor falls."""
+    return [name for name in names() if "character" in open_skill(name).card["config"]["scene"]]
+
+
+def row(name: str) -> dict[str, Any]:
+    """The skill `name`, played from where it begins."""
+    skill = open_skill(name)
+    player = Player(skill)
+    try:
+        tracks = record(player, SECONDS)
+        dt, falls = player.dt, player.falls
+    finally:
+        player.close()
+    scene = skill.card["config"]["scene"]
+    character = load_character(str(scene["character"]), installed().registry)
+    played = measured(tracks["qpos"], dt, character)
+    follows = "reference_qpos" in tracks
+    clip = measured(tracks["reference_qpos"], dt, character) if follows else None
+    return {
+        "skill": name,
+        "when": datetime.date.today().isoformat(),
+        "seconds": SECONDS,
+        "seed": 0,
+        "samples": skill.samples,
+        "success": skill.card["evaluation"]["success_rate"],
+        "falls": falls,
+        "played": played,
+        "clip": clip,
+        "beyond": ", ".join(believable(played, clip)) or "–",
+    }
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--skills", nargs="*", help="those alone, printed and not saved")
+    given = parser.parse_args()
+    lines = []
+    for one in given.skills or characters():
+        lines.append(json.dumps(row(one)))
+        print(lines[-1], flush=True)
+    if not given.skills:
+        RESULTS.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,203 @@
+"""The keys of a configuration that are the kernel's own, with defaults and ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from understudy.options import check_range
+
+__all__ = ["Part", "Root"]
+
+#: The most steps of physics in a decision, and decisions in an episode of an evaluation.
+_STEPS, _DECISIONS = 100_000, 1_000_000
+
+
+@dataclass(frozen=True)
+class ControlOptions:
+    """Control and physics rates; 30 Hz control, 600 Hz physics by default (thesis, section 3.5)."""
+
+    frequency: float = 30.0  #: control periods per second
+    substeps: int = 20  #: physics steps per control period
+    decision: int = 1  #: control periods that one decision of the policy lasts
+
+    def __post_init__(self) -> None:
+        check_range(self, "frequency", above=0, most=1e5)
+        check_range(self, "substeps", least=1, most=10_000)
+        check_range(self, "decision", least=1, most=10_000)
+        if self.substeps * self.decision > _STEPS:
+            raise ValueError(
+                f"decision={self.decision} is not possible: with substeps={self.substeps} a decision would be "
+                f"more than {_STEPS} steps of physics."
+            )
+
+
+@dataclass(frozen=True)
+class ResolutionOptions:
+    """Coarser physics that a training begins with; ``control.substeps`` is what it is judged by.
+
+    It goes over to the latter, *sharpens*, as soon as the criterion is met at the coarse physics, the
+    curriculum has come to `difficulty`, or the share `budget` of the budget is spent.
+    """
+
+    substeps: int | None = None  #: physics steps per control period at first; null is the task's
+    difficulty: float | None = None  #: mean difficulty at which physics sharpens; null is none
+    budget: float = 0.75  #: share of the samples, or of the minutes, after which physics sharpens
+
+    def __post_init__(self) -> None:
+        check_range(self, "substeps", least=1)
+        check_range(self, "difficulty", least=0, most=1)
+        check_range(self, "budget", above=0, most=1)
+
+
+@dataclass(frozen=True)
+class EpisodeOptions:
+    seconds: float = 20.0  #: episodes are truncated at this length
+
+    def __post_init__(self) -> None:
+        check_range(self, "seconds", above=0, most=1e7)
+
+
+@dataclass(frozen=True)
+class BudgetOptions:
+    """A training ends at whichever of these it reaches first; both are absolute over resumes."""
+
+    samples: int | None = None  #: environment steps, summed over worlds
+    minutes: float | None = None  #: minutes of training time
+    #: After so many ``evaluation.criterion`` is usually met, as far as is known: for the time shown.
+    usual_samples: int | None = None
+
+    def __post_init__(self) -> None:
+        check_range(self, "samples", "minutes", "usual_samples", above=0)
+
+
+@dataclass(frozen=True)
+class MeasureThreshold:
+    """Success by a measure: its value over the episode lies within these limits."""
+
+    measure: str  #: name of the measure
+    at_least: float | None = None  #: in the measure's unit
+    at_most: float | None = None  #: in the measure's unit
+
+    def __post_init__(self) -> None:
+        if self.at_least is None and self.at_most is None:
+            raise ValueError("at_least and at_most are both unset: give one of them.")
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """How a policy is judged: deterministic, from starts that training never saw."""
+
+    episodes: int = 64  #: of one draw of starts, all at once
+    final_episodes: int = 128  #: of the draw that confirms a criterion, and of the last one
+    seconds: float = 20.0  #: episodes are cut at this length
+    starts: Mapping[str, Any] = field(default_factory=dict)  #: where they begin; the first decides
+    #: ``survived`` (no failure until the end), a termination term with outcome=success, or
+    #: ``{measure: NAME, at_least: x}``; null is the task's success term, else survival.
+    success: str | MeasureThreshold | None = None
+    #: Failure terms that end an evaluation's episode, the others being only reported; null is all.
+    failures: tuple[str, ...] | None = None
+    #: What searches maximise: ``success_rate``, ``return``, or a measure (its mean).
+    objective: str = "success_rate"
+    #: Success rate at which a training is done, on one draw of starts and then, confirmed, on a
+    #: second; null trains to the budget.
+    criterion: float | None = None
+    give_up: bool = True  #: once the criterion is out of reach; its measures are then not recorded
+    #: An evaluation starts when training episodes would last this share of its seconds …
+    gate: float = 0.3
+    #: … and this many samples were consumed since the last one; null is 100 000 where there is a
+    #: criterion, and never where there is none.
+    every_samples: int | None = None
+
+    def __post_init__(self) -> None:
+        check_range(self, "episodes", "final_episodes", least=1)
+        check_range(self, "seconds", above=0, most=1e7)
+        check_range(self, "criterion", above=0, most=1)
+        check_range(self, "gate", least=0, most=1)
+        check_range(self, "every_samples", least=0, most=2**63 - 1)
+
+
+@dataclass(frozen=True)
+class CheckpointOptions:
+    minutes: float = 2.0  #: training time between checkpoints
+    keep: int = 3  #: how many of the newest are kept
+
+    def __post_init__(self) -> None:
+        check_range(self, "minutes", least=0)
+        check_range(self, "keep", least=1)
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    dir: str | None = None  #: run folder; null makes ``runs/<experiment>-<n>``
+    video_seconds: float = 8.0  #: of the film when a training ends; 0 makes none
+    video_size: tuple[int, int] | None = None  #: width and height in pixels; null is the report's
+    video_camera: float | None = None  #: degrees about the vertical; 0 is from behind, 90 the right
+
+    def __post_init__(self) -> None:
+        check_range(self, "video_seconds", least=0, most=3600)
+        check_range(self, "video_size", least=1, most=8192)
+
+
+#: What a run can take over from another one.
+Part = Literal["actor", "critic", "normaliser", "initial_states", "curriculum"]
+
+
+@dataclass(frozen=True)
+class StartOptions:
+    """Begin with parts of another run's newest checkpoint."""
+
+    run: str  #: its folder
+    parts: tuple[Part, ...] = ("actor", "critic", "normaliser")  #: what is taken over
+
+
+@dataclass(frozen=True)
+class RewardOptions:
+    terms: Mapping[str, Any] = field(default_factory=dict)  #: by name: {name: COMPONENT, weight: 1}
+    #: ``sum``: each term times its weight, added. ``product``: each term to the power of its weight,
+    #: multiplied; none may be negative.
+    combine: Literal["sum", "product"] = "product"
+
+
+@dataclass(frozen=True)
+class TerminationOptions:
+    terms: Mapping[str, Any] = field(default_factory=dict)  #: by name: {name: COMPONENT}
+
+
+@dataclass(frozen=True)
+class Root:
+    """The top level of a configuration, beside the slots and plugins' sections."""
+
+    seed: int = 0  #: of all random streams, from 0
+    device: str = "cpu"  #: torch's name of it
+    num_worlds: int = 256  #: trained in at once, from 1
+    difficulty: float = 1.0  #: in [0, 1]: what evaluations run at, and trainings lead to
+    task: str | None = None  #: its name, where one was chosen
+    control: ControlOptions = ControlOptions()  #: how often the policy decides
+    resolution: ResolutionOptions = ResolutionOptions()  #: how coarse physics begins
+    episode: EpisodeOptions = EpisodeOptions()  #: of training
+    budget: BudgetOptions = BudgetOptions()  #: when a training ends
+    evaluation: EvaluationOptions = EvaluationOptions()  #: how a policy is judged
+    checkpoint: CheckpointOptions = CheckpointOptions()  #: what is saved, and how often
+    run: RunOptions = RunOptions()  #: where it goes, and its film
+    start: StartOptions | None = None  #: what is taken over from another run
+    reward: RewardOptions = RewardOptions()  #: what is rewarded
+    termination: TerminationOptions = TerminationOptions()  #: what ends an episode
+
+    def __post_init__(self) -> None:
+        check_range(self, "num_worlds", least=1)
+        check_range(self, "seed", least=0, most=2**63 - 1)
+        check_range(self, "difficulty", least=0, most=1)
+        decisions = self.evaluation.seconds * self.control.frequency / self.control.decision
+        if decisions > _DECISIONS:
+            raise ValueError(
+                f"evaluation.seconds={self.evaluation.seconds:g} is not possible: an episode would be more than "
+                f"{_DECISIONS} decisions."
+            )
+        coarse, own = self.resolution.substeps, self.control.substeps
+        if coarse is not None and coarse > own:
+            raise ValueError(
+                f"resolution.substeps={coarse} is not possible: physics begins coarser than it ends, "
+                f"so give at most control.substeps={own}, or null."
+            )

@@ -1,0 +1,169 @@
+"""Validation: from a configuration as it was composed to one whose every part is found and checked.
+
+A configuration is data. It names components; it never names Python code, and keys by which Hydra
+would call code (``_target_`` and its like) are refused wherever they stand.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from understudy.errors import ConfigError, suggestion
+from understudy.options import Option, checked_options, make_options, options_of
+from understudy.setup.config import Chosen, Experiment
+from understudy.setup.registry import Registry, Slot
+from understudy.setup.root import Root
+from understudy.task.terms import Outcome, Reduction
+
+__all__ = ["EXTRAS", "at", "refuse_code", "root_keys", "validate"]
+
+#: What components of a kind take beside their own options: renamed fields, and how terms count.
+_READS = {"reads": Option("reads", dict[str, str], {})}
+_PROVIDES = {"provides": Option("provides", dict[str, str], {})}
+EXTRAS: dict[str, dict[str, Option]] = {
+    "fields": {**_READS, **_PROVIDES},
+    "memory": {**_READS, **_PROVIDES},
+    "encoder": _READS,
+    "actuation": {**_READS, **_PROVIDES},
+    "reward": {**_READS, "weight": Option("weight", float, 1.0)},
+    "termination": {**_READS, "outcome": Option("outcome", Outcome, "failure")},
+    "measure": {**_READS, "reduce": Option("reduce", Reduction, "last")},
+}
+
+
+def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
+    """Look up every component that `raw` names and check every option.
+
+    Raises:
+        ConfigError: for an unknown key or component, a missing or wrong value; the message has the
+            key path.
+    """
+    refuse_code(raw)
+    own = {f.name for f in dataclasses.fields(Root)}
+    known = root_keys(registry)
+    for key in raw:
+        if key not in known:
+            raise ConfigError(unknown_key(str(key), registry) + registry.absent())
+    filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in GROUPS)}
+    root = make_options(Root, filled, "")
+    choices = {
+        slot.name: tuple(_chosen(slot, at(raw, slot.name), registry))
+        for slot in registry.slots.values()
+    }
+    experiment = Experiment(
+        root=root,
+        choices=choices,
+        sections={
+            name: make_options(section.schema(), raw[name], name)
+            for name, section in registry.sections.items()
+            if raw.get(name) is not None
+        },
+        registry=registry,
+    )
+    if root.evaluation.objective != "success_rate":
+        experiment.need_measure(root.evaluation.objective, "evaluation.objective")
+    _ = experiment.failures
+    if root.reward.combine == "product":
+        for term in experiment.many("reward.terms"):
+            _refuse_negative(term)
+    return experiment
+
+
+def _refuse_negative(term: Chosen) -> None:
+    """Raise :class:`ConfigError` for a term of a product that says it can be negative."""
+    low, high = getattr(term.component.factory, "range", (0.0, math.inf))
+    if low < 0:
+        raise ConfigError(
+            f"{term.where}: '{term.component.name}' lies between {low:g} and {high:g}, and "
+            "reward.combine=product takes no negative terms. Use reward.combine=sum, or another term."
+        )
+
+
+def root_keys(registry: Registry) -> set[str]:
+    """The keys at the top level of a configuration."""
+    slots = {slot for slot in registry.slots if "." not in slot}
+    return {f.name for f in dataclasses.fields(Root)} | slots | set(registry.sections)
+
+
+def unknown_key(key: str, registry: Registry) -> str:
+    """The sentence about a root key that is none; one may have left out what stands before a dot."""
+    groups = [o for o in options_of(Root).values() if dataclasses.is_dataclass(o.annotation)]
+    meant = [f"{o.name}.{key}" for o in groups if key in options_of(o.annotation)]
+    found = suggestion(key, meant or root_keys(registry) | {"experiment"})
+    part = f" An option of a part is written as PART.{key}." if "Known" in found else ""
+    return f"There is no configuration key '{key}'.{found}{part}"
+
+
+#: Groups of the root that an override of null empties.
+GROUPS = ("reward", "termination")
+
+
+def at(raw: Any, path: str) -> Any:
+    """What stands at the key path `path`, or None."""
+    for key in path.split("."):
+        raw = raw.get(key) if isinstance(raw, Mapping) else None
+    return raw
+
+
+def _chosen(slot: Slot, value: Any, registry: Registry) -> Iterator[Chosen]:
+    """The components that the configuration chooses for `slot`."""
+    if value is None:
+        return
+    if not slot.many:
+        yield _choice(slot, slot.name, value, slot.name, registry)
+        return
+    if not isinstance(value, Mapping):
+        raise ConfigError(
+            f"{slot.name} must be {{NAME: {{name: COMPONENT, …}}, …}}, not {value!r}."
+        )
+    for name, item in value.items():
+        if item is not None:
+            yield _choice(slot, str(name), item, f"{slot.name}.{name}", registry)
+
+
+def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -> Chosen:
+    component_name, options = _named(value, where)
+    component = registry.find(slot.kind, component_name, where)
+    extra = EXTRAS.get(slot.kind, {})
+    given = {k: v for k, v in options.items() if k in extra}
+    extras = checked_options(extra, given, where)
+    own = {k: v for k, v in options.items() if k not in extra}
+    schema = getattr(component.factory, "Options", None)
+    checked: Any
+    if schema is not None:
+        checked = make_options(schema, own, where)
+    else:  # a function's options are its keyword-only parameters; a class without Options has none
+        checked = checked_options(component.options, own, where) or None
+    return Chosen(name, component, checked, where, extras)
+
+
+def _named(value: Any, where: str) -> tuple[str, dict[str, Any]]:
+    if isinstance(value, str):
+        return value, {}
+    if not isinstance(value, Mapping) or not isinstance(value.get("name"), str):
+        raise ConfigError(f"{where} must be {{name: COMPONENT, option: value, …}}, not {value!r}.")
+    options = dict(value)
+    return options.pop("name"), options
+
+
+#: Keys by which Hydra's instantiate calls code.
+CODE_KEYS = frozenset({"_target_", "_partial_", "_args_", "_recursive_", "_convert_"})
+
+
+def refuse_code(value: Any, where: str = "") -> None:
+    """Raise :class:`ConfigError` if any key in the nested `value` could name code."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            path = f"{where}.{key}" if where else str(key)
+            if key in CODE_KEYS:
+                raise ConfigError(
+                    f"{path}: configurations name registered components (name: …) and never Python code. "
+                    "Remove the key; `understudy plugins` lists what can be named."
+                )
+            refuse_code(item, path)
+    elif isinstance(value, (list, tuple)):
+        for i, item in enumerate(value):
+            refuse_code(item, f"{where}[{i}]")

@@ -1,0 +1,299 @@
+"""Plans: where arm, sticks and an object shall be while it is taken and put elsewhere (thesis, section 5.6).
+
+Approach, closing, relocation, release, in frames of 10 ms. m, rad, s; in the world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy_gripping.grip import Grip
+from understudy_gripping.kinematics import HandKinematics
+from understudy_hand.scene import HandScene
+from understudy_hand.table import ARM_POSE
+from understudy_tensors import rotations
+from understudy_tool_planner import arm, gripper, trajectory
+from understudy_tool_planner.configuration import (
+    INSIDE,
+    SWIVELS,
+    Configurations,
+    Holder,
+    NoPlan,
+    choose,
+)
+from understudy_tool_planner.objects import Shape, Things
+from understudy_tool_planner.trajectory import Frames, Pose, Way
+
+#: s of a frame; m/s and s: speed of the sticks (thesis), and the least that a phase takes (release).
+DT, SPEED, LEAST = 0.01, 0.25, 0.5
+#: s that closing and opening take.
+CLOSING = 0.15
+PHASES = ("approach", "close", "relocate", "release")
+#: rad: how far a hinge of the arm may go in a frame.
+STEP = 0.15
+#: m: how deep what is carried may be in what it lies on.
+SUNK = 1e-4
+#: Configurations that are tried, the best first; starts of a way that the first one did not find clear.
+_TRIED, _STARTS = 6, 3
+
+
+@dataclass(frozen=True)
+class Task:
+    """An object to be moved, and where to."""
+
+    shape: Shape
+    start: tuple[float, float]  #: m, on the table
+    goal: tuple[float, float]  #: m
+    heading: float = 0.0  #: rad, at the start
+    goal_heading: float | None = None  #: rad; None leaves it as it is
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where arm and sticks are as a plan begins."""
+
+    lower: Tensor  #: (7,) the lower stick's position and rotation
+    angle: Tensor  #: () rad, between the sticks
+    arm: Tensor  #: (7,) rad
+
+
+@dataclass(frozen=True)
+class Plan:
+    """T frames of :data:`DT`."""
+
+    lower: Tensor  #: (T, 7) the lower stick
+    angle: Tensor  #: (T,) rad, between the sticks
+    arm: Tensor  #: (T, 7) rad
+    object: Tensor  #: (T, 7) what is moved
+    phase: Tensor  #: (T,) number in :data:`PHASES`
+    clearance: float  #: m, the least of all frames: of sticks, hand and what is carried
+
+    @property
+    def seconds(self) -> float:
+        return DT * len(self.angle)
+
+    @property
+    def end(self) -> Moment:
+        """From which the next plan goes on."""
+        return Moment(self.lower[-1], self.angle[-1], self.arm[-1])
+
+
+class Planner:
+    """Plans for one hand and grip. Deterministic."""
+
+    def __init__(self, grip: Grip, scene: HandScene) -> None:
+        grip.need(scene)
+        hand = HandKinematics(scene)
+        shapes = hand.shapes(torch.tensor(grip.poses[:1]))
+        corners = torch.tensor(
+            [[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=torch.float64
+        )
+        boxes = shapes.boxes[0, :, None] + torch.einsum(
+            "sij,spj->spi", shapes.turns[0], corners * hand.box_sizes[:, None]
+        )
+        lower = torch.tensor(grip.lower)
+        self._holder = Holder(
+            lower[:3],
+            rotations.to_matrix(rotations.normalize(lower[3:])),
+            torch.cat([shapes.ends[0].flatten(0, 1), boxes.flatten(0, 1)]),
+            torch.cat(
+                [hand.radii.repeat_interleave(2), torch.zeros(boxes[..., 0].numel()).double()]
+            ),
+        )
+        self._lower = rotations.normalize(lower[3:])
+
+    def begin(self, pose: tuple[float, ...] = ARM_POSE) -> Moment:
+        """The sticks in the hand, open, with the arm at `pose` rad."""
+        angles = torch.tensor(pose, dtype=torch.float64)
+        palm, turn = arm.forward(angles)
+        place = palm + turn @ self._holder.place
+        rotation = rotations.multiply(_quaternion(turn), self._lower)
+        return Moment(torch.cat([place, rotation]), torch.zeros((), dtype=torch.float64), angles)
+
+    @torch.no_grad()
+    def plan(self, task: Task, now: Moment, others: Things) -> Plan:
+        """The way to take the object and to put it at its goal.
+
+        Args:
+            now: where arm and sticks are.
+            others: objects that stay.
+
+        Raises:
+            NoPlan: none was found; the sentence says in which phase, and by how many millimetres.
+        """
+        heading = torch.tensor(task.heading, dtype=torch.float64)
+        last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
+        start, goal = (
+            heading.new_tensor((*at, task.shape.height)) for at in (task.start, task.goal)
+        )
+        found = choose(task.shape, start, heading, goal, last, now.lower[3:], others, self._holder)
+        own = Things.of([task.shape], start[None, :2], heading[None])
+        everything = Things(
+            *(torch.cat(pair) for pair in zip(_fields(others), _fields(own), strict=True))
+        )
+        worst: NoPlan | None = None
+        for row in range(min(_TRIED, len(found.score))):
+            try:
+                return self._complete(
+                    task, now, found, row, start, goal, heading, last, others, everything
+                )
+            except NoPlan as error:
+                worst = worst or error
+        assert worst is not None
+        raise worst
+
+    def _complete(
+        self,
+        task: Task,
+        now: Moment,
+        found: Configurations,
+        row: int,
+        start: Tensor,
+        goal: Tensor,
+        heading: Tensor,
+        last: Tensor,
+        others: Things,
+        everything: Things,
+    ) -> Plan:
+        closed, wide = found.closed[row], found.open[row]
+        takes, puts = found.turn[row], found.end[row]
+
+        def pose(turn: Tensor, angle: Tensor, middle: Tensor) -> Pose:
+            return Pose(gripper.placed(rotations.to_matrix(turn), angle, middle), turn, angle)
+
+        begin = Pose(now.lower[:3], now.lower[3:], now.angle)
+        ways = [
+            Way(begin, pose(takes, wide, start), everything),
+            Way(pose(takes, closed, start), pose(puts, closed, goal), others, task.shape.reach),
+        ]
+        inner, value = trajectory.find(ways, 1)
+        parts, clear = [], []
+        for k, (way, name) in enumerate(zip(ways, ("approach", "relocate"), strict=True)):
+            frames, least = self._best(way, inner[k], value[k])
+            if least < 0.0:  # then from several starts
+                more, values = trajectory.find([way], _STARTS)
+                frames, least = self._best(way, more[0], values[0])
+            if least < 0.0:
+                raise NoPlan(
+                    f"No plan reaches the goal: in the phase '{name}' something is in the way, by "
+                    f"{-1e3 * least:.1f} mm at the best. Choose another goal, or move what is in the way."
+                )
+            parts.append(frames)
+            clear.append(least)
+        shares = torch.linspace(0.0, 1.0, round(CLOSING / DT) + 1, dtype=torch.float64)[1:]
+        close = self._turning(takes, wide, closed, start, shares)
+        free = self._turning(puts, closed, torch.zeros_like(closed), goal, shares)
+        order = [parts[0], close, parts[1], free]
+        clear += [float(trajectory.clearance(f, others).amin()) for f in (close, free)]
+        whole = Frames(
+            *(torch.cat([getattr(f, n) for f in order]) for n in ("place", "turn", "angle"))
+        )
+        phase = torch.repeat_interleave(
+            torch.arange(4), torch.tensor([len(f.angle) for f in order])
+        )
+        matrix = rotations.to_matrix(whole.turn)
+        palm, hand = self._holder.palm(whole.place, matrix)
+        clear.append(float(self._holder.clearance(palm, hand).amin()))
+        if min(clear) < 0.0:
+            raise NoPlan(
+                f"No plan reaches the goal: on the way the hand or a stick is {-1e3 * min(clear):.1f} mm in the "
+                "table or an object. Choose another goal, or move what is in the way."
+            )
+        arms = self._arms(now, palm, hand, phase)
+        centre, _ = gripper.tips(whole.angle)
+        middle = whole.place + torch.einsum("nij,nj->ni", matrix, centre)
+        moving, done = phase == 2, phase == 3
+        at = torch.where(moving[:, None], middle, torch.where(done[:, None], goal, start))
+        first = rotations.from_heading(heading)
+        turned = rotations.multiply(
+            rotations.multiply(whole.turn, rotations.conjugate(takes)), first
+        )
+        ended = rotations.from_heading(last)
+        rotation = torch.where(moving[:, None], turned, torch.where(done[:, None], ended, first))
+        return Plan(
+            torch.cat([whole.place, whole.turn], 1), whole.angle, arms,
+            torch.cat([at, rotation], 1), phase, min(clear),
+        )  # fmt: skip
+
+    def _best(self, way: Way, inner: Tensor, value: Tensor) -> tuple[Frames, float]:
+        """Frames of the cheapest start that is clear, and its clearance; if none is, those of the clearest."""
+        length = float((way.end.place - way.start.place).square().sum().sqrt())
+        count = max(round(LEAST / DT), round(length / SPEED / DT))
+        shares = torch.linspace(0.0, 1.0, count + 1, dtype=torch.float64)
+        best: tuple[Frames, float] | None = None
+        for row in value.argsort().tolist():
+            frames = trajectory.along(way, inner[row], shares)
+            least = float(trajectory.clearance(frames, way.things, way.carried).amin())
+            if way.carried is not None:
+                rest = float(torch.minimum(_height(way.start), _height(way.end)))
+                tips, _ = gripper.tips(frames.angle)
+                matrix = rotations.to_matrix(frames.turn)
+                lift = (frames.place + torch.einsum("nij,nj->ni", matrix, tips))[:, 2].amin()
+                if float(lift) < rest - SUNK:
+                    least = min(least, float(lift) - rest)
+            if best is None or least > best[1]:
+                best = frames, least
+            if least >= 0.0:
+                break
+        assert best is not None
+        return best
+
+    def _turning(
+        self, turn: Tensor, first: Tensor, last: Tensor, middle: Tensor, shares: Tensor
+    ) -> Frames:
+        """The sticks opened or closed around `middle`, which stays between their tips."""
+        angle = first + shares * (last - first)
+        turns = turn.expand(len(shares), 4)
+        place = gripper.placed(rotations.to_matrix(turns), angle, middle.expand(len(shares), 3))
+        return Frames(place, turns, angle)
+
+    def _arms(self, now: Moment, palm: Tensor, hand: Tensor, phase: Tensor) -> Tensor:
+        """(T, 7) rad: the swivel goes evenly from where it is to the best end of the approach, and from there
+        to that of the relocation."""
+        swivel = arm.swivel_of(now.arm)
+        poses: list[Tensor] = []
+        before = now.arm
+        for moving, still in ((0, 1), (2, 3)):
+            rows = (phase == moving) | (phase == still)
+            count, moved = int(rows.sum()), int((phase == moving).sum())
+            shares = torch.linspace(0.0, 1.0, moved + 1, dtype=torch.float64)[1:]
+            shares = torch.cat([shares, torch.ones(count - moved, dtype=torch.float64)])
+            ends = torch.cat([SWIVELS, swivel[None]])
+            path = swivel + shares[:, None] * (ends - swivel)
+            solved = arm.solve(palm[rows][:, None], hand[rows][:, None], path)
+            inside = solved.inside.amin(0)
+            steps = torch.diff(torch.cat([before.expand(1, len(ends), 7), solved.pose]), dim=0)
+            fast = steps.abs().amax((0, 2))
+            wrist = solved.pose[-1, :, 4:6].square().sum(-1)
+            cost = (solved.pose[-1] - before).square().sum(-1) + 0.1 * wrist
+            ok = (inside >= 0.2 * INSIDE) & (fast <= STEP)
+            if not ok.any():
+                raise NoPlan(
+                    f"No plan reaches the goal: in the phase '{PHASES[moving]}' the arm cannot follow the sticks. "
+                    "Choose another goal."
+                )
+            best = int(torch.where(ok, cost, torch.inf).argmin())
+            poses.append(solved.pose[:, best])
+            swivel, before = ends[best], solved.pose[-1, best]
+        return torch.cat(poses)
+
+
+def _height(pose: Pose) -> Tensor:
+    centre, _ = gripper.tips(pose.angle)
+    return pose.place[2] + rotations.to_matrix(pose.turn)[2] @ centre
+
+
+def _fields(things: Things) -> tuple[Tensor, ...]:
+    return things.places, things.turns, things.sizes, things.rounding
+
+
+def _quaternion(matrix: Tensor) -> Tensor:
+    """(4,) of a rotation matrix (3, 3)."""
+    found = np.zeros(4)
+    mujoco.mju_mat2Quat(found, matrix.numpy().ravel())
+    return torch.from_numpy(found)

@@ -1,0 +1,128 @@
+"""``understudy cite`` and ``understudy licence``: both read, and write nothing."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from understudy import __version__
+from understudy.command.command import Command
+from understudy.setup.plugins import installed
+from understudy_credits.bibtex import entry, escaped, written
+from understudy_credits.terms import PURPOSES, judge
+from understudy_credits.walk import answer, items_of, obstacles, open_made
+from understudy_report import words
+from understudy_report.values import mapping, sequence
+
+_WHAT = "a run folder, a packed skill (.json), or a skill that comes with a plugin"
+
+
+class Cite(Command):
+    """Prints BibTeX of the code, the papers whose parts the run used, and its clips."""
+
+    example = "understudy cite runs/spacetime-walk-001 > refs.bib"
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("run", metavar="RUN", help=_WHAT)
+
+    def run(self, options: argparse.Namespace) -> int:
+        made = open_made(options.run)
+        taken: set[str] = set()
+        version = words.text(mapping(made.info.get("versions")).get("understudy", __version__))
+        fields = {
+            "author": "{The authors of understudy}",
+            "title": "understudy: simulated characters learn physical skills",
+            "year": words.text(made.info.get("created") or "")[:4],
+            "version": version,
+            "license": "Apache-2.0",
+        }
+        print(
+            written(
+                "software",
+                "understudy",
+                {k: escaped(v) if k != "author" else v for k, v in fields.items()},
+                taken,
+            )
+        )
+        for part in dict.fromkeys(
+            (
+                words.text(mapping(c).get("distribution", "")),
+                words.text(mapping(c).get("version", "")),
+            )
+            for c in sequence(made.info.get("components"))
+        ):
+            if part[0] not in ("", "understudy"):
+                about = {"title": escaped(part[0]), "version": escaped(part[1])}
+                print(written("software", part[0], about, taken))
+        for citation in _citations(made.info):
+            print(entry(citation, taken))
+        for item in items_of(made):
+            if item.what.startswith(("clip ", "model ")) and (item.source or item.attribution):
+                about = {
+                    "title": escaped(item.what),
+                    "howpublished": escaped(item.source),
+                    "note": escaped(
+                        " ".join(filter(None, (item.attribution, f"Licence: {item.licence}")))
+                    ),
+                }
+                print(written("misc", item.what, about, taken))
+        return 0
+
+
+def _citations(info: object) -> list[str]:
+    """Those that the run recorded; of a packed skill, those of the plugins whose parts it names."""
+    recorded = mapping(info).get("citations")
+    if recorded is not None:
+        return [words.text(text) for text in sequence(recorded)]
+    registry, used = installed().registry, set()
+    text = json.dumps(mapping(info).get("config"), default=str)
+    for (_, name), component in registry.components.items():
+        if f'"name": {json.dumps(name)}' in text:
+            used.add(component.plugin)
+    return [text for (plugin, _), text in registry.citations.items() if plugin in used]
+
+
+class Licence(Command):
+    """Lists all that a run was made of with its licence, and what stands in the way of a use; ends with 1 if
+    something does. A reading aid, and no legal advice."""
+
+    example = "understudy licence runs/spacetime-walk-001 --for commercial"
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("run", metavar="RUN", help=_WHAT)
+        parser.add_argument(
+            "--for",
+            dest="purpose",
+            choices=PURPOSES,
+            default="commercial",
+            help="what it is to be used for (%(default)s)",
+        )
+        parser.add_argument("--json", action="store_true", help="as it travels in exported files")
+
+    def run(self, options: argparse.Namespace) -> int:
+        made = open_made(options.run)
+        items = items_of(made)
+        in_the_way = obstacles(items, options.purpose)
+        if options.json:
+            print(json.dumps(answer(made), indent=1, ensure_ascii=False))
+            return int(bool(in_the_way))
+        width = max(len(item.what) for item in items)
+        licences = max(len(item.licence) for item in items)
+        for item in items:
+            verdict = judge(item.licence, options.purpose)
+            mark = {True: "yes", False: "no", None: "?"}[verdict.allowed]
+            line = f"{mark:<4}{_plain(item.what):<{width}}  {_plain(item.licence):<{licences}}  {verdict.why}"
+            print(line.rstrip())
+            if item.attribution:
+                print(f"    {'':<{width}}  name: {_plain(item.attribution)}")
+        what = {"commercial": "commercial use", "sharing": "passing it on", "research": "research"}
+        if in_the_way:
+            named = ", ".join(_plain(item.what) for item, _ in in_the_way)
+            print(f"In the way of {what[options.purpose]}: {named}.")
+        else:
+            print(f"Nothing stands in the way of {what[options.purpose]}, as far as was recorded.")
+        return int(bool(in_the_way))
+
+
+def _plain(text: str) -> str:
+    return "".join(c for c in text if c.isprintable())

@@ -1,0 +1,261 @@
+"""What a run consists of that is somebody's: code, clips, models and their meshes, weights."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from understudy.errors import RunError
+from understudy.folders import read
+from understudy.records import checkpoint, runs
+from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
+from understudy_credits.terms import PURPOSES, Purpose, Verdict, judge, named
+from understudy_report import words
+from understudy_report.values import mapping, sequence
+from understudy_skills.skill import open_skill
+
+__all__ = ["answer", "in_a_line", "open_made"]
+
+#: How far runs that began with runs are followed.
+_DEPTH = 8
+#: Names of files that hold a licence.
+_LICENCE = re.compile(r"(licen[cs]e|copying)(\.(txt|md|rst))?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Item:
+    """Something that a run was made of."""
+
+    what: str  #: in words, as ``clip walk``
+    licence: str  #: ``unknown`` where nothing says
+    attribution: str = ""  #: the acknowledgement that the licence asks for
+    source: str = ""  #: an address, or the name of a file
+
+
+@dataclass(frozen=True)
+class Made:
+    """What is known of a run, a packed skill or one that comes with a plugin."""
+
+    name: str
+    info: Mapping[str, Any]  #: as ``run.json``, or a skill's card
+    folder: Path | None = None  #: of a run, with its copies
+    shipped: str = ""  #: the distribution that it comes with, whose licence its weights have
+
+
+def open_made(source: str, registry: Registry | None = None) -> Made:
+    """What `source` names: a run folder, a packed skill (.json), or the name of a skill.
+
+    Raises
+    ------
+    ConfigError, RunError
+        if there is none, or it is damaged.
+    """
+    path = Path(source)
+    if path.is_dir() or not (
+        path.suffix == ".json" or source in installed().registry.names("skill")
+    ):
+        run = runs.open_run(path)
+        return Made(str(path), run.info, run.path)
+    return _skill(source, registry or installed().registry)
+
+
+def _skill(source: str, registry: Registry) -> Made:
+    component = registry.components.get(("skill", source))
+    shipped = component.distribution if component else ""
+    return Made(source, open_skill(source, registry=registry).card, None, shipped)
+
+
+def items_of(made: Made, registry: Registry | None = None) -> list[Item]:
+    """Everything that `made` consists of, each once, in the order code, clips, models, files, weights."""
+    registry = registry or installed().registry
+    recorded = sequence(mapping(made.info.get("licence")).get("items"))
+    if recorded:  # it was packed from a run that had copies of more
+        keys = ("what", "licence", "attribution", "source")
+        texts = [{key: words.text(mapping(row).get(key, "")) for key in keys} for row in recorded]
+        return [Item(**{**row, "licence": row["licence"] or "unknown"}) for row in texts]
+    found = [*_code(made.info), *_data(made, registry, _DEPTH)]
+    return list(dict.fromkeys(found))
+
+
+def answer(made: Made, registry: Registry | None = None) -> dict[str, Any]:
+    """What travels with what is made from it, as plain data: its items, and by purpose what stands in the
+    way (nothing: an empty list)."""
+    items = items_of(made, registry)
+    return {
+        "items": [{k: v for k, v in asdict(item).items() if v} for item in items],
+        **{
+            purpose: [f"{i.what}: {v.why}" for i, v in obstacles(items, purpose)]
+            for purpose in PURPOSES
+        },
+    }
+
+
+def obstacles(items: list[Item], purpose: Purpose) -> list[tuple[Item, Verdict]]:
+    """What of `items` is not known to be allowed for `purpose`."""
+    judged = [(item, judge(item.licence, purpose)) for item in items]
+    return [(item, verdict) for item, verdict in judged if not verdict.allowed]
+
+
+def in_a_line(made: Made, registry: Registry | None = None) -> tuple[str, str]:
+    """The licences of all but the code, as one expression; and the acknowledgements with what stands in the
+    way of commercial use, for files that have a line for each."""
+    items = [item for item in items_of(made, registry) if not item.what.startswith("code ")]
+    licences = dict.fromkeys(f"{item.licence} ({item.what})" for item in items)
+    stands = [f"{item.what}: {verdict.why}" for item, verdict in obstacles(items, "commercial")]
+    commercial = f"Commercial use: {'; '.join(stands) or 'nothing stands in the way'}."
+    told = dict.fromkeys(item.attribution for item in items if item.attribution)
+    alike = {item.licence for item in items}
+    licences = alike if len(alike) == 1 else licences
+    return " AND ".join(licences), " ".join([*told, commercial])
+
+
+# ---------------------------------------------------------------------- what there is
+
+
+def _code(info: Mapping[str, Any]) -> Iterator[Item]:
+    names = {"understudy": None}
+    names |= {
+        words.text(mapping(c).get("distribution", "")): None
+        for c in sequence(info.get("components"))
+    }
+    for name in filter(None, names):
+        yield Item(f"code {name}", _distribution_licence(name))
+
+
+def _distribution_licence(name: str) -> str:
+    try:
+        about: Any = metadata.metadata(name)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+    for key in ("License-Expression", "License"):
+        if text := (about.get(key) or "").strip():
+            return named(text) if "\n" in text else text
+    classified = [c for c in about.get_all("Classifier") or [] if c.startswith("License ::")]
+    return classified[0].rpartition(" :: ")[2] if classified else "unknown"
+
+
+def _data(made: Made, registry: Registry, depth: int) -> Iterator[Item]:
+    sources = mapping(made.info.get("sources"))
+    copies = _copies(made)
+    clip = mapping(sources.get("motion"))
+    if clip:
+        yield _clip(clip, copies)
+    yield from _model(made.info, copies, registry)
+    for asked, files in copies.items():
+        if not asked.startswith(("motion.", "clip ", "mjcf ", "controller ")):
+            yield Item(
+                f"file {Path(asked.partition('=')[2] or asked).name}", _beside(files), source=asked
+            )
+    yield from _weights(made, sources, copies, registry, depth)
+
+
+def _copies(made: Made) -> dict[str, list[Path]]:
+    """By what was asked for, the run's own copies, which lie within its folder (`open_run` saw to that)."""
+    found = {}
+    for asked, files in mapping(made.info.get("inputs")).items():
+        names = [Path(str(name)) for name in mapping(files)]
+        inside = [n for n in names if not n.is_absolute() and ".." not in n.parts]
+        found[str(asked)] = [made.folder / "inputs" / n for n in inside] if made.folder else []
+    return found
+
+
+def _clip(clip: Mapping[str, Any], copies: Mapping[str, list[Path]]) -> Item:
+    licence = words.text(clip.get("licence") or "unknown")
+    whole = [_beside(files) for asked, files in copies.items() if asked.startswith("motion.file=")]
+    if whole and whole[0] != "unknown" and ("see LICENSE" in licence or licence == "unknown"):
+        licence = whole[0]
+    return Item(
+        f"clip {words.text(clip.get('clip', ''))}",
+        licence,
+        words.text(clip.get("attribution") or ""),
+        words.text(clip.get("url") or "") or Path(words.text(clip.get("source") or "")).name,
+    )
+
+
+def _model(
+    info: Mapping[str, Any], copies: Mapping[str, list[Path]], registry: Registry
+) -> Iterator[Item]:
+    of_files = [(asked, files) for asked, files in copies.items() if asked.startswith("mjcf ")]
+    for asked, files in of_files:
+        licence, name = _beside(files), Path(asked.removeprefix("mjcf ")).name
+        yield Item(f"model {name}", licence)
+        meshes = [f for f in files if f.suffix.lower() in (".stl", ".obj", ".msh", ".ply", ".dae")]
+        if meshes:
+            yield Item(f"meshes of {name} ({len(meshes)})", licence)
+    asked = words.text(mapping(mapping(info.get("config")).get("scene")).get("character") or "")
+    component = registry.components.get(("character", asked))
+    if component is not None:
+        yield Item(f"model {asked}", _distribution_licence(component.distribution))
+    elif asked and not of_files:
+        yield Item(f"model {Path(asked).name}", "unknown")
+
+
+def _beside(files: list[Path]) -> str:
+    """The licence among the copies, by its name where the text is a known one's."""
+    for path in files:
+        if _LICENCE.fullmatch(path.name):
+            try:
+                return named(read(path, 2**20).decode("utf-8", "replace"))
+            except OSError:
+                continue
+    return "unknown"
+
+
+def _weights(
+    made: Made,
+    sources: Mapping[str, Any],
+    copies: Mapping[str, list[Path]],
+    registry: Registry,
+    depth: int,
+) -> Iterator[Item]:
+    """What the weights that it began with, or uses inside, were made of."""
+    if depth == 0:
+        yield Item(f"weights below {Path(made.name).name}", "unknown")
+        return
+    config, start = mapping(made.info.get("config")), mapping(sources.get("start"))
+    asked = {words.text(name) for name in sequence(mapping(config.get("actuation")).get("runs"))}
+    if made.shipped:
+        yield Item(f"weights of {made.name}", _distribution_licence(made.shipped))
+    else:
+        asked |= {
+            words.text(mapping(config.get(part)).get("run") or "") for part in ("start", "job")
+        }
+        asked.add(words.text(start.get("run") or ""))
+    for name in sorted(asked - {""}):
+        files = copies.get(f"controller {name}", [])
+        inner = _inner(name, files, registry)
+        if inner is None and start.get("run") == name and isinstance(start.get("sources"), Mapping):
+            inner = Made(name, {"sources": start["sources"], "inputs": {}}, None)
+        if inner is None:
+            yield Item(
+                f"weights of {Path(name).name}", "unknown", source=f"understudy licence {name}"
+            )
+        else:
+            parts = list(_data(inner, registry, depth - 1))
+            joined = dict.fromkeys(item.licence for item in parts)
+            yield Item(f"weights of {Path(name).name}", " AND ".join(joined) or "unknown")
+            yield from parts
+
+
+def _inner(name: str, files: list[Path], registry: Registry) -> Made | None:
+    """What the run has a copy of, or the skill that comes with a plugin."""
+    for file in files:
+        try:
+            if file.name == "run.json":
+                return Made(name, mapping(json.loads(read(file))), file.parent)
+            if file.suffix == ".json":
+                return Made(name, checkpoint.load(file)[1], None)
+        except (OSError, ValueError, RecursionError, RunError):
+            return None
+    if name in registry.names("skill"):
+        try:
+            return _skill(name, registry)
+        except RunError:
+            return None
+    return None

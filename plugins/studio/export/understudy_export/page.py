@@ -1,0 +1,44 @@
+"""A recorded motion as one page that plays in any browser, without a network."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from understudy.errors import FileError
+from understudy.records import runs
+from understudy.records.checkpoint import write_atomically
+from understudy_credits.walk import in_a_line, open_made
+from understudy_report import words
+from understudy_report.markup import check_markup
+from understudy_report.motion import FIGURES, Figures
+from understudy_report.page import html_page, name_of
+from understudy_report.stick_figures import stick_figure_animation
+
+
+def write_page(source: str, path: Path) -> str:
+    """Write what was recorded of the run folder `source` as the page `path`; returns a line on it.
+
+    Raises:
+        FileError: nothing was recorded that can be drawn.
+        RunError: there is no such run, or the page cannot be written.
+    """
+    run = runs.open_run(source)
+    figures = Figures.load(run.path / FIGURES)
+    player = figures and stick_figure_animation(figures.learned, figures.reference, figures.dt)
+    if figures is None or not player:
+        raise FileError(
+            f"{run.path} has no recording to play: `understudy render {run.path}` makes one."
+        )
+    licence, attribution = in_a_line(open_made(source))
+    names = ["learned"] if figures.reference is None else ["learned", "reference"]
+    key = "".join(f'<span class="key {name}">{name}</span>' for name in names)
+    content = (
+        f'<section><div class="card">{player}</div><p>{key}</p>'
+        f"<p>{escape(f'Licence: {licence}. {attribution}')}</p></section>"
+    )
+    check_markup(content)
+    created = words.text(run.info.get("created", ""))[:16].replace("T", " ")
+    write_atomically(path, html_page(name_of(run), "understudy export", created, content))
+    seconds = len(figures.learned) * figures.dt
+    return f"{path}: {len(figures.learned)} frames, {seconds:.2f} s · licence: {licence}"

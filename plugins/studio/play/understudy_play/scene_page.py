@@ -1,0 +1,152 @@
+"""The page on which a policy acts in any other MuJoCo scene: its geoms where they are, and the means to wait."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import time
+from collections.abc import Callable
+from html import escape
+
+import mujoco
+import numpy as np
+import trimesh
+import viser
+
+from understudy_mujoco.scene import MujocoScene
+from understudy_play.player import World
+from understudy_viewer.guard import guarded
+
+_SPEEDS = {"0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0}
+#: m: half the side of a plane that has none.
+_ENDLESS = 5.0
+
+
+class ScenePage:
+    """Serves `world`, whose scene is a :class:`MujocoScene`, at ``url`` until it is closed, and closes it then."""
+
+    def __init__(self, world: World, host: str, port: int) -> None:
+        assert isinstance(world.scene, MujocoScene)
+        self._world = world
+        self._model = world.scene.shown().compile()
+        self._data = mujoco.MjData(self._model)
+        self._again = self._closed = False
+        self._playing, self._speed = True, 1.0
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
+            self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
+        at = f"[{host}]" if ":" in host else host
+        self.url = f"http://{at}:{self._server.get_port()}"
+        self._dress()
+        self._draw(world.shown()["qpos"].double().numpy())
+
+    def run(self) -> None:
+        """Act in real time until the page is closed."""
+        due = time.monotonic()
+
+        def wait() -> None:
+            nonlocal due
+            due = max(due + self._world.dt / self._speed, time.monotonic() - 0.1)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+        while not self._closed:
+            if self._playing:
+                self.advance(wait)
+            else:
+                wait()
+
+    def advance(self, after_each: Callable[[], None] = lambda: None) -> None:
+        """One decision, after what the visitor asked for; `after_each` of the control periods drawn."""
+        if self._again:
+            self._again = False
+            self._world.restart()
+        for shown in self._world.step():
+            self._draw(shown["qpos"].double().numpy())
+            after_each()
+
+    def close(self) -> None:
+        self._closed = True
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+        self._world.close()
+
+    def places(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of each geom that is drawn: (3,) m and its rotation (4,)."""
+        return [(np.array(p.position), np.array(p.wxyz)) for _, p in self._parts]
+
+    def _dress(self) -> None:
+        model, scene, gui = self._model, self._server.scene, self._server.gui
+        scene.configure_environment_map(None)  # it would be fetched from the network
+        scene.add_light_hemisphere("/sky", intensity=1.2)
+        self._parts: list[tuple[int, viser.MeshHandle]] = []
+        for geom in range(model.ngeom):
+            mesh = geom_mesh(model, geom)
+            red, green, blue, opacity = (float(part) for part in model.geom_rgba[geom])
+            if mesh is None or opacity == 0.0:
+                continue
+            part = scene.add_mesh_simple(
+                f"/scene/{geom}", mesh.vertices, np.asarray(mesh.faces),
+                color=np.array([red, green, blue]), opacity=None if opacity == 1.0 else opacity,
+            )  # fmt: skip
+            self._parts.append((geom, part))
+        camera, extent = self._server.initial_camera, float(model.stat.extent)
+        camera.look_at = np.array(model.stat.center)
+        camera.position = camera.look_at + extent * np.array([-0.5, 0.7, 0.4])
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.add_html(f"<div style='margin:0 .75em'><b>{escape(self._world.name)}</b></div>")
+        self._told = gui.add_html("")
+        pause, again = gui.add_button("Pause"), gui.add_button("Start again")
+        speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
+
+        @pause.on_click
+        def _(_: object) -> None:
+            self._playing = not self._playing
+            pause.label = "Pause" if self._playing else "Play"
+
+        @again.on_click
+        def _(_: object) -> None:
+            self._again = True
+
+        @speed.on_update
+        def _(_: object) -> None:
+            self._speed = _SPEEDS[speed.value]
+
+    def _draw(self, qpos: np.ndarray) -> None:
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        turn = np.zeros(4)
+        with self._server.atomic():
+            for geom, part in self._parts:
+                mujoco.mju_mat2Quat(turn, self._data.geom_xmat[geom])
+                part.position, part.wxyz = self._data.geom_xpos[geom].copy(), turn.copy()
+            self._told.content = (
+                "<div style='margin:0 .75em;font-size:.85em;color:#667080'>"
+                f"{self._world.fallen}</div>"
+            )
+
+
+def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """The geom as triangles in its own frame, m; None for those that have no simple shape."""
+    kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return trimesh.creation.box(2.0 * size)
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        x, y = (2.0 * (s or _ENDLESS) for s in size[:2])
+        return trimesh.creation.box([x, y, 1e-3])
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        mesh = trimesh.creation.capsule(2.0 * size[1], size[0], count=[12, 12])
+        return mesh
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return trimesh.creation.cylinder(size[0], 2.0 * size[1], sections=24)
+    if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        ball = trimesh.creation.icosphere(2)
+        ball.apply_scale(size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else size[0])
+        return ball
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        v, f = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+        vertices = model.mesh_vert[v : v + model.mesh_vertnum[mesh]]
+        return trimesh.Trimesh(vertices, model.mesh_face[f : f + model.mesh_facenum[mesh]])
+    return None

@@ -1,0 +1,137 @@
+"""The search over styles: who is asked for, what a candidate without a pose costs, going on, bad input."""
+
+from __future__ import annotations
+
+import pytest
+
+from understudy.errors import ConfigError
+from understudy.inputs import Inputs
+from understudy.running.trials import Report, Trial
+from understudy.setup.composition import compose_raw
+from understudy.setup.plugins import Plugins
+from understudy_chopsticks.search import GripSearch
+from understudy_gripping.grip import GripOptions, build_grip
+from understudy_gripping.styles import styles, written
+
+TWO = ("11120", "11200")
+
+
+def made(**options: object) -> GripSearch:
+    chosen = {"styles": TWO, "evaluations": 4, "initial": 4, **options}
+    return GripSearch(GripSearch.Options(**chosen), 3)  # type: ignore[arg-type]
+
+
+def report(trial: Trial, score: float | None, cost: float = 100.0) -> Report:
+    return Report(trial.key, "ok" if score is not None else "failed: no pose", score, cost=cost)
+
+
+def asked(search: GripSearch, number: int) -> Trial:
+    trial = search.ask(number)
+    assert trial is not None
+    return trial
+
+
+def test_all_seventeen_styles_are_asked_in_turn() -> None:
+    search = made(styles=())
+    trials = [asked(search, n) for n in range(17)]
+    expected = [written(style) for style in styles(5)]
+    assert [t.overrides for t in trials] == [(f"grip.style='{style}'",) for style in expected]
+    assert len({t.key for t in trials}) == 17
+    for trial, style in zip(trials, styles(5), strict=True):
+        assert len(trial.point) == sum(map(bool, style))
+        assert all(name.startswith("grip.places.") for name in trial.point)
+
+
+def test_each_style_learns_from_its_own_scores() -> None:
+    """What others scored changes no candidate."""
+    both, alone = made(evaluations=3, initial=2), made(styles=TWO[1:], evaluations=3, initial=2)
+    own = [asked(alone, n) for n in range(2)]
+    for number in range(4):
+        trial = asked(both, number)
+        score = 0.1 * number if trial.key.startswith(TWO[0]) else -trial.point["grip.places.thumb"]
+        both.tell(report(trial, score))
+    for trial in own:
+        alone.tell(report(trial, -trial.point["grip.places.thumb"]))
+    third = asked(both, 5)
+    assert third == asked(alone, 2)
+    assert third.point not in [t.point for t in own]
+    both.tell(report(third, 0.3))
+    assert both.ask(6) is None
+    assert both.share == 5 / 6
+    assert {row["style"] for row in both.summary() if row["found"] == "answer"} == set(TWO)
+
+
+def test_a_style_without_a_feasible_candidate_ends_nothing() -> None:
+    search = made()
+    for number in range(8):
+        trial = asked(search, number)
+        feasible = trial.key.startswith("11120")
+        search.tell(report(trial, 0.4 if feasible else None, 100.0 if feasible else 0.0))
+    assert search.ask(8) is None
+    best = [row for row in search.summary() if row["found"] == "answer"]
+    assert [row["style"] for row in best] == ["11120"]
+
+
+def test_a_search_in_which_nothing_begins_says_so() -> None:
+    search = made()
+    search.tell(report(asked(search, 0), None, 0.0))
+    with pytest.raises(ConfigError, match="No style's first candidate could begin"):
+        search.tell(report(asked(search, 1), None, 0.0))
+
+
+def test_it_goes_on_as_it_would_have() -> None:
+    """From the journal's trials and reports alone."""
+    first, second = made(), made()
+    trials = []
+    for number in range(5):
+        trials.append(asked(first, number))
+        first.tell(report(trials[-1], 0.1 * number))
+    for number, trial in enumerate(trials):
+        assert second.recall(trial)
+        second.tell(report(trial, 0.1 * number))
+    assert asked(first, 5) == asked(second, 5)
+    with pytest.raises(ConfigError, match="of a style that this search has not got"):
+        made(styles=("11120",)).recall(trials[1])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"styles": ("12120",)}, "cross"),
+        ({"styles": ("1120",)}, "it has 4 entries and the hand 5 fingers"),
+        ({"styles": ("12200",)}, "only the thumb touches the upper stick"),
+    ],
+)
+def test_styles_that_are_none(options: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as error:
+        made(**options)
+    assert "11120" in str(error.value), "the list of those that there are"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"style": "11120", "places": {"thumb": 0.03}}, "are those of thumb, index, middle, ring"),
+        ({"style": "11200", "places": {"thumb": 0.3, "index": 0.0, "middle": 0.0}}, "grip.places.thumb=0.3 is not on"),
+        ({"style": "12"}, "has 2 entries"),
+        ({"style": "11211"}, "cross"),
+    ],
+)  # fmt: skip
+def test_places_that_are_none(options: dict[str, object], said: str, plugins: Plugins) -> None:
+    with pytest.raises(ConfigError, match=said):
+        build_grip(GripOptions(**options), plugins.registry, Inputs())  # type: ignore[arg-type]
+
+
+def test_a_candidate_out_of_reach_is_refused_before_any_training(plugins: Plugins) -> None:
+    far = GripOptions(style="11200", places={"thumb": 0.12, "index": -0.12, "middle": -0.12})
+    with pytest.raises(ConfigError, match="mm are left between a stick and what shall touch it"):
+        build_grip(far, plugins.registry, Inputs())
+
+
+def test_a_trial_is_a_run_with_its_own_grip(plugins: Plugins) -> None:
+    trial = asked(made(), 0)
+    words = [f"{name}={value!r}" for name, value in trial.point.items()]
+    raw = compose_raw(["experiment=chopsticks/open_close", *trial.overrides, *words], plugins)
+    grip = raw["grip"]
+    assert str(grip["style"]) == "11120"
+    assert [grip["places"][n.rpartition(".")[2]] for n in trial.point] == list(trial.point.values())

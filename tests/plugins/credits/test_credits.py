@@ -1,0 +1,191 @@
+"""``understudy cite`` and ``understudy licence``: nothing is missed, and the unknown is no permission."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from understudy.command.cli import main
+from understudy.setup.plugins import installed
+from understudy_credits.bibtex import entry
+from understudy_credits.terms import Purpose, judge, named
+from understudy_credits.walk import Made, answer, in_a_line, items_of
+
+CASES = {
+    ("Apache-2.0", "commercial"): True,
+    ("MIT License; see LICENSE beside the clip", "commercial"): True,
+    ("CC BY 4.0", "commercial"): True,
+    ("free for research and commercial use, not for resale as data", "commercial"): True,
+    ("GPL-3.0-or-later", "commercial"): True,
+    ("CC BY-NC 4.0", "commercial"): False,
+    ("CC BY-NC 4.0", "sharing"): True,
+    ("CC-BY-NC-SA-4.0", "commercial"): False,
+    ("CC BY-ND 4.0", "sharing"): False,
+    ("for non-commercial scientific research only", "commercial"): False,
+    ("SMPL body model licence", "commercial"): False,
+    ("academic use only", "research"): True,
+    ("Copyright (c) 2020 Somebody. All rights reserved.", "commercial"): False,
+    ("unknown", "research"): None,
+    ("", "commercial"): None,
+    ("ask me", "commercial"): None,
+    ("Apache-2.0 AND CC BY-NC 4.0 AND unknown", "commercial"): False,
+    ("Apache-2.0 AND unknown", "commercial"): None,
+    ("Apache-2.0 (clip walk) AND unknown (model robot.xml)", "commercial"): None,
+}
+
+
+@pytest.mark.parametrize(("licence", "purpose"), CASES)
+def test_what_a_licence_says(licence: str, purpose: Purpose) -> None:
+    assert judge(licence, purpose).allowed is CASES[licence, purpose]
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("                 Apache License\n       Version 2.0, January 2004", "Apache-2.0"),
+        (
+            "Copyright (c) X\nAll rights reserved.\n\nRedistribution and use in source and\nbinary forms",
+            "BSD",
+        ),
+        ("Attribution-NonCommercial 4.0 International\n\n=====", "CC BY-NC"),
+        ("Mine, all mine.\nmore", "Mine, all mine."),
+        ("", "unknown"),
+    ],
+)
+def test_whole_texts_are_known(text: str, name: str) -> None:
+    assert named(text) == name
+
+
+def run(tmp_path: Path, licence: str = "", clip: str = "CC BY 4.0", **info: Any) -> Path:
+    """A run with a clip, and a robot with a mesh, whose folder has a licence or none."""
+    folder = tmp_path / "run"
+    copies = {"1/robot.xml": "<mujoco/>", "1/meshes/a.stl": "mesh", "2/bank.npz": "bank"}
+    copies |= {"1/LICENSE": licence} if licence else {}
+    for name, text in copies.items():
+        (folder / "inputs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "inputs" / name).write_text(text)
+    inputs = {
+        "mjcf /home/ada/robot.xml": {n: "0" * 64 for n in copies if n.startswith("1/")},
+        "bank bank.npz": {"2/bank.npz": "0" * 64},
+    }
+    motion = {
+        "clip": "crouch",
+        "licence": clip,
+        "attribution": "Recorded by Ada.",
+        "source": "/c.bvh",
+    }
+    known = {
+        "layout": 3,
+        "config": {"scene": {"character": "/home/ada/robot.xml"}},
+        "overrides": [],
+        "sources": {"motion": motion},
+        "components": [{"distribution": "understudy", "version": "0.2.0"}],
+        "citations": ["Ada, Bob 2020. On walking & sitting. Journal 1(2), 3-4."],
+        "inputs": inputs,
+    }
+    (folder / "run.json").write_text(json.dumps(known | info))
+    return folder
+
+
+def test_everything_is_walked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = run(tmp_path, "Attribution-NonCommercial 4.0 International")
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["licence", str(folder), "--for", "commercial"]) == 1
+    said = capsys.readouterr().out
+    assert re.findall(r"^(yes|no|\?) +(\S+ \S+)", said, re.MULTILINE) == [
+        ("yes", "code understudy"),
+        ("yes", "clip crouch"),
+        ("no", "model robot.xml"),
+        ("no", "meshes of"),
+        ("?", "file bank"),
+    ]
+    assert (
+        "In the way of commercial use: model robot.xml, meshes of robot.xml (1), file bank" in said
+    )
+    assert "name: Recorded by Ada." in said
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_nothing_in_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["licence", "spacetime/walk"]) == 0
+    assert "Nothing stands in the way of commercial use" in capsys.readouterr().out
+
+
+def test_weights_that_it_began_with_are_followed(tmp_path: Path) -> None:
+    inner = {"motion": {"clip": "fight", "licence": "CC BY-NC 4.0"}}
+    start = {"run": "runs/other", "parts": ["actor"], "samples": 1}
+    folder = run(tmp_path, "MIT", sources={"start": {**start, "sources": inner}})
+    made = Made(str(folder), json.loads((folder / "run.json").read_text()), folder)
+    licences = {item.what: item.licence for item in items_of(made)}
+    assert licences["weights of other"] == "CC BY-NC 4.0"
+    assert licences["clip fight"] == "CC BY-NC 4.0"
+    old = Made("old", {"sources": {"start": start}})  # recorded before that was kept
+    assert {item.what: item.licence for item in items_of(old)}["weights of other"] == "unknown"
+
+
+def test_the_answer_travels(tmp_path: Path) -> None:
+    folder = run(tmp_path)
+    made = Made(str(folder), json.loads((folder / "run.json").read_text()), folder)
+    told = answer(made)
+    assert told["commercial"][0] == "model robot.xml: nothing says on what terms it may be used"
+    packed = Made("packed", {"licence": json.loads(json.dumps(told))})
+    assert items_of(packed) == items_of(made)
+    licence, attribution = in_a_line(made)
+    assert licence.startswith("CC BY 4.0 (clip crouch) AND unknown (model robot.xml) AND ")
+    assert judge(licence, "commercial").allowed is None
+    assert attribution.startswith("Recorded by Ada. Commercial use: model robot.xml: nothing says")
+
+
+def test_copies_lie_in_the_folder(tmp_path: Path) -> None:
+    """Names of a stranger's run.json that lead out of it are not read."""
+    (tmp_path / "LICENSE").write_text("Apache License Version 2.0")
+    folder = run(
+        tmp_path, inputs={"mjcf r.xml": {"../../LICENSE": "0", str(tmp_path / "LICENSE"): "0"}}
+    )
+    made = Made(str(folder), json.loads((folder / "run.json").read_text()), folder)
+    assert {item.what: item.licence for item in items_of(made)}["model r.xml"] == "unknown"
+
+
+@pytest.mark.parametrize(
+    "broken", [{"inputs": {"mjcf x": 3}}, {"sources": [3]}, {"config": {"start": 7}}]
+)
+def test_damaged_records_are_no_traceback(tmp_path: Path, broken: dict[str, Any]) -> None:
+    folder = run(tmp_path, **broken)
+    assert main(["licence", str(folder)]) in (1, 2)
+
+
+def test_bibtex(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["cite", str(run(tmp_path))]) == 0
+    said = capsys.readouterr().out
+    assert "@software{understudy," in said
+    assert "@article{ada2020on,\n  author = {Ada and Bob}" in said
+    assert r"title = {{On walking \& sitting}}" in said
+    assert "journal = {Journal 1(2), 3-4}" in said
+    assert "@misc{clipcrouch," in said
+    assert r"Recorded by Ada. Licence: CC BY 4.0" in said
+
+
+def test_every_citation_of_the_plugins_becomes_an_entry() -> None:
+    """Authors, title and year of each; keys are unique, and braces balance."""
+    taken: set[str] = set()
+    citations = list(installed().registry.citations.values())
+    for text in citations:
+        found = entry(text, taken)
+        for field in ("author", "title", "year"):
+            assert re.search(rf"^  {field} = {{..+}},$", found, re.MULTILINE), found
+        title = re.search(r"title = {{(.*)}}", found)
+        assert title is not None, found
+        assert len(title[1]) > 15, found
+        assert found.count("{") == found.count("}")
+    assert len(taken) == len(citations) > 10
+
+
+def test_nothing_of_a_stranger_leaves_its_braces() -> None:
+    found = entry(r"Eve} 2020. A} title{ \input{x}. Venue.", set())
+    plain = re.sub(r"\\[{}]", "", found)
+    assert plain.count("{") == plain.count("}")
+    assert r"\input" not in found

@@ -1,0 +1,62 @@
+"""``understudy export RUN page.html``: one file that plays what was recorded, without a network."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import begin_that_stops_writing, kill, wait_for
+from recorded_runs import make_run
+
+from understudy.command.cli import main
+from understudy_report.motion import FIGURES, Figures
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return make_run(tmp_path)
+
+
+def add_figures(run: Path) -> None:
+    lines = np.zeros((6, 2, 2, 3)) + np.arange(6)[:, None, None, None] / 10
+    Figures(lines, None, 1 / 30).save(run / FIGURES)
+
+
+def test_it_plays_and_needs_nothing_else(
+    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add_figures(run)
+    page = tmp_path / "crouch.html"
+    assert main(["export", str(run), str(page)]) == 0
+    assert "6 frames, 0.20 s · licence: CC BY 4.0" in capsys.readouterr().out
+    html = page.read_text()
+    assert '"frames":' in html
+    assert html.count("<script") == 2  # the frames, and what plays them
+    assert "Recorded by Ada." in html
+    assert not re.search(r"(src|href)=\"(?!data:|#)", html)
+    assert "default-src 'none'" in html
+    assert main(["export", str(run), str(page)]) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_refused(tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "p.html"
+    assert main(["export", str(run), str(page)]) == 2
+    assert "has no recording to play: `understudy render" in capsys.readouterr().err
+    assert main(["export", str(run), str(page), "--rate", "30"]) == 2
+    assert "--rate is of motions" in capsys.readouterr().err
+    assert main(["export", "hop", str(page)]) == 2
+    assert "hop is no run folder" in capsys.readouterr().err
+    assert not page.exists()
+
+
+def test_killed_it_leaves_what_was_there(tmp_path: Path, run: Path) -> None:
+    add_figures(run)
+    page, mark = tmp_path / "p.html", tmp_path / "written"
+    page.write_text("mine")
+    process = begin_that_stops_writing(mark, "export", str(run), str(page), "--overwrite")
+    wait_for(process, mark)
+    kill(process)
+    assert page.read_text() == "mine"

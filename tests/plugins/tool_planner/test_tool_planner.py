@@ -1,0 +1,302 @@
+"""The planner, part by part against MuJoCo and finite differences; whole plans; what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from understudy.errors import ConfigError
+from understudy_gripping.grip import load_grip, standard
+from understudy_hand.scene import HandScene
+from understudy_hand.table import ARM_POSE
+from understudy_hand.tools import HALF_LENGTH, RADIUS, upper_pose
+from understudy_tensors import rotations
+from understudy_tool_planner import arm, gripper, trajectory
+from understudy_tool_planner.clearance import to_segments
+from understudy_tool_planner.configuration import NoPlan, orientations
+from understudy_tool_planner.objects import Shape, Things
+from understudy_tool_planner.planner import DT, STEP, Plan, Planner, Task
+from understudy_tool_planner.tasks import random_goal, random_table
+
+F64 = torch.float64
+SHAPES = [
+    Shape("sphere", (0.008,)),
+    Shape("capsule", (0.006, 0.03)),
+    Shape("box", (0.012, 0.02, 0.015)),
+]
+
+
+@pytest.fixture(scope="module")
+def planner() -> Planner:
+    return Planner(load_grip(standard()), HandScene(HandScene.Options()))
+
+
+@pytest.fixture(scope="module")
+def planned(planner: Planner) -> list[tuple[Task, Things, Plan]]:
+    """Eight objects that are moved one after the other, each plan from where the last one ended."""
+    generator, now, found = torch.Generator().manual_seed(7), planner.begin(), []
+    table = random_table(generator)
+    for one in range(8):
+        task = table.task(one, random_goal(table, one, generator))
+        others = table.without(one)
+        plan = planner.plan(task, now, others)
+        found.append((task, others, plan))
+        table, now = table.moved(one, task.goal), plan.end
+    return found
+
+
+# ------------------------------------------------------------------ parts
+
+
+def test_the_arm_is_mujocos_and_its_inverse_finds_it_again() -> None:
+    model = HandScene(HandScene.Options()).model
+    data, generator = mujoco.MjData(model), np.random.default_rng(0)
+    low, high = np.array(arm.RANGES).T
+    for _ in range(20):
+        data.qpos[:7] = generator.uniform(low, high)
+        mujoco.mj_kinematics(model, data)
+        pose = torch.tensor(data.qpos[:7])
+        palm, turn = arm.forward(pose)
+        np.testing.assert_allclose(palm, data.body("palm").xpos, atol=1e-9)
+        np.testing.assert_allclose(turn.ravel(), data.body("palm").xmat, atol=1e-9)
+        found = arm.solve(palm, turn, arm.swivel_of(pose))
+        torch.testing.assert_close(found.pose, pose, atol=1e-6, rtol=0)
+        assert float(found.inside) >= -1e-6
+
+
+def test_every_swivel_is_a_solution_and_beyond_reach_there_is_none() -> None:
+    palm, turn = arm.forward(torch.tensor(ARM_POSE, dtype=F64))
+    swivel = torch.linspace(-3.0, 3.0, 13, dtype=F64)
+    found = arm.solve(palm.expand(13, 3), turn.expand(13, 3, 3), swivel)
+    again, turned = arm.forward(found.pose)
+    torch.testing.assert_close(again, palm.expand(13, 3))
+    torch.testing.assert_close(turned, turn.expand(13, 3, 3))
+    away = arm.solve(palm + torch.tensor([0.0, 0.7, 0.0], dtype=F64), turn, swivel[0])
+    assert float(away.inside) == -math.inf
+
+
+def test_the_gripper_is_the_tools() -> None:
+    """Tips as `upper_pose` has them, in any place; and the angle for a gap is the one that has it."""
+    angle = torch.tensor([0.0, 0.03, 0.08, 0.15], dtype=F64)
+    turn = rotations.normalize(
+        torch.randn(4, 4, generator=torch.Generator().manual_seed(0), dtype=F64)
+    )
+    place, matrix = torch.rand(4, 3, dtype=F64), rotations.to_matrix(turn)
+    upper, turned = upper_pose(place, turn, angle)
+    middles, axes = gripper.middles(place, matrix, angle), gripper.axes(matrix, angle)
+    torch.testing.assert_close(middles[:, 0], upper)
+    torch.testing.assert_close(axes[:, 0], rotations.to_matrix(turned)[..., 0])
+    ends = middles - HALF_LENGTH * axes
+    centre, across = gripper.tips(angle)
+    torch.testing.assert_close(ends.mean(1), place + torch.einsum("nij,nj->ni", matrix, centre))
+    gaps = (ends[:, 0] - ends[:, 1]).square().sum(-1).sqrt()
+    torch.testing.assert_close(across.square().sum(-1).sqrt(), gaps)
+    torch.testing.assert_close(gripper.angle_of(gaps), angle, atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s.kind)
+def test_widths_are_those_that_a_ray_measures(shape: Shape) -> None:
+    ways = torch.nn.functional.normalize(
+        torch.randn(60, 3, generator=torch.Generator().manual_seed(1), dtype=F64), dim=-1
+    )
+    things = Things.of([shape], torch.zeros(1, 2, dtype=F64), torch.zeros(1, dtype=F64))
+    middle = things.places[0]
+    half = 0.5 * gripper.width(shape, ways)
+    from understudy_tool_planner.clearance import to_points
+
+    on = to_points((middle + half[:, None] * ways)[:, None], things)
+    assert float(on.abs().max()) < 1e-7
+
+
+def test_distances_are_mujocos() -> None:
+    """Of sticks from each kind of object, in touch too."""
+    generator = torch.Generator().manual_seed(0)
+    things = Things.of(
+        SHAPES, 0.1 * torch.rand(3, 2, dtype=F64, generator=generator), torch.rand(3, dtype=F64)
+    )
+    spec = mujoco.MjSpec()
+    kinds = {"sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+             "box": mujoco.mjtGeom.mjGEOM_BOX}  # fmt: skip
+    for k, shape in enumerate(SHAPES):
+        a, b, c = shape.half_sizes
+        size = [a, b, c] if shape.kind == "box" else [shape.rounding, a, 0]
+        turn = things.turns[k] @ (torch.tensor([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]]).double()
+                                  if shape.kind == "capsule" else torch.eye(3).double())  # fmt: skip
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, turn.numpy().ravel())
+        spec.worldbody.add_geom(
+            type=kinds[shape.kind], size=size, pos=things.places[k].numpy(), quat=quat
+        )
+    body = spec.worldbody.add_body()
+    body.add_freejoint()
+    body.add_geom(type=kinds["capsule"], size=[RADIUS, HALF_LENGTH, 0])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    turns = rotations.normalize(torch.randn(60, 4, dtype=F64, generator=generator))
+    middles = 0.15 * torch.rand(60, 3, dtype=F64, generator=generator)
+    axes = rotations.to_matrix(turns)[..., 2]
+    found = to_segments(middles, axes, things, 24) - RADIUS
+    for row in range(60):
+        data.qpos[:3], data.qpos[3:] = middles[row], turns[row]
+        mujoco.mj_kinematics(model, data)
+        for k in range(3):
+            exact = mujoco.mj_geomDistance(model, data, k, 3, 1.0, None)
+            if exact > 0:
+                assert float(found[row, k]) == pytest.approx(exact, abs=2e-6)
+            else:
+                assert float(found[row, k]) < 1e-6
+
+
+def test_the_gradient_of_equation_5_8_is_its_derivative(planner: Planner) -> None:
+    others = random_table(torch.Generator().manual_seed(3)).without(0)
+    now = planner.begin()
+    end = trajectory.Pose(
+        now.lower[:3] + torch.tensor([0.05, 0.02, -0.08]), now.lower[3:], now.angle + 0.05
+    )
+    start = trajectory.Pose(now.lower[:3], now.lower[3:], now.angle)
+    ways = [
+        trajectory.Way(start, end, others),
+        trajectory.Way(start, end, others, 0.01),
+    ]
+    cost = trajectory._Cost(ways, torch.linspace(0.0, 1.0, 20, dtype=F64))
+    point = torch.stack([trajectory._first(way) for way in ways]).flatten(1)
+    point = point - torch.tensor([0.0, 0.0, 0.09] * 2, dtype=F64)  # through table and objects
+    value, slope = cost.both(point)
+    assert float(value.min()) > 1.0
+    step = 1e-6 * torch.eye(6, dtype=F64)
+    numeric = torch.stack(
+        [(cost.both(point + e)[0] - cost.both(point - e)[0]) / 2e-6 for e in step], 1
+    )
+    torch.testing.assert_close(slope, numeric, rtol=1e-5, atol=1e-4)
+
+
+def test_there_are_two_thousand_orientations() -> None:
+    found = orientations()
+    assert found.shape == (2000, 4)
+    apart = rotations.angle_between(found[:, None], found[None])
+    apart.fill_diagonal_(1.0)
+    assert float(apart.min()) > 0.02
+    assert float(rotations.to_matrix(found)[:, 2, 0].min()) > 0.4  # the tip is down
+
+
+# ------------------------------------------------------------------ plans
+
+
+def test_nothing_is_touched_on_the_way(planned: list[tuple[Task, Things, Plan]]) -> None:
+    """The sticks, frame by frame, from the table and everything that stays, by another computation: points along
+    them."""
+    along = torch.linspace(-HALF_LENGTH, HALF_LENGTH, 261, dtype=F64)
+    from understudy_tool_planner.clearance import to_points
+
+    for _, others, plan in planned:
+        assert plan.clearance >= 0.0
+        matrix = rotations.to_matrix(plan.lower[:, 3:])
+        middles = gripper.middles(plan.lower[:, :3], matrix, plan.angle)
+        axes = gripper.axes(matrix, plan.angle)
+        points = middles[..., None, :] + along[:, None] * axes[..., None, :]
+        assert float(points[..., 2].min()) - RADIUS >= 0.0
+        away = to_points(points[..., None, :], others).amin() - RADIUS
+        assert float(away) >= 0.0
+
+
+def test_the_object_is_taken_where_it_is_and_put_where_it_shall(
+    planned: list[tuple[Task, Things, Plan]],
+) -> None:
+    for task, _, plan in planned:
+        assert plan.object[0, :2].tolist() == pytest.approx(task.start)
+        assert plan.object[-1, :2].tolist() == pytest.approx(task.goal)
+        step = plan.object[1:, :3] - plan.object[:-1, :3]
+        assert float(step.square().sum(1).sqrt().max()) < 0.02
+        taking = int((plan.phase == 1).nonzero()[-1])  # closed
+        matrix = rotations.to_matrix(plan.lower[taking, 3:])
+        centre, across = gripper.tips(plan.angle[taking])
+        middle = plan.lower[taking, :3] + matrix @ centre
+        assert middle[:2].tolist() == pytest.approx(task.start, abs=1e-9)
+        way = (
+            rotations.to_matrix(rotations.from_heading(torch.tensor(task.heading, dtype=F64))).T
+            @ matrix
+            @ across
+        )
+        gap = float(way.square().sum().sqrt())
+        wide = float(gripper.width(task.shape, way / gap))
+        assert gap == pytest.approx(wide + 2.0 * RADIUS, abs=2e-4)
+
+
+def test_the_arm_follows_and_goes_on_where_it_was(
+    planner: Planner, planned: list[tuple[Task, Things, Plan]]
+) -> None:
+    before = planner.begin()
+    low, high = torch.tensor(arm.RANGES, dtype=F64).T
+    for _, _, plan in planned:
+        palm, turn = arm.forward(plan.arm)
+        wanted, turned = planner._holder.palm(
+            plan.lower[:, :3], rotations.to_matrix(plan.lower[:, 3:])
+        )
+        torch.testing.assert_close(palm, wanted, atol=1e-7, rtol=0)
+        torch.testing.assert_close(turn, turned, atol=1e-7, rtol=0)
+        assert ((plan.arm >= low) & (plan.arm <= high)).all()
+        steps = torch.diff(torch.cat([before.arm[None], plan.arm]), dim=0)
+        assert float(steps.abs().max()) <= STEP
+        torch.testing.assert_close(plan.lower[0, :3], before.lower[:3], atol=0.005, rtol=0)
+        assert plan.phase.diff().min() >= 0
+        assert plan.seconds == pytest.approx(DT * len(plan.arm))
+        before = plan.end
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+NOTHING = Things.of([], torch.zeros(0, 2, dtype=F64), torch.zeros(0, dtype=F64))
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        ({"goal": (0.0, 0.6)}, "in the phase 'reaching'"),
+        (
+            {"goal": (-0.05, 0.0), "beside": (-0.05, 0.0)},
+            "in the phase 'releasing' other objects",
+        ),
+        ({"goal": (-0.05, 0.0), "beside": (0.05, -0.04)}, "in the phase 'taking' other objects"),
+    ],
+)
+def test_a_goal_that_no_plan_reaches(planner: Planner, task: dict[str, Any], said: str) -> None:
+    others = NOTHING
+    if "beside" in task:
+        box = Shape("box", (0.02, 0.02, 0.02))
+        around = torch.tensor([task["beside"]], dtype=F64) + 0.012 * torch.tensor(
+            [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], dtype=F64
+        )
+        others = Things.of([box] * 4, around, torch.zeros(4, dtype=F64))
+    with pytest.raises(NoPlan) as error:
+        planner.plan(
+            Task(Shape("sphere", (0.008,)), (0.05, -0.04), task["goal"]), planner.begin(), others
+        )
+    assert said in str(error.value)
+    assert " mm " in str(error.value) or " rad" in str(error.value)
+    assert error.value.exit_status == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes", "said"),
+    [
+        ("sphere", (0.03,), "radius of 3 cm is none of table 5.2, where it is from 0.5 to 1 cm"),
+        ("capsule", (0.006, 0.05), "length of 5 cm"),
+        ("box", (0.01, 0.01, 0.004), "height of 0.4 cm"),
+        ("box", (0.01,), "A box has 3 sizes"),
+        ("cone", (0.01,), "there are sphere, capsule, box"),
+    ],
+)
+def test_an_object_outside_table_5_2(kind: Any, sizes: tuple[float, ...], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        Shape(kind, sizes)
+
+
+def test_another_hands_grip() -> None:
+    with pytest.raises(ConfigError, match="is one of a hand with 5 fingers"):
+        Planner(load_grip(standard()), HandScene(HandScene.Options(fingers=3)))

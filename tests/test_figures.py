@@ -1,0 +1,111 @@
+"""Figures on the pages are those of their records, and verdicts what these bear."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import figures
+import shipped
+
+from understudy_skills.skill import open_skill
+
+SPEC = figures.load()
+
+
+@pytest.mark.parametrize("page", figures.PAGES, ids=lambda page: page.name)
+def test_a_page_has_what_its_records_have(page: Path) -> None:
+    assert figures.written(page, SPEC) == page.read_text(encoding="utf-8"), "run `make figures`"
+    assert figures.untraced(page) == [], "a table of results that names no record"
+
+
+def test_a_figure_that_was_changed_by_hand_is_seen() -> None:
+    page = figures.RECORDS.parent / "papers" / "spacetime-bounds.md"
+    text = page.read_text(encoding="utf-8")
+    assert "0.65 M (0.26 to 1.04)" in text
+    changed = text.replace("0.65 M (0.26 to 1.04)", "0.45 M (0.26 to 1.04)")
+    assert figures.written(page, SPEC, changed) == text
+
+
+@pytest.mark.parametrize(
+    "line", ["", "<!-- record: nowhere.jsonl -->\n\n", "<!-- no record: -->\n\n"]
+)
+def test_a_result_without_a_record_is_seen(line: str) -> None:
+    table = "| seed | samples |\n|---|---|\n| 0 | 1.2 M |\n"
+    page = figures.RECORDS / "README.md"
+    assert len(figures.untraced(page, f"Words.\n\n{line}{table}")) == 1
+    assert not figures.untraced(page, f"<!-- record: diversity.jsonl -->\n\n{table}")
+    assert not figures.untraced(page, "| option | default |\n|---|---|\n| `x` | 2 % |\n")
+
+
+def claim(
+    monkeypatch: pytest.MonkeyPatch, ours: list[Any], theirs: list[Any] | float, **more: Any
+) -> str:
+    """The verdict of a claim that `ours` is less; None is a seed that had not met its criterion by 5."""
+
+    def rows(_: str) -> tuple[dict[str, Any], ...]:
+        both = {"ours": ours, "theirs": theirs if isinstance(theirs, list) else []}
+        return tuple(
+            {"variant": name, "seed": s, "cost": 5.0 if v is None else v, "met": v is not None}
+            for name, values in both.items()
+            for s, v in enumerate(values)
+        )
+
+    monkeypatch.setattr(figures, "rows", rows)
+    other = {"where": {"variant": "theirs"}} if isinstance(theirs, list) else theirs
+    what = {"record": "x", "where": {"variant": "ours"}, "value": "cost", "only": {"met": True}}
+    return figures.verdict({**what, **({"less": other} | more)})
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "expected"),
+    [
+        ([1.0, 1.1, 1.2], 4.0, figures.HOLDS),
+        ([5.0, 5.1, 5.2], 4.0, figures.FAILS),
+        ([1.0, 4.0, 6.0], 4.0, figures.UNDECIDED),
+        ([1.0], 4.0, figures.ONE),
+        ([1.0, 1.1, None], 4.0, figures.UNDECIDED),  # how many the third needs, nobody knows
+        ([None, None, 5.5], 4.0, figures.FAILS),  # more than 4 in any case
+        ([1.0, 1.1, 1.2], [2.0, 2.1, 2.3], figures.HOLDS),
+        ([1.0, 1.1, 1.2], [None, None, None], figures.HOLDS),  # at least 5
+        ([None, None, None], [1.0, 1.1, 1.2], figures.UNDECIDED),
+        ([1.0, 3.0, 2.0], [2.0, 2.1, 2.3], figures.UNDECIDED),
+        ([1.0, 1.1], [2.0], figures.ONE),
+    ],
+)
+def test_verdicts(
+    monkeypatch: pytest.MonkeyPatch, ours: list[Any], theirs: Any, expected: str
+) -> None:
+    assert claim(monkeypatch, ours, theirs) == expected
+
+
+def test_a_saved_interval_decides_as_its_seeds_would() -> None:
+    """The second landscape's interval is far from 0, the last one's holds it."""
+    decided = {c["where"]["landscape"]: figures.verdict(c) for c in SPEC["claims"]["diversity"]}
+    assert decided["steps, 3 dimensions, 17 trials"] == figures.HOLDS
+    assert decided["patches, 4 dimensions, 10 trials"] == figures.UNDECIDED
+
+
+def test_what_ships_was_measured_as_it_is() -> None:
+    """Every packaged skill of a character has its line, of the training that is packed, and a place in the gallery."""
+    measured = {row["skill"]: row for row in figures.rows("shipped.jsonl")}
+    packed = {name: open_skill(name).samples for name in shipped.characters()}
+    assert {name: row["samples"] for name, row in measured.items()} == packed
+    for one in ("shipped", "gallery"):
+        assert set(SPEC["tables"][one]["rows"]) == {f"`{name}`" for name in packed}
+
+
+def test_thresholds_for_shipping_are_those_of_the_page() -> None:
+    page = (figures.ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    more, most = zip(*shipped.THRESHOLDS.values(), strict=True)
+    for words in (f"| {more[0]:.1f} m/s | {most[0]:.1f} m/s |", f"| {100 * more[1]:g} cm | {100 * most[1]:g} cm |",
+                  f"| {more[2]:g} s, two frames | {most[2]:g} s |", f"| {most[3]:g} m/s³ |"):  # fmt: skip
+        assert words in page
+    for row in figures.rows("shipped.jsonl"):
+        beyond = ", ".join(shipped.believable(row["played"], row["clip"])) or "–"
+        assert row["beyond"] == beyond, row["skill"]
