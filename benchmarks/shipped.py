@@ -1,6 +1,6 @@
-"""Whether the motions that ship are to be believed: each packaged skill, played, beside its clip.
+"""Whether the motions that ship are to be believed: each packaged skill of a character, played, beside its clip.
 
-``python benchmarks/shipped.py`` plays every skill that `understudy play` lists, measures feet, ground, flights and
+``python benchmarks/shipped.py`` plays every skill of a character that `understudy play` lists, measures feet, ground, flights and
 jerk of what it does and of the clip that it follows, and writes ``docs/benchmarks/shipped.jsonl``, from which
 ``make figures`` writes the table in ``docs/conventions.md`` and the gallery. ``THRESHOLDS`` are those there.
 """
@@ -67,6 +67,11 @@ def believable(played: dict[str, float], clip: dict[str, float] | None) -> list[
     return beyond
 
 
+def characters() -> list[str]:
+    """The packaged skills of characters; what a hand does with sticks has neither feet nor falls."""
+    return [name for name in names() if "character" in open_skill(name).card["config"]["scene"]]
+
+
 def row(name: str) -> dict[str, Any]:
     """The skill `name`, played from where it begins."""
     skill = open_skill(name)
@@ -100,7 +105,7 @@ if __name__ == "__main__":
     parser.add_argument("--skills", nargs="*", help="those alone, printed and not saved")
     given = parser.parse_args()
     lines = []
-    for one in given.skills or names():
+    for one in given.skills or characters():
         lines.append(json.dumps(row(one)))
         print(lines[-1], flush=True)
     if not given.skills:

@@ -25,6 +25,7 @@ __all__ = [
     "Option",
     "check_range",
     "checked_options",
+    "in_words",
     "make_options",
     "options_of",
     "schema_of",

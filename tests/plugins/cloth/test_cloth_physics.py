@@ -389,7 +389,9 @@ def test_a_grip_loses_nothing_however_it_is_shaken() -> None:
     now = found.read("cloth_position")[0, index].double().numpy() - (0.1, 0.1, 0.1)
     assert np.abs(now - begin).max() < 1e-5
     assert found.read("grip_closed").item() == 1
-    assert strain(found.read("cloth_position")[0].numpy(), model.positions, model.faces) < 1
+    # shaken, it is chaotic: of which strain it then has, nothing is known; after 0.1 s nothing is torn
+    y = run(found, 9, *pose)
+    assert strain(y, model.positions, model.faces) < 0.5
 
 
 def test_an_open_grip_lets_go_with_the_speed_that_cloth_had() -> None:

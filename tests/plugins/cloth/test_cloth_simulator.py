@@ -16,7 +16,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.testing import check_simulator
-from understudy_cloth.mesh import SHARED_VERTICES
+from understudy_cloth.mesh import SHARED_VERTICES, WEIGHTED_VERTICES
 from understudy_cloth.scene import Capsule, ClothModel, Grip, Tool
 from understudy_cloth.simulator import ClothSimulator
 from understudy_cloth.solver import Features, build_kernels
@@ -185,8 +185,9 @@ def test_the_scene_describes_itself() -> None:
 @pytest.mark.parametrize(
     "features",
     [
-        Features(shapes=True, grips=True, self_contact=True, shared=SHARED_VERTICES, threads=512),
-        Features(shapes=False, grips=False, self_contact=False, shared=0, threads=512),
+        Features(True, True, True, shared=SHARED_VERTICES, weighted=False, threads=512),
+        Features(True, True, True, shared=WEIGHTED_VERTICES, weighted=True, threads=512),
+        Features(False, False, False, shared=0, weighted=False, threads=512),
     ],
 )
 def test_kernels_compile_for_cuda(features: Features, tmp_path: Path) -> None:
@@ -202,3 +203,4 @@ def test_kernels_compile_for_cuda(features: Features, tmp_path: Path) -> None:
     code = Path(files[0]).read_text(errors="ignore")
     assert "bar.sync" in code
     assert ("ld.shared" in code) == (features.shared > 0), "positions are not where they should be"
+    assert ("ld.shared.v4" in code) == features.weighted, "not read at once"

@@ -17,7 +17,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy_characters.character import Character
 
-__all__ = ["Layout"]
+__all__ = ["Layout", "layout_of"]
 
 #: A chain of bodies is a limb if it has this share of the longest one's length …
 LIMB_LENGTH = 0.3

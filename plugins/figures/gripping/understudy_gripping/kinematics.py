@@ -15,6 +15,8 @@ from torch import Tensor
 from understudy_hand.scene import HandScene
 from understudy_tensors import rotations
 
+__all__ = ["HandKinematics"]
+
 
 @dataclass(frozen=True)
 class Placed:

@@ -28,7 +28,7 @@ from understudy_hand.table import FINGERS
 from understudy_hand.tools import HALF_LENGTH, RADIUS, upper_pose
 from understudy_tensors import rotations
 
-__all__ = ["sides"]
+__all__ = ["first_guess", "sides"]
 
 #: m, rad: where the lower stick lies in a human palm, about which it is searched (the release's grip).
 _PLACE = (0.0355, -0.0611, 0.0910)

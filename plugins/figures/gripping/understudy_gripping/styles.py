@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from understudy.errors import ConfigError
 from understudy_hand.table import FINGERS
 
+__all__ = ["Style", "read_style", "styles", "written"]
+
 Style = tuple[int, ...]
 UPPER, LOWER = 1, 2
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from understudy.options import check_range
 
-__all__ = ["ARM_POSE", "FINGERS", "Measures"]
+__all__ = ["ARM", "ARM_POSE", "FEWEST", "FINGERS", "Measures"]
 
 Vector = tuple[float, float, float]
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from understudy_tensors import rotations
 
-__all__ = ["HALF_LENGTH", "RADIUS", "tips", "upper_pose"]
+__all__ = ["HALF_LENGTH", "RADIUS", "STICKS", "tips", "upper_pose"]
 
 Tool = Literal["sticks", "tongs", "none"]
 

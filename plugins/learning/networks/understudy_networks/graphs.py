@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
+__all__ = ["Captured"]
+
 
 class Captured:
     """`work` on a minibatch, replayed as one CUDA graph from its fourth call on.

@@ -11,6 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 STRETCH, SHEAR, BENDING = range(3)
 #: Vertices whose positions fit into the shared memory of a block: 46 of 48 KiB, of which Warp takes one.
 SHARED_VERTICES = 3920
+#: And with their weights beside them: 16 bytes each, which a thread reads at once.
+WEIGHTED_VERTICES = 2944
 #: An edge this much longer than the other edges of its triangles is the diagonal of a quadrilateral.
 _DIAGONAL = 1.2
 #: Vertices nearer than this along the cloth, in thicknesses, never touch each other.
@@ -110,7 +112,7 @@ def hinges_of(faces: np.ndarray, corners: np.ndarray) -> Hinges:
     weights = np.stack([at_first, at_second, *tips], axis=1)
     if not len(quads):
         return Hinges(quads, weights, areas, np.zeros(1, int))
-    colour = colours_of(quads)
+    colour = even_out(colours_of(quads), quads)
     order = np.lexsort((quads[:, 0], colour))
     first = np.concatenate([[0], np.cumsum(np.bincount(colour))])
     return Hinges(quads[order], weights[order], areas[order], first)
@@ -138,6 +140,30 @@ def colours_of(groups: np.ndarray) -> np.ndarray:
         colours[number] = free.bit_length() - 1
         for vertex in group:
             used[vertex] |= free
+    return colours
+
+
+def even_out(colours: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """(C,) the colours of :func:`colours_of`, of which each has as nearly as many groups as a sweep attains:
+    what is too many in one goes to the least used that is free. So no few are left for the last threads."""
+    colours, size = colours.copy(), np.bincount(colours)
+    most = -(-len(groups) // len(size))
+    used = [0] * (int(groups.max()) + 1)
+    for group, colour in zip(groups.tolist(), colours.tolist(), strict=True):
+        for vertex in group:
+            used[vertex] |= 1 << colour
+    for number, group in enumerate(groups.tolist()):
+        old = int(colours[number])
+        if size[old] > most:
+            taken = 0
+            for vertex in group:
+                taken |= used[vertex]
+            new = min(range(len(size)), key=lambda k: size[k] + (taken >> k & 1) * len(groups))
+            if size[new] < most and not taken >> new & 1:
+                colours[number] = new
+                size[old], size[new] = size[old] - 1, size[new] + 1
+                for vertex in group:
+                    used[vertex] ^= 1 << old | 1 << new
     return colours
 
 

@@ -18,6 +18,7 @@ from understudy.task import Context, Shape, Simulator
 from understudy_cloth.checking import check_mesh
 from understudy_cloth.mesh import (
     SHARED_VERTICES,
+    WEIGHTED_VERTICES,
     distances_of,
     edges_of,
     faces_of_vertices,
@@ -30,6 +31,8 @@ from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
 from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.shapes import build_tools
 from understudy_warp_torch.world_state import WorldState
+
+__all__ = ["ClothSimulator"]
 
 #: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged.
 _EXTENT, _SPEED = 1e3, 1e3
@@ -99,11 +102,12 @@ class ClothSimulator(Simulator):
             "contact_force": (wp.to_torch(c.force), (v, 3)),
             "contact_side": (wp.to_torch(c.side), (v,)),
         }
-        hidden = {
-            "anchor": (wp.to_torch(c.anchor), (v, 3)),
-            "near": (wp.to_torch(c.near), (v,)),
-            "substep": (wp.to_torch(c.substep), ()),
-        }
+        hidden = {"substep": (wp.to_torch(c.substep), ())}
+        if self._features.self_contact:
+            hidden["anchor"] = (wp.to_torch(c.anchor), (v, 3))
+        if self._features.shapes:
+            hidden["near"] = (wp.to_torch(c.near), (v,))
+            hidden["face_near"] = (wp.to_torch(c.face_near), (c.faces,))
         lead = (t,) if t > 1 else ()
         if t:
             views["tool_position"] = (wp.to_torch(c.tools.position), (*lead, 3))
@@ -193,8 +197,7 @@ class ClothSimulator(Simulator):
 
         c.position = wp.array(np.tile(positions.astype(np.float32), (n, 1)), dtype=wp.vec3)
         c.velocity, c.force = wp.zeros(n * v, dtype=wp.vec3), wp.zeros(n * v, dtype=wp.vec3)
-        c.side, c.anchor = wp.zeros(n * v, dtype=float), wp.zeros(n * v, dtype=wp.vec3)
-        c.near, c.substep = wp.zeros(n * v, dtype=int), wp.zeros(n, dtype=int)
+        c.side, c.substep = wp.zeros(n * v, dtype=float), wp.zeros(n, dtype=int)
         c.tools = build_tools(model.tools, n)
         c.control = wp.zeros((n, 6 * len(model.tools) + len(members)), dtype=float)
         c.vertices, c.faces = v, f
@@ -230,16 +233,17 @@ class ClothSimulator(Simulator):
         c.gravity = each_world(model.gravity, wp.vec3)
         c.friction, c.density = each_world(fabric.friction), each_world(fabric.density)
         c.stiffness = each_world([fabric.stretch, fabric.shear, fabric.bending])
-        c.damping, c.gap, c.longest = fabric.damping, fabric.gap, float(sides.max())
+        c.damping, c.gap = fabric.damping, fabric.gap
         c.thickness, c.room = thickness, options.candidates
         c.dt, c.substeps, c.every = self._dt, self._substeps, min(options.every, self._substeps)
 
         s, layers = c.tools.shapes, options.self_contact
         some_v, some_f = (v if layers else 0), (f if s else 0)
+        c.anchor, c.near = wp.zeros(n * some_v, dtype=wp.vec3), wp.zeros(n * v, dtype=int)
         c.weight = wp.array(np.tile(inverse.astype(np.float32), n), dtype=float)
         c.start = wp.clone(c.position)
-        c.way, c.face_near = wp.zeros((n, s), dtype=float), wp.zeros((n, some_f), dtype=int)
-        c.beside = wp.zeros(n * v, dtype=int)
+        c.way, c.middle = wp.zeros((n, s), dtype=float), wp.zeros((n, s), dtype=wp.vec3)
+        c.face_near = wp.zeros((n, some_f), dtype=int)
         c.corner_push = wp.zeros(n * 3 * some_f, dtype=wp.vec4)
         c.corner_shift = wp.zeros(n * 3 * some_f, dtype=wp.vec3)
         c.buckets = 1 << (2 * v - 1).bit_length() if layers else 0
@@ -258,13 +262,15 @@ class ClothSimulator(Simulator):
         on_gpu = self._device.type == "cuda"
         threads = 32 * math.ceil(min(v, options.threads) / 32)
         rounded = 256 * math.ceil(v / 256)  # so that garments of similar size share kernels
+        shared = v <= SHARED_VERTICES and on_gpu and options.traversal == "block"
+        weighted = shared and v <= WEIGHTED_VERTICES
+        room = WEIGHTED_VERTICES if weighted else SHARED_VERTICES
         features = Features(
             shapes=s > 0,
             grips=bool(members),
             self_contact=layers,
-            shared=min(rounded, SHARED_VERTICES)
-            if v <= SHARED_VERTICES and on_gpu and options.traversal == "block"
-            else 0,
+            shared=min(rounded, room) if shared else 0,
+            weighted=weighted,
             threads=threads if on_gpu else 1,
         )
         return c, features, (found.first, hinges.first)
@@ -294,10 +300,11 @@ class ClothSimulator(Simulator):
         everything = (n, max(c.vertices, c.buckets, s))
         either = (n, max(c.vertices, c.faces))
         for substep in range(count):
-            for resumes in (True, False) if substep == 0 else (False,):
+            resuming = [True] if features.self_contact and substep == 0 else []
+            for resumes in (*resuming, False) if features.self_contact or s else ():
                 wp.launch(kernels.begin, dim=everything, inputs=[c, resumes])
-                wp.launch(kernels.insert, dim=vertices, inputs=[c, resumes])
-                wp.launch(kernels.search, dim=either, inputs=[c, resumes])
+                wp.launch(kernels.insert, dim=either, inputs=[c, resumes])
+                wp.launch(kernels.search, dim=vertices, inputs=[c, resumes])
             if s or c.grips:
                 wp.launch(kernels.tools, dim=n, inputs=[c])
             if c.grips:

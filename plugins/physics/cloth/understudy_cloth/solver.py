@@ -14,7 +14,7 @@ reads others and writes its own.
 
 # What Warp compiles is not quite Python: variables that loops change are made with float(0.0), and
 # conditions known when compiling stand alone.
-# ruff: noqa: UP018, RUF046, SIM102, SIM108, SIM110
+# ruff: noqa: UP018, RUF046, SIM102, SIM110
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
 # pyright: reportAssignmentType=false, reportOperatorIssue=false, reportReturnType=false
 # pyright: reportCallIssue=false, reportIndexIssue=false, reportAttributeAccessIssue=false
@@ -33,10 +33,10 @@ from understudy_warp_torch.shapes import (
     Tools,
     friction,
     from_rotation_vector,
+    local_distance,
     move_tool,
     place_shape,
     rotation,
-    shape_distance,
     to_rotation_vector,
     xyz,
 )
@@ -49,6 +49,8 @@ MOST_SHAPES = 31
 _NEAR = wp.constant(1e-9)
 #: How often the point of a triangle that is deepest in a shape is improved.
 _SEARCHES = wp.constant(3)
+#: m: that point is found when no other of the triangle can be deeper by more than this.
+_DECIDED = wp.constant(2e-5)
 #: How often a vertex is pushed out of bodies that push it into each other.
 _WEDGED = wp.constant(4)
 #: m/s: vertices may become so much faster between two searches for what is near.
@@ -73,7 +75,10 @@ class Cloth:
     force: wp.array(dtype=wp.vec3)
     side: wp.array(dtype=float)
     anchor: wp.array(dtype=wp.vec3)  # positions when what may touch was last searched
-    near: wp.array(dtype=int)  # bits of shapes that were near then
+    # bits of the shapes that were near then: of a triangle, or ~bits while it touches one, (N, F); of a
+    # vertex ~bits, or 0 if none is near a triangle of it
+    face_near: wp.array2d(dtype=int)
+    near: wp.array(dtype=int)
     substep: wp.array(dtype=int)  # done in the present control period, (N,)
     closed: wp.array2d(dtype=float)  # (N, G)
     holder: wp.array2d(dtype=int)  # the grip that holds, −1: none, (N, U)
@@ -111,7 +116,6 @@ class Cloth:
     # the fabric
     damping: float
     gap: float
-    longest: float  # edge, m
     # self-contact
     thickness: float
     room: int  # M
@@ -126,8 +130,7 @@ class Cloth:
     weight: wp.array(dtype=float)  # 1 / area, 0: held or pinned
     start: wp.array(dtype=wp.vec3)
     way: wp.array2d(dtype=float)  # how far a shape may go until the next search, (N, S)
-    face_near: wp.array2d(dtype=int)
-    beside: wp.array(dtype=int)  # bits of shapes near a triangle of the vertex
+    middle: wp.array2d(dtype=wp.vec3)  # of the sphere around a shape at the search, (N, S)
     corner_push: wp.array(dtype=wp.vec4)  # and its weight, (N · 3 F,)
     corner_shift: wp.array(dtype=wp.vec3)
     head: wp.array(dtype=int)  # (N · buckets,)
@@ -148,6 +151,7 @@ class Features:
     grips: bool
     self_contact: bool
     shared: int  #: vertices that shared memory has room for; 0: positions are not there
+    weighted: bool  #: whether weights are beside them there
     threads: int  #: of a block
 
 
@@ -157,8 +161,8 @@ class Kernels:
     begin: (
         Any  #: (cloth, whether this resumes), (N, buckets, vertices or shapes, whichever is most)
     )
-    insert: Any  #: (cloth, whether this resumes), (N, V)
-    search: Any  #: (cloth, whether this resumes), (N, V or F)
+    insert: Any  #: (cloth, whether this resumes), (N, V or F)
+    search: Any  #: (cloth, whether this resumes), (N, V)
     tools: Any  #: (cloth,), N
     grip: Any  #: (cloth,), (N, U)
     predict: Any  #: (cloth,), (N, V)
@@ -202,6 +206,48 @@ def load_apart(memory: wp.uint64, n: int, i: int) -> wp.vec3: ...
 """
 )
 def store_apart(memory: wp.uint64, n: int, i: int, x: wp.vec3): ...
+
+
+# x, y, z and the weight, which on a GPU are read and written at once
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const float4 of = ((const float4*)memory)[i];
+    return wp::vec_t<4, float>(of.x, of.y, of.z, of.w);
+#else
+    return ((const wp::vec_t<4, float>*)memory)[i];
+#endif
+"""
+)
+def load_weighted(memory: wp.uint64, i: int) -> wp.vec4: ...
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    ((float4*)memory)[i] = make_float4(x[0], x[1], x[2], weight);
+#else
+    ((wp::vec_t<4, float>*)memory)[i] = wp::vec_t<4, float>(x[0], x[1], x[2], weight);
+#endif
+"""
+)
+def store_weighted(memory: wp.uint64, i: int, x: wp.vec3, weight: float): ...
+
+
+# and of these the first three, or the last
+@wp.func_native(
+    """
+    float* of = (float*)memory + 4 * i;
+    of[0] = x[0];
+    of[1] = x[1];
+    of[2] = x[2];
+"""
+)
+def store_beside(memory: wp.uint64, i: int, x: wp.vec3): ...
+
+
+@wp.func_native("((float*)memory)[4 * i + 3] = weight;")
+def store_weight(memory: wp.uint64, i: int, weight: float): ...
 
 
 @wp.func
@@ -261,14 +307,43 @@ def excess(before: float, change: float) -> float:
 
 
 @wp.func
-def carried(tools: Tools, world: int, shape: int, x: wp.vec3) -> wp.vec3:
-    """Where the point x of a shape was when the sub-step began."""
-    local = wp.quat_rotate_inv(
+def within_shape(tools: Tools, world: int, shape: int, x: wp.vec3) -> wp.vec3:
+    """The point x of a world in the frame of a shape."""
+    return wp.quat_rotate_inv(
         tools.shape_rotation[world, shape], x - tools.shape_position[world, shape]
     )
+
+
+@wp.func
+def carried(tools: Tools, world: int, shape: int, p: wp.vec3) -> wp.vec3:
+    """Where the point p of a shape, in its frame, was in the world when the sub-step began."""
     return tools.shape_position_before[world, shape] + wp.quat_rotate(
-        tools.shape_rotation_before[world, shape], local
+        tools.shape_rotation_before[world, shape], p
     )
+
+
+@wp.func
+def deepest(tools: Tools, shape: int, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, gap: float):
+    """Where the triangle, in the frame of a shape, is deepest in it: barycentric coordinates, and the
+    outward normal and signed distance there. If it is nowhere nearer than `gap`, some point of it."""
+    share = wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
+    found = wp.vec4()
+    searched = int(0)
+    while searched <= _SEARCHES:
+        at = share[0] * p0 + share[1] * p1 + share[2] * p2
+        found = local_distance(tools, shape, at)
+        n = xyz(found)
+        # a convex shape's distance is convex: nowhere is it less than along its slope here
+        less = wp.max(wp.dot(at - p0, n), wp.max(wp.dot(at - p1, n), wp.dot(at - p2, n)))
+        if tools.kind[shape] == GRID:
+            less = wp.max(wp.length(p0 - at), wp.max(wp.length(p1 - at), wp.length(p2 - at)))
+        if searched == _SEARCHES or less < _DECIDED or found[3] - less >= gap:
+            break
+        # towards the middle of the shape: from there, what is nearest is deepest
+        inner = at - (found[3] + tools.core[shape]) * n
+        share = nearest_in_triangle(inner, p0, p1, p2)
+        searched += 1
+    return share, found
 
 
 @wp.func
@@ -285,44 +360,21 @@ def shape_way(c: Cloth, world: int, shape: int):
     way = wp.length(target - c.tools.position[world, t]) + angle * arm
     c.way[world, shape] = share * way
     # where it is now, for who looks for what is near before it moves
-    c.tools.shape_position[world, shape] = c.tools.position[world, t] + wp.quat_rotate(
-        q, c.tools.offset[shape]
-    )
-    c.tools.shape_rotation[world, shape] = q * c.tools.turn[shape]
+    place = c.tools.position[world, t] + wp.quat_rotate(q, c.tools.offset[shape])
+    q = q * c.tools.turn[shape]
+    c.tools.shape_position[world, shape] = place
+    c.tools.shape_rotation[world, shape] = q
+    c.middle[world, shape] = place + wp.quat_rotate(q, c.tools.centre[shape])
 
 
 @wp.func
-def shapes_near(c: Cloth, world: int, i: int) -> int:
-    """Bits of the shapes that vertex i, or a triangle of it, may touch until the next search."""
-    o = world * c.vertices + i
-    x = c.anchor[o]
-    own = float(c.every) * c.dt * (wp.length(c.velocity[o]) + _FASTER)
-    reach = c.gap + 0.7 * c.longest + own
-    bits = int(0)
+def own_way(c: Cloth, world: int, speed: float) -> float:
+    """How far what has a speed now may go until the next search: as fast as the fastest shape may push it."""
+    time = float(c.every) * c.dt
+    faster = time * _FASTER
     for shape in range(c.tools.shapes):
-        q = c.tools.shape_rotation[world, shape]
-        middle = c.tools.shape_position[world, shape] + wp.quat_rotate(q, c.tools.centre[shape])
-        within = reach + c.way[world, shape]
-        if wp.length(x - middle) < c.tools.bound[shape] + within:
-            found = shape_distance(c.tools, world, shape, x)
-            if found[3] < within:
-                bits = bits | (1 << shape)
-    return bits
-
-
-@wp.func
-def face_bits(c: Cloth, world: int, f: int) -> int:
-    ends = c.face[f]
-    o = world * c.vertices
-    return c.near[o + ends[0]] | c.near[o + ends[1]] | c.near[o + ends[2]]
-
-
-@wp.func
-def search_shapes(c: Cloth, world: int, i: int):
-    bits = int(0)
-    for k in range(c.corner_start[i], c.corner_start[i + 1]):
-        bits = bits | face_bits(c, world, c.corner[k] / 3)
-    c.beside[world * c.vertices + i] = bits
+        faster = wp.max(faster, c.way[world, shape])
+    return time * speed + faster
 
 
 @wp.func
@@ -379,15 +431,20 @@ def build_kernels(features: Features) -> Kernels:
     GRIPS = wp.constant(features.grips)
     LAYERS = wp.constant(features.self_contact)
     SHARED = wp.constant(features.shared > 0)
+    WEIGHTED = wp.constant(features.weighted)
     LANES = features.threads
     address = packed_address
-    if features.shared:
+    if features.weighted:
+        address = shared_memory(wp.vec3, "float4", features.shared)
+    elif features.shared:
         address = shared_memory(wp.vec3, "float", 3 * features.shared)
 
     @wp.func
     def load(m: wp.uint64, c: Cloth, i: int) -> wp.vec3:
         x = wp.vec3()
-        if wp.static(SHARED):
+        if wp.static(WEIGHTED):
+            x = xyz(load_weighted(m, i))
+        elif wp.static(SHARED):
             x = load_apart(m, c.vertices, i)
         else:
             x = load_packed(m, i)
@@ -395,44 +452,116 @@ def build_kernels(features: Features) -> Kernels:
 
     @wp.func
     def store(m: wp.uint64, c: Cloth, i: int, x: wp.vec3):
-        if wp.static(SHARED):
+        if wp.static(WEIGHTED):
+            store_beside(m, i, x)
+        elif wp.static(SHARED):
             store_apart(m, c.vertices, i, x)
         else:
             store_packed(m, i, x)
 
     @wp.func
+    def load_all(m: wp.uint64, c: Cloth, world: int, i: int) -> wp.vec4:
+        """Position and weight."""
+        x = wp.vec4()
+        if wp.static(WEIGHTED):
+            x = load_weighted(m, i)
+        else:
+            y = load(m, c, i)
+            x = wp.vec4(y[0], y[1], y[2], c.weight[world * c.vertices + i])
+        return x
+
+    @wp.func
+    def store_all(m: wp.uint64, c: Cloth, i: int, x: wp.vec3, weight: float):
+        """The weight is as it was."""
+        if wp.static(WEIGHTED):
+            store_weighted(m, i, x, weight)
+        else:
+            store(m, c, i, x)
+
+    @wp.func
     def begin_search(c: Cloth, m: wp.uint64, world: int, k: int, resumes: bool):
         """Where vertices and shapes are now, from which all that is searched follows."""
-        if k < c.vertices and not resumes:
-            c.anchor[world * c.vertices + k] = load(m, c, k)
+        if wp.static(LAYERS):
+            if k < c.vertices and not resumes:
+                c.anchor[world * c.vertices + k] = load(m, c, k)
+            if k < c.buckets:
+                c.head[world * c.buckets + k] = -1
         if wp.static(SHAPES):
             if k < c.tools.shapes and not resumes:
                 shape_way(c, world, k)
-        if wp.static(LAYERS):
-            if k < c.buckets:
-                c.head[world * c.buckets + k] = -1
 
     @wp.func
-    def insert(c: Cloth, world: int, i: int, resumes: bool):
+    def search_face(c: Cloth, m: wp.uint64, world: int, f: int):
+        """The shapes that a triangle may touch until the next search."""
+        ends = c.face[f]
+        o = world * c.vertices
+        v0 = wp.length(c.velocity[o + ends[0]])
+        v1 = wp.length(c.velocity[o + ends[1]])
+        v2 = wp.length(c.velocity[o + ends[2]])
+        reach = c.gap + own_way(c, world, wp.max(v0, wp.max(v1, v2)))
+        x0 = load(m, c, ends[0])
+        x1 = load(m, c, ends[1])
+        x2 = load(m, c, ends[2])
+        middle = (x0 + x1 + x2) / 3.0
+        x0 = middle - x0
+        x1 = middle - x1
+        x2 = middle - x2
+        size = wp.max(wp.length(x0), wp.max(wp.length(x1), wp.length(x2)))
+        bits = int(0)
+        for shape in range(c.tools.shapes):
+            within = reach + c.way[world, shape]
+            apart = wp.length(middle - c.middle[world, shape])
+            if apart < c.tools.bound[shape] + within + size:
+                p = within_shape(c.tools, world, shape, middle)
+                found = local_distance(c.tools, shape, p)
+                less = size
+                if c.tools.kind[shape] != GRID:  # convex, as in `deepest`
+                    n = wp.quat_rotate(c.tools.shape_rotation[world, shape], xyz(found))
+                    less = wp.max(wp.dot(x0, n), wp.max(wp.dot(x1, n), wp.dot(x2, n)))
+                if found[3] - less < within:
+                    bits = bits | (1 << shape)
+        c.face_near[world, f] = bits
+
+    @wp.func
+    def search_vertex(c: Cloth, m: wp.uint64, world: int, i: int):
+        """The same of a vertex, which touches nothing that no triangle of it does."""
         o = world * c.vertices + i
+        around = int(0)
+        for k in range(c.corner_start[i], c.corner_start[i + 1]):
+            around = around | c.face_near[world, c.corner[k] / 3]
+        marked = int(0)
+        if around != 0:
+            x = load(m, c, i)
+            reach = c.gap + own_way(c, world, wp.length(c.velocity[o]))
+            bits = int(0)
+            for shape in range(c.tools.shapes):
+                if ((around >> shape) & 1) == 1:
+                    p = within_shape(c.tools, world, shape, x)
+                    found = local_distance(c.tools, shape, p)
+                    if found[3] < reach + c.way[world, shape]:
+                        bits = bits | (1 << shape)
+            marked = ~bits
+        c.near[o] = marked
+
+    @wp.func
+    def insert(c: Cloth, m: wp.uint64, world: int, k: int, resumes: bool):
+        if wp.static(SHAPES):
+            if k < c.faces and not resumes:
+                search_face(c, m, world, k)
+        if wp.static(LAYERS):
+            if k < c.vertices:
+                o = world * c.vertices + k
+                size = wp.static(SEEN) * c.thickness
+                h = bucket(cell_of(c.anchor[o], size), c.buckets)
+                c.next[o] = wp.atomic_exch(c.head, world * c.buckets + h, k)
+
+    @wp.func
+    def search(c: Cloth, m: wp.uint64, world: int, i: int, resumes: bool):
         if wp.static(SHAPES):
             if not resumes:
-                c.near[o] = shapes_near(c, world, i)
+                search_vertex(c, m, world, i)
         if wp.static(LAYERS):
-            size = wp.static(SEEN) * c.thickness
-            h = bucket(cell_of(c.anchor[o], size), c.buckets)
-            c.next[o] = wp.atomic_exch(c.head, world * c.buckets + h, i)
-
-    @wp.func
-    def search(c: Cloth, world: int, k: int):
-        if k < c.vertices:
-            if wp.static(LAYERS):
-                search_layers(c, world, k)
-            if wp.static(SHAPES):
-                search_shapes(c, world, k)
-        if wp.static(SHAPES):
-            if k < c.faces:
-                c.face_near[world, k] = face_bits(c, world, k)
+            search_layers(c, world, i)
 
     @wp.func
     def grip(c: Cloth, m: wp.uint64, world: int, u: int):
@@ -460,7 +589,10 @@ def build_kernels(features: Features) -> Kernels:
             c.velocity[o] = (y - x) / c.dt
             store(m, c, i, y)
         c.holder[world, u] = now
-        c.weight[o] = wp.where(now >= 0, 0.0, c.inverse_area[i])
+        weight = wp.where(now >= 0, 0.0, c.inverse_area[i])
+        c.weight[o] = weight
+        if wp.static(WEIGHTED):
+            store_weight(m, i, weight)
 
     @wp.func
     def predict(c: Cloth, m: wp.uint64, world: int, i: int):
@@ -486,37 +618,36 @@ def build_kernels(features: Features) -> Kernels:
     def keep_distance(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
         """XPBD with one iteration (Macklin et al. 2016, equation 18, with λ = 0), masses over density."""
         ends = c.pair[k]
-        wi = c.weight[world * c.vertices + ends[0]]
-        wj = c.weight[world * c.vertices + ends[1]]
-        xi = load(m, c, ends[0])
-        xj = load(m, c, ends[1])
-        apart = xi - xj
+        i = load_all(m, c, world, ends[0])
+        j = load_all(m, c, world, ends[1])
+        wi = i[3]
+        wj = j[3]
+        apart = xyz(i) - xyz(j)
         length = wp.length(apart)
         if length > _NEAR and wi + wj > 0.0:
             share = (c.rest[k] - length) / (length * (wi + wj + soft * c.unit[k]))
-            store(m, c, ends[0], xi + (share * wi) * apart)
-            store(m, c, ends[1], xj - (share * wj) * apart)
+            store_all(m, c, ends[0], xyz(i) + (share * wi) * apart, wi)
+            store_all(m, c, ends[1], xyz(j) - (share * wj) * apart, wj)
 
     @wp.func
     def keep_flat(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
         """The same for the vector Σ weight_i x_i = 0, whose three components are apart."""
         ends = c.quad[k]
         a = c.quad_weight[k]
-        o = world * c.vertices
-        w0 = c.weight[o + ends[0]] * a[0]
-        w1 = c.weight[o + ends[1]] * a[1]
-        w2 = c.weight[o + ends[2]] * a[2]
-        w3 = c.weight[o + ends[3]] * a[3]
-        x0 = load(m, c, ends[0])
-        x1 = load(m, c, ends[1])
-        x2 = load(m, c, ends[2])
-        x3 = load(m, c, ends[3])
+        x0 = load_all(m, c, world, ends[0])
+        x1 = load_all(m, c, world, ends[1])
+        x2 = load_all(m, c, world, ends[2])
+        x3 = load_all(m, c, world, ends[3])
+        w0 = x0[3] * a[0]
+        w1 = x1[3] * a[1]
+        w2 = x2[3] * a[2]
+        w3 = x3[3] * a[3]
         total = w0 * a[0] + w1 * a[1] + w2 * a[2] + w3 * a[3] + soft * c.quad_unit[k]
-        change = (a[0] * x0 + a[1] * x1 + a[2] * x2 + a[3] * x3) / (-total)
-        store(m, c, ends[0], x0 + w0 * change)
-        store(m, c, ends[1], x1 + w1 * change)
-        store(m, c, ends[2], x2 + w2 * change)
-        store(m, c, ends[3], x3 + w3 * change)
+        change = xyz(a[0] * x0 + a[1] * x1 + a[2] * x2 + a[3] * x3) / (-total)
+        store_all(m, c, ends[0], xyz(x0) + w0 * change, x0[3])
+        store_all(m, c, ends[1], xyz(x1) + w1 * change, x1[3])
+        store_all(m, c, ends[2], xyz(x2) + w2 * change, x2[3])
+        store_all(m, c, ends[3], xyz(x3) + w3 * change, x3[3])
 
     @wp.func
     def find_layers(c: Cloth, m: wp.uint64, world: int, i: int):
@@ -569,138 +700,140 @@ def build_kernels(features: Features) -> Kernels:
             c.start[o] = c.start[o] + c.shift[o]
 
     @wp.func
+    def push_corner(
+        c: Cloth, k: int, again: bool, change: wp.vec3, share: float, shift: wp.vec3
+    ) -> None:
+        """Add to what corner k of all is pushed and, so that it gets no speed by that, its start shifted."""
+        push = wp.vec4(change[0], change[1], change[2], share)
+        shifted = shift
+        if again:
+            push = push + c.corner_push[k]
+            shifted = shift + c.corner_shift[k]
+        c.corner_push[k] = push
+        c.corner_shift[k] = shifted
+
+    @wp.func
     def touch(c: Cloth, m: wp.uint64, world: int, f: int):
         """Push a triangle out of shapes at the point where it is deepest in each, with friction there."""
         bits = c.face_near[world, f]
+        if bits < 0:  # it touched in the last sub-step
+            bits = ~bits
         if bits != 0:
             ends = c.face[f]
             o = world * c.vertices
-            x0 = load(m, c, ends[0])
-            x1 = load(m, c, ends[1])
-            x2 = load(m, c, ends[2])
-            s0 = c.start[o + ends[0]]
-            s1 = c.start[o + ends[1]]
-            s2 = c.start[o + ends[2]]
-            w0 = c.weight[o + ends[0]]
-            w1 = c.weight[o + ends[1]]
-            w2 = c.weight[o + ends[2]]
-            before0 = x0
-            before1 = x1
-            before2 = x2
-            first0 = s0
-            first1 = s1
-            first2 = s2
-            b = wp.vec3(0.0)
+            k = 3 * (world * c.faces + f)
+            # few numbers live from one shape to the next: registers are what threads are short of
+            touched = bool(False)
             for shape in range(c.tools.shapes):
                 if ((bits >> shape) & 1) == 1:
-                    at = (x0 + x1 + x2) / 3.0
-                    share = wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
-                    found = shape_distance(c.tools, world, shape, at)
-                    n = xyz(found)
-                    # a convex shape's distance is convex: nowhere is it less than along its slope here
-                    reach = wp.max(
-                        wp.dot(at - x0, n), wp.max(wp.dot(at - x1, n), wp.dot(at - x2, n))
-                    )
-                    if c.tools.kind[shape] == GRID:
-                        reach = wp.max(
-                            wp.length(x0 - at), wp.max(wp.length(x1 - at), wp.length(x2 - at))
-                        )
-                    if found[3] < c.gap + reach:
-                        for _search in range(_SEARCHES):
-                            # towards the middle of the shape: from there, what is nearest is deepest
-                            inner = at - (found[3] + c.tools.core[shape]) * xyz(found)
-                            share = nearest_in_triangle(inner, x0, x1, x2)
-                            at = share[0] * x0 + share[1] * x1 + share[2] * x2
-                            found = shape_distance(c.tools, world, shape, at)
-                        depth = c.gap - found[3]
-                        w = (
-                            share[0] * share[0] * w0
-                            + share[1] * share[1] * w1
-                            + share[2] * share[2] * w2
-                        )
+                    x0 = load(m, c, ends[0])
+                    x1 = load(m, c, ends[1])
+                    x2 = load(m, c, ends[2])
+                    if touched:
+                        x0 += xyz(c.corner_push[k])
+                        x1 += xyz(c.corner_push[k + 1])
+                        x2 += xyz(c.corner_push[k + 2])
+                    p0 = within_shape(c.tools, world, shape, x0)
+                    p1 = within_shape(c.tools, world, shape, x1)
+                    p2 = within_shape(c.tools, world, shape, x2)
+                    share, found = deepest(c.tools, shape, p0, p1, p2, c.gap)
+                    depth = c.gap - found[3]
+                    if depth > 0.0:
+                        u0 = share[0] * c.weight[o + ends[0]]
+                        u1 = share[1] * c.weight[o + ends[1]]
+                        u2 = share[2] * c.weight[o + ends[2]]
+                        w = share[0] * u0 + share[1] * u1 + share[2] * u2
                         # beside a corner that is held the others cannot do it alone: none goes
                         # farther than twice the depth
-                        most = wp.max(w0 * share[0], wp.max(w1 * share[1], w2 * share[2]))
+                        most = wp.max(u0, wp.max(u1, u2))
                         w = wp.max(w, 0.5 * most)
-                        if depth > 0.0 and w > 0.0:
+                        if w > 0.0:
+                            # how much farther out corners are than the point that touches
                             n = xyz(found)
+                            at = share[0] * p0 + share[1] * p1 + share[2] * p2
+                            h0 = wp.dot(p0 - at, n)
+                            h1 = wp.dot(p1 - at, n)
+                            h2 = wp.dot(p2 - at, n)
+                            n = wp.quat_rotate(c.tools.shape_rotation[world, shape], n)
                             was = carried(c.tools, world, shape, at)
-                            body = at - was
-                            slip = was - (share[0] * s0 + share[1] * s1 + share[2] * s2)
+                            s0 = c.start[o + ends[0]]
+                            s1 = c.start[o + ends[1]]
+                            s2 = c.start[o + ends[2]]
+                            if touched:
+                                s0 += c.corner_shift[k]
+                                s1 += c.corner_shift[k + 1]
+                                s2 += c.corner_shift[k + 2]
+                            s0 = was - s0
+                            s1 = was - s1
+                            s2 = was - s2
+                            slip = share[0] * s0 + share[1] * s1 + share[2] * s2
                             slip = slip - wp.dot(slip, n) * n
                             mu = 0.5 * (c.friction[world] + c.tools.friction[shape])
                             change = (depth * n - friction(slip, depth, mu, mu)) / w
-                            d0 = (w0 * share[0]) * change
-                            d1 = (w1 * share[1]) * change
-                            d2 = (w2 * share[2]) * change
-                            s0 += excess(wp.dot(x0 - s0 - body, n), wp.dot(d0, n)) * n
-                            s1 += excess(wp.dot(x1 - s1 - body, n), wp.dot(d1, n)) * n
-                            s2 += excess(wp.dot(x2 - s2 - body, n), wp.dot(d2, n)) * n
-                            x0 += d0
-                            x1 += d1
-                            x2 += d2
-                            b += share
-            k = 3 * (world * c.faces + f)
-            d = x0 - before0
-            c.corner_push[k] = wp.vec4(d[0], d[1], d[2], b[0])
-            c.corner_shift[k] = s0 - first0
-            d = x1 - before1
-            c.corner_push[k + 1] = wp.vec4(d[0], d[1], d[2], b[1])
-            c.corner_shift[k + 1] = s1 - first1
-            d = x2 - before2
-            c.corner_push[k + 2] = wp.vec4(d[0], d[1], d[2], b[2])
-            c.corner_shift[k + 2] = s2 - first2
+                            along = wp.dot(change, n)
+                            t0 = excess(h0 + wp.dot(s0, n), u0 * along)
+                            t1 = excess(h1 + wp.dot(s1, n), u1 * along)
+                            t2 = excess(h2 + wp.dot(s2, n), u2 * along)
+                            push_corner(c, k, touched, u0 * change, share[0], t0 * n)
+                            push_corner(c, k + 1, touched, u1 * change, share[1], t1 * n)
+                            push_corner(c, k + 2, touched, u2 * change, share[2], t2 * n)
+                            touched = True
+            c.face_near[world, f] = wp.where(touched, ~bits, bits)
 
     @wp.func
     def leave_shapes(c: Cloth, m: wp.uint64, world: int, i: int):
         """A vertex where its triangles were pushed to, and then out of shapes whole."""
         o = world * c.vertices + i
-        bits = c.beside[o]
-        if bits != 0:
-            begin = load(m, c, i)
-            first = c.start[o]
-            x = begin
-            start = first
+        marked = c.near[o]
+        if marked != 0:
+            bits = ~marked
+            x = load(m, c, i)
+            start = c.start[o]
             push = wp.vec3(0.0)
             shift = wp.vec3(0.0)
             total = float(0.0)
             for k in range(c.corner_start[i], c.corner_start[i + 1]):
                 corner = c.corner[k]
-                if c.face_near[world, corner / 3] != 0:
+                if c.face_near[world, corner / 3] < 0:
                     q = 3 * world * c.faces + corner
                     theirs = c.corner_push[q]
                     push += theirs[3] * xyz(theirs)
                     shift += theirs[3] * c.corner_shift[q]
                     total += theirs[3]
-            if total > 0.0:
+            moved = bool(total > 0.0)
+            if moved:
                 x += push / total
                 start += shift / total
-            mu = c.friction[world]
             rubs = float(1.0)
             for _again in range(_WEDGED):
                 pushed = int(0)
                 for shape in range(c.tools.shapes):
                     if ((bits >> shape) & 1) == 1:
-                        found = shape_distance(c.tools, world, shape, x)
+                        p = within_shape(c.tools, world, shape, x)
+                        found = local_distance(c.tools, shape, p)
                         depth = c.gap - found[3]
                         if depth > 0.0:
                             pushed += 1
-                            n = xyz(found)
-                            was = carried(c.tools, world, shape, x)
+                            n = wp.quat_rotate(c.tools.shape_rotation[world, shape], xyz(found))
+                            was = carried(c.tools, world, shape, p)
                             slip = was - start
                             slip = slip - wp.dot(slip, n) * n
-                            both = 0.5 * (mu + c.tools.friction[shape])
+                            both = 0.5 * (c.friction[world] + c.tools.friction[shape])
                             rub = rubs * friction(slip, depth, both, both)
                             start += excess(wp.dot(was - start, n), depth) * n
                             x += depth * n - rub
+                if pushed > 0:
+                    moved = True
                 if pushed < 2:
                     break
                 rubs = 0.0
-            store(m, c, i, x)
-            c.start[o] = start
-            impulse = (x - begin) - (start - first)
-            scale = c.density[world] / (c.weight[o] * c.dt * c.dt * float(c.substeps))
-            c.force[o] = c.force[o] + scale * impulse
+            if moved:
+                first = c.start[o]
+                impulse = (x - load(m, c, i)) - (start - first)
+                store(m, c, i, x)
+                c.start[o] = start
+                scale = c.density[world] / (c.weight[o] * c.dt * c.dt * float(c.substeps))
+                c.force[o] = c.force[o] + scale * impulse
 
     @wp.func
     def finish(c: Cloth, m: wp.uint64, world: int, i: int):
@@ -754,21 +887,24 @@ def build_kernels(features: Features) -> Kernels:
         m = address(c.position, world * n)
         if wp.static(SHARED):
             for i in range(lane, n, lanes):
-                store(m, c, i, c.position[world * n + i])
+                store_all(m, c, i, c.position[world * n + i], c.weight[world * n + i])
             wait_for_block()
-        most = wp.max(n, c.faces)
-        resumes = bool(c.substep[world] % c.every != 0)
+        # of what was searched, the layers' candidates are no state: they follow from anchors again
+        resumes = bool(False)
+        if wp.static(LAYERS):
+            resumes = c.substep[world] % c.every != 0
         for _substep in range(count):
-            if resumes or c.substep[world] % c.every == 0:
-                for k in range(lane, wp.max(wp.max(n, c.buckets), c.tools.shapes), lanes):
-                    begin_search(c, m, world, k, resumes)
-                wait_for_block()
-                for i in range(lane, n, lanes):
-                    insert(c, world, i, resumes)
-                wait_for_block()
-                for k in range(lane, most, lanes):
-                    search(c, world, k)
-                resumes = False
+            if wp.static(LAYERS or SHAPES):
+                if resumes or c.substep[world] % c.every == 0:
+                    for k in range(lane, wp.max(wp.max(n, c.buckets), c.tools.shapes), lanes):
+                        begin_search(c, m, world, k, resumes)
+                    wait_for_block()
+                    for k in range(lane, wp.max(n, c.faces), lanes):
+                        insert(c, m, world, k, resumes)
+                    wait_for_block()
+                    for i in range(lane, n, lanes):
+                        search(c, m, world, i, resumes)
+                    resumes = False
             if wp.static(SHAPES or GRIPS):
                 wait_for_block()
                 advance_tools(c, world, lane, lanes)
@@ -825,15 +961,15 @@ def build_kernels(features: Features) -> Kernels:
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def insert_kernel(c: Cloth, resumes: bool):
-        world, i = wp.tid()
+        world, k = wp.tid()
         if searches(c, world, resumes):
-            insert(c, world, i, resumes)
+            insert(c, packed_address(c.position, world * c.vertices), world, k, resumes)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def search_kernel(c: Cloth, resumes: bool):
-        world, k = wp.tid()
+        world, i = wp.tid()
         if searches(c, world, resumes):
-            search(c, world, k)
+            search(c, packed_address(c.position, world * c.vertices), world, i, resumes)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def tools_kernel(c: Cloth):

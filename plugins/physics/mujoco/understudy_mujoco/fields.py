@@ -10,7 +10,7 @@ import numpy as np
 
 from understudy.task import Shape
 
-__all__ = ["AT_ITERATIONS", "AT_LIMIT", "RECENT", "Stage", "readable"]
+__all__ = ["AT_ITERATIONS", "AT_LIMIT", "RECENT", "Stage", "limits", "readable"]
 
 #: What the names of fields that are one sub-step old begin with.
 RECENT = "recent_"

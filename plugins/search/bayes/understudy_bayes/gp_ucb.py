@@ -13,6 +13,8 @@ from understudy_bayes.search import BookedSearch
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import SurrogateOptions, fitted
 
+__all__ = ["GPUCB"]
+
 
 class GPUCB(BookedSearch):
     """x_t = argmax μ(x) + β_t^½ σ(x), after the first trials at points that are spread evenly."""

@@ -10,7 +10,7 @@ from typing import Literal
 
 from scipy.special import stdtr, stdtrit
 
-__all__ = ["mean_of", "paired_difference"]
+__all__ = ["UNDECIDED", "mean_of", "paired_difference", "verdict"]
 
 
 @dataclass(frozen=True)

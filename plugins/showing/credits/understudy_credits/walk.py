@@ -20,6 +20,8 @@ from understudy_report import words
 from understudy_report.values import mapping, sequence
 from understudy_skills.skill import open_skill
 
+__all__ = ["answer", "in_a_line", "open_made"]
+
 #: How far runs that began with runs are followed.
 _DEPTH = 8
 #: Names of files that hold a licence.

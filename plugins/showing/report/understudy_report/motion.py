@@ -15,6 +15,8 @@ from understudy_motion.readers.npz import Archive
 from understudy_report.section import ReportSection
 from understudy_report.stick_figures import stick_figure_animation, stick_figure_svg
 
+__all__ = ["FIGURES", "Figures"]
+
 #: Files of the run folder.
 VIDEO = "video.mp4"
 FIGURES = "stick_figures.npz"

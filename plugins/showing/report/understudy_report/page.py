@@ -23,7 +23,7 @@ from understudy_report.section import ReportSection
 from understudy_report.stick_figures import PLAYER_SCRIPT
 from understudy_report.values import mapping, sequence
 
-__all__ = ["html_page"]
+__all__ = ["html_page", "name_of"]
 
 _HERE = Path(__file__).parent
 _STYLE = (_HERE / "page.css").read_text(encoding="utf-8")

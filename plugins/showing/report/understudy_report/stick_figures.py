@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["stick_figure_svg"]
+__all__ = ["stick_figure_animation", "stick_figure_svg"]
 
 #: Metres. What lies farther from the origin comes from a simulation that blew up.
 _FARTHEST = 1e4

@@ -9,7 +9,7 @@ from typing import Any
 from understudy.folders import read
 from understudy.records.runs import Run
 
-__all__ = ["Row", "interval", "mapping", "number", "own_evaluation", "read_evaluation"]
+__all__ = ["Row", "interval", "mapping", "number", "own_evaluation", "read_evaluation", "sequence"]
 
 Row = Mapping[str, Any]
 

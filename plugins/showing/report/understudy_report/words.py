@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-__all__ = ["duration", "share", "short"]
+__all__ = ["duration", "share", "short", "text"]
 
 
 def text(value: Any) -> str:
