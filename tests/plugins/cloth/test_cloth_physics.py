@@ -275,6 +275,49 @@ def test_what_overlaps_at_first_is_parted_and_not_shot_off() -> None:
     assert fastest < 4, "20 mm in a sub-step would be 40 m/s"
 
 
+@pytest.mark.parametrize(
+    ("edge", "struck_at", "thrown_at", "below"),
+    [(EDGE, 4.0, 0.0, 0.01), (EDGE, 0.0, 6.0, 0.02), (0.08, 0.0, 1.0, 0.002)],
+    ids=["struck", "thrown", "large triangles"],
+)
+def test_nothing_touches_what_the_search_did_not_find(
+    edge: float, struck_at: float, thrown_at: float, below: float
+) -> None:
+    """A fist strikes a sheet, or it is thrown, towards a rod that is so many m below. After every sub-step, what
+    is nearer to either than the gap is what the last search found."""
+    n, radius = 12, 0.0365
+    x, faces = sheet(n, n, edge)
+    c = 5.2 * edge
+    high = 0.005 + radius if struck_at else 1.0
+    fist = Tool((Capsule(radius, 0.15, (0, 0, 0.15)),), (c, c, high))
+    a, b = (np.array([c + side, 6 * edge, -below - 0.01]) for side in (-0.2, 0.2))
+    rod = Tool((Capsule(0.01, **along((a.tolist(), b.tolist()))),))
+    model = ClothModel(x, faces, tools=(fist, rod), gravity=(0, 0, 0))
+    found = simulator(model, self_contact=False)
+    state = {name: found.read(name).clone() for name in found.state_fields}
+    state["cloth_velocity"][..., 2] = -thrown_at
+    found.set_state(ALL, state)
+    shares = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6
+    touched = 0
+    for substep in range(20):
+        found.step(control(found, c, c, high - struck_at * 0.01), 1)
+        snapshot = found.snapshot()
+        seen, known = snapshot["face_near"][0].numpy(), snapshot["near"][0].numpy()
+        seen = np.where(seen < 0, ~seen, seen)  # of triangles that touch, and of all vertices
+        known = np.where(known < 0, ~known, known)
+        y = found.read("cloth_position")[0].numpy()
+        tip = np.array([c, c, high - struck_at * 0.0005 * (substep + 1)])
+        other = np.array([*tip[:2], tip[2] + 0.3])
+        for k, (p, q, r) in enumerate(((tip, other, radius), (a, b, 0.01))):
+            for points, bits in ((np.einsum("sk,fkd->sfd", shares, y[faces]), seen), (y, known)):
+                u = np.clip((points - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)[..., None]
+                distance = np.linalg.norm(points - p - u * (q - p), axis=-1) - r
+                touches = distance.reshape(-1, len(bits)).min(0) < 1.02 * model.fabric.gap
+                assert (bits[touches] >> k & 1).all(), (substep, k)
+                touched += k * int(touches.sum())
+    assert touched > 20, "nothing came to the rod"
+
+
 # ---------------------------------------------------------------- layers
 
 

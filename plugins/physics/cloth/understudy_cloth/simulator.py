@@ -102,7 +102,7 @@ class ClothSimulator(Simulator):
             "contact_force": (wp.to_torch(c.force), (v, 3)),
             "contact_side": (wp.to_torch(c.side), (v,)),
         }
-        hidden = {"substep": (wp.to_torch(c.substep), ())}
+        hidden: dict[str, tuple[Tensor, Shape]] = {"substep": (wp.to_torch(c.substep), ())}
         if self._features.self_contact:
             hidden["anchor"] = (wp.to_torch(c.anchor), (v, 3))
         if self._features.shapes:
