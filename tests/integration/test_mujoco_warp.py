@@ -132,9 +132,10 @@ def test_resume_continues(device: str) -> None:
 
 
 @pytest.mark.gpu
-def test_too_many_worlds_are_refused_before_allocating() -> None:
+def test_too_many_worlds_are_refused_before_allocating(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**20, 2**34))
     with pytest.raises(ConfigError, match=r"About \d+ worlds fit"):
-        build("cuda", worlds=50_000_000)
+        build("cuda", worlds=1024)
 
 
 def test_without_a_gpu_one_line_says_what_is_missing() -> None:
