@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+
 import pytest
 
 from understudy.command.cli import main
@@ -31,3 +33,10 @@ def test_of_the_kernels_own(name: str, capsys: pytest.CaptureFixture[str]) -> No
     said = capsys.readouterr().out
     assert "KEY=VALUE" in said
     assert "understudy train experiment=spacetime/walk" in said or "understudy resume runs/" in said
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_argument_has_a_sentence(name: str) -> None:
+    parser = argparse.ArgumentParser()
+    installed().registry.find("command", name).factory().arguments(parser)
+    assert [action.dest for action in parser._actions if not action.help] == []

@@ -24,7 +24,7 @@ class ListPlugins(Command):
     example = "understudy plugins"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--json", action="store_true")
+        parser.add_argument("--json", action="store_true", help="for programs: JSON")
 
     def run(self, options: argparse.Namespace) -> int:
         plugins = installed()
@@ -57,7 +57,7 @@ class ListTasks(Command):
     example = "understudy tasks"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--json", action="store_true")
+        parser.add_argument("--json", action="store_true", help="for programs: JSON")
 
     def run(self, options: argparse.Namespace) -> int:
         tasks = sorted(installed().registry.tasks.values(), key=lambda t: t.name)
@@ -76,7 +76,7 @@ class ListExperiments(Command):
     example = "understudy experiments"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("--json", action="store_true")
+        parser.add_argument("--json", action="store_true", help="for programs: JSON")
 
     def run(self, options: argparse.Namespace) -> int:
         found = list(offers(installed(), "experiment"))

@@ -49,7 +49,7 @@ class ListRuns(Command):
             type=Path,
             help="where to look, with the folders in it (runs)",
         )
-        parser.add_argument("--json", action="store_true")
+        parser.add_argument("--json", action="store_true", help="for programs: JSON")
 
     def run(self, options: argparse.Namespace) -> int:
         folders = options.folder or [Path("runs")]
