@@ -61,6 +61,15 @@ def test_measured() -> None:
     assert unknown.sentence() == "nothing was measured."
 
 
+@pytest.mark.parametrize("reduce", ["any", "min", "max"])
+def test_a_share_of_episodes_has_an_interval_that_is_possible(reduce: Reduction) -> None:
+    most = Measured.of(reduce, torch.tensor([1.0] * 511 + [0.0]))
+    assert most.mean == pytest.approx(511 / 512)
+    assert 0 < most.low < most.mean < most.high <= 1
+    lengths = Measured.of(reduce, torch.tensor([0.0, 0.9])) if reduce != "any" else most
+    assert reduce == "any" or lengths.low < 0  # of other numbers nothing is known
+
+
 @pytest.mark.parametrize(
     ("rate", "n", "low", "high"),  # Newcombe 1998, table I, method 3, and the limits
     [(81 / 263, 263, 0.2553, 0.3662), (15 / 148, 148, 0.0624, 0.1605), (0, 20, 0, 0.1611), (1 / 29, 29, 0.0061, 0.1718), (0, 0, 0, 1)],
