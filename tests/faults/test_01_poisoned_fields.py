@@ -102,6 +102,7 @@ class Poisonable:
         parts = environment.parts
         self._records = [*parts.initial_states.records]
         self._records += parts.curriculum.records if parts.curriculum else ()
+        self.fields()  # what is read for the first time is kept from then on
         self._start = environment.state_dict()
         read = {"__getitem__": lambda table, name: self._read(table, name)}
         environment.table.__class__ = type("Poisoned", (FieldTable,), read)

@@ -515,7 +515,12 @@ def test_beginning_from_an_earlier_trial(tmp_path: Path, scripted: Any, monkeypa
     assert events(tmp_path) == [*whole("a", 4, 8, 12), *whole("b", 16, 20, 24)]
     assert rows(tmp_path)[5]["trial"]["start"] == {"trial": "a", "parts": ["actor"]}
     sources = json.loads((tmp_path / "b/run.json").read_text())["sources"]
-    assert sources["start"] == {"run": str(tmp_path / "a"), "parts": ["actor"], "samples": 24}
+    assert sources["start"] == {
+        "run": str(tmp_path / "a"),
+        "parts": ["actor"],
+        "samples": 24,
+        "sources": {},
+    }
 
 
 def test_beginning_from_a_trial_that_is_not_there(

@@ -117,7 +117,9 @@ def test_distances_are_mujocos() -> None:
     """Of sticks from each kind of object, in touch too."""
     generator = torch.Generator().manual_seed(0)
     things = Things.of(
-        SHAPES, 0.1 * torch.rand(3, 2, dtype=F64, generator=generator), torch.rand(3, dtype=F64)
+        SHAPES,
+        0.1 * torch.rand(3, 2, dtype=F64, generator=generator),
+        torch.rand(3, dtype=F64, generator=generator),
     )
     spec = mujoco.MjSpec()
     kinds = {"sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
