@@ -16,13 +16,14 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.captured import Captured
 from understudy.running.environment import Environment
-from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.running.warm_start import load_part, newest_state
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Policy, State
 from understudy_skills import bank
+from understudy_skills.gathered import count_of, evaluation_of, stage_of
 
 
 class Harvest(Job):
@@ -206,20 +207,18 @@ class Harvest(Job):
 
     @property
     def _count(self) -> int:
-        return len(next(iter(self._found.values()))) if self._found else 0
+        return count_of(self._found)
 
     def finished(self) -> bool:
         return self._count >= self.options.count
 
     def stage(self) -> str:
-        return f"{min(self._count, self.options.count)} of {self.options.count} states"
+        return stage_of(self._count, self.options.count)
 
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
     ) -> Evaluation:
-        """How many states there are; they need no other judgement."""
-        states = torch.tensor([float(min(self._count, self.options.count))])
-        return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
+        return evaluation_of(self._count, self.options.count)
 
     def products(self, run: Run) -> None:
         if not self._count:

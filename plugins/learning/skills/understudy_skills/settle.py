@@ -14,12 +14,13 @@ from understudy.errors import ConfigError, TrainingError, suggestion
 from understudy.options import check_range
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
-from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
 from understudy.setup.building import Built, build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_skills import bank
+from understudy_skills.gathered import count_of, evaluation_of, stage_of
 
 
 class Settle(Job):
@@ -91,20 +92,18 @@ class Settle(Job):
 
     @property
     def _count(self) -> int:
-        return len(next(iter(self._found.values()))) if self._found else 0
+        return count_of(self._found)
 
     def finished(self) -> bool:
         return self._count >= self.options.count
 
     def stage(self) -> str:
-        return f"{min(self._count, self.options.count)} of {self.options.count} states"
+        return stage_of(self._count, self.options.count)
 
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
     ) -> Evaluation:
-        """How many states there are; they need no other judgement."""
-        states = torch.tensor([float(min(self._count, self.options.count))])
-        return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
+        return evaluation_of(self._count, self.options.count)
 
     def products(self, run: Run) -> None:
         if self._count:
