@@ -6,7 +6,6 @@ import contextlib
 import io
 import logging
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 
@@ -19,6 +18,7 @@ from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
 from understudy_motion.kinematics import forward_kinematics
+from understudy_play.pace import Pace
 from understudy_play.player import World
 from understudy_viewer.guard import guarded
 from understudy_viewer.stage import COLOURS, Colour
@@ -75,12 +75,10 @@ class Page:
 
     def run(self) -> None:
         """Act in real time until the page is closed."""
-        due = time.monotonic()
+        pace = Pace()
 
         def wait() -> None:
-            nonlocal due
-            due = max(due + self._player.dt / self._speed, time.monotonic() - 0.1)
-            time.sleep(max(0.0, due - time.monotonic()))
+            pace.wait(self._player.dt / self._speed)
 
         while not self._closed:
             if self._playing:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import time
 from collections.abc import Callable
 from html import escape
 
@@ -15,6 +14,7 @@ import trimesh
 import viser
 
 from understudy_mujoco.scene import MujocoScene
+from understudy_play.pace import Pace
 from understudy_play.player import World
 from understudy_viewer.guard import guarded
 
@@ -43,12 +43,10 @@ class ScenePage:
 
     def run(self) -> None:
         """Act in real time until the page is closed."""
-        due = time.monotonic()
+        pace = Pace()
 
         def wait() -> None:
-            nonlocal due
-            due = max(due + self._world.dt / self._speed, time.monotonic() - 0.1)
-            time.sleep(max(0.0, due - time.monotonic()))
+            pace.wait(self._world.dt / self._speed)
 
         while not self._closed:
             if self._playing:
