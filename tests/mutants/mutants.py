@@ -97,7 +97,7 @@ MUTANTS = (
            "name: torch.where(rows(step.unsound, value), step.observations[name], value)", "name: value", F01),
     Mutant("first observations are bad", ENVIRONMENT, "name: without_unsound(value) for", "name: value for",
            f"{F01} -k derived"),
-    Mutant("records are bad", f"{KERNEL}/running/collector.py", "without_unsound(environment.table[name])",
+    Mutant("fields of a rollout are bad", f"{KERNEL}/running/collector.py", "without_unsound(environment.table[name])",
            "environment.table[name]", POISON),
     Mutant("an index is made of NaN", "plugins/papers/amorphous/understudy_amorphous/maps.py",
            "cell.long().clamp(0, cells - 1)", "cell.clamp(0, cells - 1).long()", POISON),

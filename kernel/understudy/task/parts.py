@@ -109,7 +109,7 @@ class InitialStates(ABC):
     #: Simulator parameters that :meth:`sample` returns too: those in which worlds then differ.
     varies: tuple[str, ...] = ()
     #: Fields to be kept at every step of a rollout for :meth:`update`.
-    records: tuple[str, ...] = ()
+    rollout_fields: tuple[str, ...] = ()
     #: Control periods that a beginning simulates without control before the episode starts, for
     #: what must come to rest first. Costs that many steps of all worlds whenever one begins.
     settle: int = 0
@@ -142,7 +142,7 @@ class Curriculum(ABC):
 
     provides: Mapping[str, Shape]
     #: Fields to be kept at every step of a rollout for :meth:`update`.
-    records: tuple[str, ...] = ()
+    rollout_fields: tuple[str, ...] = ()
 
     @abstractmethod
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:

@@ -48,7 +48,7 @@ def rollout(ended: int = 10, failed: int = 0, returns: float = 12.0) -> Rollout:
         failed=number < failed,
         final_values=none,
         episode_returns=none + returns,
-        records={},
+        fields={},
     )
 
 

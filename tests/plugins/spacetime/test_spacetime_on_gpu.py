@@ -77,7 +77,7 @@ def test_evolution_waits_for_nothing(
     states = Evolution(Evolution.Options(by="starts"), context)
     time = torch.rand(16 * 4096, device="cuda")
     found = reference_motion(context).sample(time)
-    records = {
+    fields = {
         "phase": found["phase"],
         "episode_step": torch.zeros(len(time), dtype=torch.int64, device="cuda"),
         "motion_time": time,
@@ -85,7 +85,7 @@ def test_evolution_waits_for_nothing(
         "qvel": found["reference_qvel"],
     }
     rollout = make_rollout(
-        {name: value.unflatten(0, (16, 4096)) for name, value in records.items()},
+        {name: value.unflatten(0, (16, 4096)) for name, value in fields.items()},
         time.view(16, 4096),
     )
     states.update(rollout)  # kernels are loaded
