@@ -396,10 +396,10 @@ class Environment:
 
     def _control(self) -> Tensor:
         """(N, U), as the actuation gives it."""
-        bound, table = self.parts.actuation, self.table
-        if bound.part.keeps:
-            self._keep(bound, bound.part.advance(self.action, **table.pick(bound.reads)))
-        return bound.part.control(self.action, **table.pick(bound.reads))
+        wired, table = self.parts.actuation, self.table
+        if wired.part.keeps:
+            self._keep(wired, wired.part.advance(self.action, **table.pick(wired.reads)))
+        return wired.part.control(self.action, **table.pick(wired.reads))
 
     def _taken(self, name: str, memory: Wired[Memory]) -> dict[str, Tensor]:
         """What a memory is called with: fields, and random numbers."""

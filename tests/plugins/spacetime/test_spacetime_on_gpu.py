@@ -1,4 +1,4 @@
-"""What learns within bounds on a GPU: steps and evaluations are recorded, learning where to begin waits
+"""What learns within bounds on a GPU: steps and evaluations are captured, learning where to begin waits
 for nothing."""
 
 from __future__ import annotations

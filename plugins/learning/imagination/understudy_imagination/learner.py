@@ -337,8 +337,8 @@ class Imagination(Learner):
         return float(total) / len(parts)
 
     def _capture(self) -> None:
-        """Forget recorded steps: they hold the addresses of the optimisers' state. Averages over
-        processes are not recorded."""
+        """Forget captured steps: they hold the addresses of the optimisers' state. Averages over
+        processes are not captured."""
         device = self._bad.device
         self.adjoint.forget_graphs()
         losses = {"model": self._model_loss, "actor": self._actor_loss}

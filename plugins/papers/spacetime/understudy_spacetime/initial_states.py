@@ -51,7 +51,7 @@ def counted(rollout: Rollout, of_segment: Tensor, by: By) -> Tensor:
 
 class _Segments:
     """The running average of the estimated return of states by motion segment, and the distribution
-    of eq. 3.9 over segments. Tensors stay the same objects, since recorded steps read them."""
+    of eq. 3.9 over segments. Tensors stay the same objects, since captured steps read them."""
 
     def __init__(
         self, segments: int, *, uniform: float, decay: float, device: torch.device
