@@ -405,7 +405,7 @@ MUTANTS = (
            f"{F24} -k without_end"),
     Mutant("a model may take all memory", APART, "    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))\n", "",
            f"{F24} -k without_end"),
-    Mutant("a model may hang", APART, "            timeout=bounds.wall, env=alone,\n", "            env=alone,\n",
+    Mutant("a model may hang", APART, "            timeout=limits.wall, env=alone,\n", "            env=alone,\n",
            f"{F24} -k ends_or_stops"),
     Mutant("a model that crashes MuJoCo passes", APART, "    if done.returncode:\n", "    if done.returncode == _REFUSED:\n",
            f"{F24} -k ends_or_stops"),
