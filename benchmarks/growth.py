@@ -9,7 +9,8 @@ Prints one line of JSON and appends it to ``--out``. Of all that is held (MB, th
 the least-squares slope an hour and by how much of the mean the line rises over what is counted, with the 95 % intervals
 of least squares, which take measurements as independent; and of speed the last quarter over the first. The first
 quarter of the time warms up and is not counted. Speed is samples a second (walk), trials a second of processor time
-(sweep), pictures a second of a visitor who reads (play). Ends with 1 if memory, threads or descriptors change by
+(sweep), kilobytes a second of the
+page's processor time (play), where what a visitor who reads gets a second is told, too. Ends with 1 if memory, threads or descriptors change by
 more than 5 %, or the last quarter is slower than the first by more::
 
     python benchmarks/growth.py walk --minutes 9
@@ -50,7 +51,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LIMIT = 0.05
 SPEED = "speed"
 #: What only describes: what was reserved of a GPU's memory stands in what is used of it.
-TOLD = ("seconds", "gpu_allocated_mb", "pages_per_processor_second")
+TOLD = ("seconds", "gpu_allocated_mb", "kilobytes_per_second")
 WALK = (
     "experiment=spacetime/walk", "resolution.substeps=null", "evaluation.criterion=null", "evaluation.gate=0",
     "evaluation.seconds=4", "checkpoint.minutes=0.5", "budget.samples=null", "seed=1",
@@ -214,7 +215,7 @@ class Visitors:
     """`count` websockets at a page of viser, in a thread of their own."""
 
     def __init__(self, url: str, count: int) -> None:
-        self.read = [0] * count  #: messages, by visitor
+        self.read = [0] * count  #: bytes, by visitor
         self.refused = 0
         self._url, self._ended = url, False
         self._thread = threading.Thread(target=lambda: asyncio.run(self._all(count)), daemon=True)
@@ -247,8 +248,7 @@ class Visitors:
                                 await asyncio.wait_for(talk.wait_closed(), timeout=1.0)
                                 break
                             continue
-                        await asyncio.wait_for(talk.recv(), timeout=30.0)
-                        self.read[number] += 1
+                        self.read[number] += len(await asyncio.wait_for(talk.recv(), timeout=30.0))
             except (OSError, TimeoutError, WebSocketException):
                 self.refused += 1
                 await asyncio.sleep(1.0)
@@ -270,15 +270,17 @@ def play(options: argparse.Namespace) -> dict[str, Any]:
                 raise SystemExit(f"The page does not begin: {told}")
             told += line
         visitors = Visitors(f"http://127.0.0.1:{port}", options.clients)
-        pages, processor, at = 0, processor_seconds(process.pid), 0.0
+        before, processor, at = 0.0, processor_seconds(process.pid), 0.0
         for row in watching(process.pid, options.every, options.minutes):
             now = row.pop("processor")
-            read = sum(n for i, n in enumerate(visitors.read) if i % 10 > 1)
+            read = sum(n for i, n in enumerate(visitors.read) if i % 10 > 1) / 1024
             readers = sum(i % 10 > 1 for i in range(options.clients))
-            speed = (read - pages) / readers / (row["seconds"] - at)
-            share = (read - pages) / max(now - processor, 1e-3)
-            table.append({**row, SPEED: speed, "pages_per_processor_second": share})
-            pages, processor, at = read, now, row["seconds"]
+            speed = (read - before) / max(now - processor, 1e-3)
+            share = (read - before) / readers / (row["seconds"] - at)
+            table.append({**row, SPEED: speed, "kilobytes_per_second": share})
+            before, processor, at = read, now, row["seconds"]
+        if process.poll() is not None:
+            raise SystemExit(f"The page ended with {process.returncode}: {process.communicate()[0]}")
         visitors.close()
         time.sleep(5.0)
         after = held(process.pid)
