@@ -222,6 +222,8 @@ MUTANTS = (
     Mutant("another number of threads is silent", TRAINING, 'if meta.get("threads", threads()) != threads() and', "if False and",
            f"{F11} -k threads"),
     Mutant("a checkpoint does not know its threads", TRAINING, '        meta["threads"] = threads()\n', "", f"{F11} -k threads"),
+    Mutant("visitors are woken from the thread that draws", GUARD, "infra.AsyncMessageBuffer = ours, _Messages",
+           "infra.AsyncMessageBuffer = ours, messages", f"{GUARDED} -k woken"),
     Mutant("a page answers any name", GUARD, "return bool(ipaddress.ip_address(name))", "return True", GUARDED),
     Mutant("any name is an address", GUARD, "    return False\n\n\n@contextlib", "    return True\n\n\n@contextlib", GUARDED),
     Mutant("a page answers other pages", GUARD, "or origin.netloc != named[0]", "", GUARDED),
