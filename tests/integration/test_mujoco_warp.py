@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 import torch
 from arena import arena, states
+from on_gpu import captured
 from repeatable import repeatable  # noqa: F401 - a fixture
 
 pytest.importorskip(
@@ -327,15 +328,7 @@ def test_captured_in_the_callers_graph(exactly: bool, request: pytest.FixtureReq
         return trace
 
     expected = run(advance)
-    graph, stream = torch.cuda.CUDAGraph(), torch.cuda.Stream()
-    stream.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(stream):
-        advance()
-    torch.cuda.current_stream().wait_stream(stream)
-    pool = torch.cuda.MemPool()  # see the plugin's README
-    with torch.cuda.use_mem_pool(pool), torch.cuda.graph(graph, stream=stream):
-        advance()
-    found = run(graph.replay)
+    found = run(captured(advance, torch.cuda.MemPool()).replay)  # see the plugin's README
     for i, (one, other) in enumerate(zip(expected, found, strict=True)):
         for name in names:
             if exactly:

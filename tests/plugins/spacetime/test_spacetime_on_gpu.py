@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from on_gpu import no_waiting
 from torch import Tensor
 
 pytest.importorskip(
@@ -89,8 +90,5 @@ def test_evolution_waits_for_nothing(
         time.view(16, 4096),
     )
     states.update(rollout)  # kernels are loaded
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+    with no_waiting():
         states.update(rollout)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
