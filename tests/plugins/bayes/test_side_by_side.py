@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from understudy.errors import ConfigError
-from understudy.running.trials import Report, Trial
 from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.side_by_side import SideBySide, apart, reports, together
 from understudy_bayes.space import Parameter
+from understudy_sweeps.loops import Report, Trial
 
 PATHS = {"starts.CANDIDATE.x": Parameter(-1.0, 1.0), "starts.CANDIDATE.y": Parameter(0.0, 2.0)}
 
