@@ -24,12 +24,7 @@ from understudy.running.captured import Captured
 from understudy.running.promises import Parts
 from understudy.running.statistics import EpisodeStatistics
 from understudy.running.table import FieldTable
-from understudy.task import (
-    Context,
-    Memory,
-    Shape,
-    State,
-)
+from understudy.task import Context, Memory, Shape, State
 from understudy.task.terms import Term, Wired
 
 __all__ = ["OWN_FIELDS", "Environment", "Step", "rows", "sound"]

@@ -6,12 +6,12 @@ import pytest
 
 from understudy.errors import ConfigError
 from understudy.inputs import Inputs
-from understudy.running.trials import Report, Trial
 from understudy.setup.composition import compose_raw
 from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
 from understudy_gripping.grip import GripOptions, build_grip
 from understudy_gripping.styles import styles, written
+from understudy_sweeps.loops import Report, Trial
 
 TWO = ("11120", "11200")
 

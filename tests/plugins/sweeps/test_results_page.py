@@ -15,11 +15,11 @@ from browsers import opened
 
 from understudy.command.cli import main
 from understudy.errors import RunError
-from understudy.running.trials import Report, Trial
 from understudy_motion.readers import npz
 from understudy_sweeps import tables
 from understudy_sweeps.film import Tile, columns_of, make_film
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import describe, time_left
 from understudy_sweeps.results import Result, Results, best_of, variants_of

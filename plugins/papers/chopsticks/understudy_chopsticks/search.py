@@ -11,7 +11,6 @@ from typing import Any, Literal
 from understudy import random
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.space import Parameter
 from understudy_bayes.surrogate import SurrogateOptions
@@ -19,6 +18,7 @@ from understudy_gripping.pose import first_guess
 from understudy_gripping.styles import Style, read_style, styles, written
 from understudy_hand.table import FEWEST, FINGERS
 from understudy_hand.tools import HALF_LENGTH
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 
 class GripSearch(OuterLoop):

@@ -15,10 +15,10 @@ from typing import Any, Literal
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.book import SearchOptions
 from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.surrogate import SurrogateOptions
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 __all__ = ["CANDIDATE", "apart", "reports", "together"]
 

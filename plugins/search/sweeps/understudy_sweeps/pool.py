@@ -17,8 +17,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.running.trials import Executor, Report, Trial, Work
 from understudy_sweeps.journal import trial_of
+from understudy_sweeps.loops import Executor, Report, Trial, Work
 
 __all__ = ["PAUSE", "Host", "Limits", "Lost", "Pool", "begun", "job", "message_of"]
 
