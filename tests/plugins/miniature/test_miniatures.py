@@ -102,7 +102,7 @@ def test_learns(name: str, built_on: Path) -> None:
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", TRAININGS)
 def test_trains_on_a_gpu_without_waiting(name: str, built_on: Path) -> None:
-    """Steps are recorded, and torch raises at any operation in a rollout that waits."""
+    """Steps are captured, and torch raises at any operation in a rollout that waits."""
     training = made(name, built_on, "device=cuda")
     rollouts_without_waiting(training)
     learning(training).evaluate("test", 8)

@@ -15,6 +15,7 @@ def understudy_register(register: Registrar) -> None:
         ("random_search", "random_search:RandomSearch", "points drawn uniformly"),
         ("gp_ucb", "gp_ucb:GPUCB", "Bayesian optimisation of whole trials"),
         ("boca", "boca:BOCA", "Bayesian optimisation with cheap approximations"),
+        ("side_by_side", "side_by_side:SideBySide", "GP-UCB, several points in one training"),
     ):
         register.component("outer_loop", name, f"understudy_bayes.{target}", summary)
     register.citation(
