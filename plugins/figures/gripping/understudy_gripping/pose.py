@@ -142,14 +142,21 @@ class PoseSolver:
     ) -> Poses:
         """The poses of all `candidates`, side by side.
 
-        Args:
-            candidates: B of them.
-            iterations: of L-BFGS, at most.
-            start: where to begin (B rows); the T-pose without. The lower stick then stays as it is.
-            angles: B angles between the sticks to hold; free without.
+        Parameters
+        ----------
+        candidates
+            B of them.
+        iterations
+            of L-BFGS, at most.
+        start
+            where to begin (B rows); the T-pose without. The lower stick then stays as it is.
+        angles
+            B angles between the sticks to hold; free without.
 
-        Raises:
-            ConfigError: the hand has no such style.
+        Raises
+        ------
+        ConfigError
+            the hand has no such style.
         """
         for candidate in candidates:
             check_style(candidate.style, len(self.fingers))

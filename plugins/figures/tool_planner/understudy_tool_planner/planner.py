@@ -119,12 +119,17 @@ class Planner:
     def plan(self, task: Task, now: Moment, others: Things) -> Plan:
         """The way to take the object and to put it at its goal.
 
-        Args:
-            now: where arm and sticks are.
-            others: objects that stay.
+        Parameters
+        ----------
+        now
+            where arm and sticks are.
+        others
+            objects that stay.
 
-        Raises:
-            NoPlan: none was found; the sentence says in which phase, and by how many millimetres.
+        Raises
+        ------
+        NoPlan
+            none was found; the sentence says in which phase, and by how many millimetres.
         """
         heading = torch.tensor(task.heading, dtype=torch.float64)
         last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
