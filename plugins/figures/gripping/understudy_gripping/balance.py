@@ -49,6 +49,9 @@ def balance(
 ) -> Balance:
     """Targets that hold the sticks in the pose of `data`, which is computed forward.
 
+    *Limits:* statics of this one pose; friction cones are pyramids, and what cannot be
+    balanced is left as the error.
+
     Parameters
     ----------
     wanted

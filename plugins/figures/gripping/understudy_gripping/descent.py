@@ -35,6 +35,8 @@ def minimise(
     The direction is that of the variables that are free: not at a bound that the gradient pushes
     against. Steps are projected on the bounds and halved until the value falls enough.
 
+    *Limits:* a local minimum, within bounds of each variable alone; no other constraints.
+
     Parameters
     ----------
     cost

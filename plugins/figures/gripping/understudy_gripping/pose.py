@@ -105,7 +105,12 @@ def sides(style: Style) -> tuple[tuple[float, float, float], ...]:
 
 
 class PoseSolver:
-    """Finds gripping poses of one hand."""
+    """Finds gripping poses of one hand.
+
+    *Limits:* a local search from straight fingers, so that a grip which there is may not be
+    found. Contact is of tips with round sticks; forces come after it
+    (:mod:`understudy_gripping.balance`).
+    """
 
     def __init__(self, scene: HandScene) -> None:
         self.scene = scene

@@ -58,6 +58,9 @@ def swivel_of(pose: Tensor) -> Tensor:
 def solve(palm: Tensor, turn: Tensor, swivel: Tensor) -> Solved:
     """Arms whose palms are at `palm` (…, 3) m, turned by `turn` (…, 3, 3).
 
+    *Limits:* this arm's sizes alone, straight or bent one way. The hinges' ranges are not
+    kept; the result says by how much they are.
+
     Parameters
     ----------
     swivel

@@ -84,7 +84,12 @@ class Plan:
 
 
 class Planner:
-    """Plans for one hand and grip. Deterministic."""
+    """Plans for one hand and grip. Deterministic.
+
+    *Limits:* it plans ways, not forces: objects stand still until they are taken, and are
+    spheres, capsules and boxes of the sizes of table 5.2. What is searched at random may
+    miss a way that there is.
+    """
 
     def __init__(self, grip: Grip, scene: HandScene) -> None:
         grip.need(scene)

@@ -87,6 +87,9 @@ def follow(
 ) -> Motion:
     """The motion whose `body` is at `positions` (T, 3) m with `orientations` (T, 4), every `dt` s.
 
+    *Limits:* frame after frame, each from the one before, so that a joint at its range may
+    lead to where later frames cannot be met.
+
     Parameters
     ----------
     start
