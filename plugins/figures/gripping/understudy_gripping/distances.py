@@ -24,10 +24,14 @@ def clamped_log(z: Tensor, limit: float, least: float = LEAST) -> Tensor:
     -(z - z0)²/z · ln(z/z0) for 0 < z < z0. The thesis calls z a depth of penetration; a barrier that is 0
     above 1 mm and infinite at 0 is one of a clearance. Below `least` it continues as its tangent there.
 
-    Args:
-        z: (…) m.
-        limit: z0, m.
-        least: m.
+    Parameters
+    ----------
+    z
+        (…) m.
+    limit
+        z0, m.
+    least
+        m.
     """
     inside = z.clamp(least, limit)
     value = -((inside - limit) ** 2) / inside * torch.log(inside / limit)
@@ -76,10 +80,14 @@ def box_distance(
 ) -> Tensor:
     """(…) m, negative inside: of the segment `ends` (…, 2, 3), at so many points, from a box.
 
-    Args:
-        ends: (…, 2, 3).
-        middles, turns: (…, 3) and (…, 3, 3), the box's axes as columns.
-        sizes: (…, 3), its half sizes.
+    Parameters
+    ----------
+    ends
+        (…, 2, 3).
+    middles, turns
+        (…, 3) and (…, 3, 3), the box's axes as columns.
+    sizes
+        (…, 3), its half sizes.
     """
     shares = torch.linspace(0.0, 1.0, samples, dtype=ends.dtype)
     points = ends[..., :1, :] + shares[:, None] * (ends[..., 1:, :] - ends[..., :1, :])

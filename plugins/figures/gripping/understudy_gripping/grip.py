@@ -114,8 +114,10 @@ def find_grip(
 ) -> Grip:
     """A grip from the T-pose: its poses at :data:`ANGLES`, targets that hold them, held for a second.
 
-    Raises:
-        ConfigError: fingers do not reach, or the sticks fall; the sentence says what.
+    Raises
+    ------
+    ConfigError
+        fingers do not reach, or the sticks fall; the sentence says what.
     """
     solver = PoseSolver(scene)
     candidate = Candidate(style, tuple(places))

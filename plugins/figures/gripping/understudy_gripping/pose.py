@@ -105,7 +105,12 @@ def sides(style: Style) -> tuple[tuple[float, float, float], ...]:
 
 
 class PoseSolver:
-    """Finds gripping poses of one hand."""
+    """Finds gripping poses of one hand.
+
+    *Limits:* a local search from straight fingers, so that a grip which there is may not be
+    found. Contact is of tips with round sticks; forces come after it
+    (:mod:`understudy_gripping.balance`).
+    """
 
     def __init__(self, scene: HandScene) -> None:
         self.scene = scene
@@ -142,14 +147,21 @@ class PoseSolver:
     ) -> Poses:
         """The poses of all `candidates`, side by side.
 
-        Args:
-            candidates: B of them.
-            iterations: of L-BFGS, at most.
-            start: where to begin (B rows); the T-pose without. The lower stick then stays as it is.
-            angles: B angles between the sticks to hold; free without.
+        Parameters
+        ----------
+        candidates
+            B of them.
+        iterations
+            of L-BFGS, at most.
+        start
+            where to begin (B rows); the T-pose without. The lower stick then stays as it is.
+        angles
+            B angles between the sticks to hold; free without.
 
-        Raises:
-            ConfigError: the hand has no such style.
+        Raises
+        ------
+        ConfigError
+            the hand has no such style.
         """
         for candidate in candidates:
             check_style(candidate.style, len(self.fingers))

@@ -66,10 +66,14 @@ def upper_pose(
 ) -> tuple[Tensor, Tensor]:
     """Where the upper part of a gripper is: its middle (…, 3) m and rotation (…, 4).
 
-    Args:
-        position, rotation: (…, 3) m and (…, 4) of the lower part, in any frame.
-        angle: (…) rad, between the two.
-        gripper: how they hang together.
+    Parameters
+    ----------
+    position, rotation
+        (…, 3) m and (…, 4) of the lower part, in any frame.
+    angle
+        (…) rad, between the two.
+    gripper
+        how they hang together.
     """
     # From numbers, so that a step that is captured makes no tensors of them.
     sine, cosine = (0.5 * angle).sin(), (0.5 * angle).cos()

@@ -31,9 +31,11 @@ class Imagined:
     compute from the clock and an episode's constants alone, once for many states; and these
     themselves, which a rollout brings.
 
-    Raises:
-        ConfigError: an encoder, the actuation, a reward or a termination reads a field that positions
-            and velocities do not decide; names it.
+    Raises
+    ------
+    ConfigError
+        an encoder, the actuation, a reward or a termination reads a field that positions
+        and velocities do not decide; names it.
     """
 
     def __init__(self, parts: Parts, context: Context, rigid: Rigid) -> None:

@@ -151,13 +151,20 @@ def boltzmann_draws(
     Weights are whole numbers (32 bits), so that their sums do not depend on the order of summation and
     draws repeat exactly.
 
-    Args:
-        of_segment: (n, B) bool, the states of each segment.
-        returns: (B,) of the states.
-        bits: (n, m) int64 random bits, one for each draw.
-        sign: -1 prefers low returns, 1 high ones.
+    Parameters
+    ----------
+    of_segment
+        (n, B) bool, the states of each segment.
+    returns
+        (B,) of the states.
+    bits
+        (n, m) int64 random bits, one for each draw.
+    sign
+        -1 prefers low returns, 1 high ones.
 
-    Returns:
+    Returns
+    -------
+    tuple[Tensor, Tensor]
         The rows (n, m) of the states drawn, and how many each segment has, (n,); where it has none
         the rows mean nothing.
     """
@@ -310,8 +317,10 @@ class Evolved(InitialStates):
 def evolved_states(run: str) -> dict[str, Tensor]:
     """The buffers (n, m, …) of the newest checkpoint of the folder `run`: qpos, qvel, motion_start.
 
-    Raises:
-        RunError: it is no run whose initial states evolve.
+    Raises
+    ------
+    RunError
+        it is no run whose initial states evolve.
     """
     buffer = newest_state(run).get("environment", {}).get("initial_states", {}).get("buffer", {})
     if not {"qpos", "qvel", "motion_start"} <= buffer.keys():

@@ -49,8 +49,10 @@ _KINDS: Mapping[str, str] = {
 class Archive:
     """The arrays of an NPZ file, read one by one as asked for.
 
-    Raises:
-        FileError: missing, too large, or not a sound zip archive.
+    Raises
+    ------
+    FileError
+        missing, too large, or not a sound zip archive.
     """
 
     def __init__(self, path: Path) -> None:
@@ -164,8 +166,10 @@ def array_names(path: Path) -> frozenset[str]:
 def _literals(pickled: bytes) -> np.ndarray:
     """The numbers in an array of objects, read off its opcodes: nothing is unpickled or called.
 
-    Raises:
-        ValueError: it holds more than plain numbers.
+    Raises
+    ------
+    ValueError
+        it holds more than plain numbers.
     """
     numbers: list[float] | None = None
     if len(pickled) <= MAX_LITERALS:

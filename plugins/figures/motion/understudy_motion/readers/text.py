@@ -65,8 +65,10 @@ def number_rows(
 
     Blank lines are skipped. `delimiter` None is any white space.
 
-    Raises:
-        FileError: naming the line that has another count, or something that is no :func:`is_number`.
+    Raises
+    ------
+    FileError
+        naming the line that has another count, or something that is no :func:`is_number`.
     """
     if not any(line.strip() for line in lines):
         return np.empty((0, columns))
