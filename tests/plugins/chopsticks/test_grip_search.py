@@ -10,7 +10,7 @@ from understudy.running.trials import Report, Trial
 from understudy.setup.composition import compose_raw
 from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
-from understudy_gripping.grip import GripOptions, build_grip
+from understudy_gripping.grip import GripOptions, build_grips
 from understudy_gripping.styles import styles, written
 
 TWO = ("11120", "11200")
@@ -119,13 +119,13 @@ def test_styles_that_are_none(options: dict[str, object], said: str) -> None:
 )  # fmt: skip
 def test_places_that_are_none(options: dict[str, object], said: str, plugins: Plugins) -> None:
     with pytest.raises(ConfigError, match=said):
-        build_grip(GripOptions(**options), plugins.registry, Inputs())  # type: ignore[arg-type]
+        build_grips(GripOptions(**options), plugins.registry, Inputs())  # type: ignore[arg-type]
 
 
 def test_a_candidate_out_of_reach_is_refused_before_any_training(plugins: Plugins) -> None:
     far = GripOptions(style="11200", places={"thumb": 0.12, "index": -0.12, "middle": -0.12})
     with pytest.raises(ConfigError, match="mm are left between a stick and what shall touch it"):
-        build_grip(far, plugins.registry, Inputs())
+        build_grips(far, plugins.registry, Inputs())
 
 
 def test_a_trial_is_a_run_with_its_own_grip(plugins: Plugins) -> None:

@@ -26,9 +26,7 @@ class Groups:
         ConfigError: a training has fewer worlds than groups.
     """
 
-    def __init__(
-        self, names: Sequence[str], context: Context, absent: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, names: Sequence[str], context: Context, absent: Sequence[str] = ()) -> None:
         num_worlds, device = context.num_worlds, context.device
         if len(names) > num_worlds and not context.evaluating:
             raise ConfigError(

@@ -55,9 +55,7 @@ def reports(report: Report, keys: Mapping[str, str], objective: str) -> dict[str
     found = {
         name: value
         for name in keys
-        if math.isfinite(
-            value := report.measures.get(objective.replace(CANDIDATE, name), math.nan)
-        )
+        if math.isfinite(value := report.measures.get(objective.replace(CANDIDATE, name), math.nan))
     }
     if report.status != "ok":
         return {
