@@ -18,6 +18,7 @@ REQUIRES = (
     "sweeps",
     "tensors",
     "terms",
+    "tool_planner",
 )
 
 _HERE = "understudy_chopsticks"
@@ -40,6 +41,13 @@ def understudy_register(register: Registrar) -> None:
     add("reward", "contact", "tracking:contact", "eq. 5.5: fingertips at their places")
     add("termination", "dropped", "tracking:dropped", "a stick is far from where it is planned")
     add("termination", "contact_lost", "tracking:contact_lost", "fingertips left their places")
+    add("initial_states", "relocations", "relocate:Relocations", "an object, and a plan to follow")
+    add("fields", "follow", "relocate:Follow", "where everything shall be, by a plan of its own")
+    add("fields", "object", "relocate:Object", "the object in the palm, and errors")
+    add("reward", "object", "relocate:thing", "eq. 5.4: the object as planned")
+    add("termination", "lost", "relocate:lost", "the object is far from where it is planned")
+    add("termination", "missed", "relocate:missed", "the plan is over, the object elsewhere")
+    add("termination", "placed", "relocate:placed", "the object is where it shall be")
     register.component(
         "outer_loop",
         "chopsticks/grips",
@@ -47,6 +55,7 @@ def understudy_register(register: Registrar) -> None:
         "places of fingers, by style",
     )
     register.task("chopsticks/open_close", "hold two sticks, and open and close them as planned")
+    register.task("chopsticks/relocate", "take an object with two sticks and put it elsewhere")
     register.citation(
         "yang2022chopsticks",
         "Yang, Yin, Liu. Learning to use chopsticks in diverse gripping styles. ACM Transactions on "

@@ -14,6 +14,9 @@ from understudy_chopsticks.plan import AHEAD, GRIPPER, gripping
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import tips
 
+#: The object as it is, and as it is planned.
+_OBJECT = ("object_state", "object_ahead")
+
 
 class State(Encoder):
     """Table 5.1 without an object: arm and hand, sticks, fingertips' distances, normal forces, the plan ahead.
@@ -26,6 +29,7 @@ class State(Encoder):
     class Options:
         forces: bool = True  #: normal forces on fingertips and on the sticks' tips
         planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
+        object: bool = False  #: the object as it is and as it is planned, in the palm's frame
 
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "encoder 'chopsticks/state'")
@@ -38,10 +42,11 @@ class State(Encoder):
         self._from = tuple(f"from_{name}" for name in made.names) if made.several else ()
         self.reads = (
             "qpos", "qvel", "stick_state", "tip_distance", "plan_ahead", *self._touch, *self._from,
+            *(_OBJECT if options.object else ()),
         )  # fmt: skip
         planned = GRIPPER + (2 * scene.hinges if options.planned_hand else 0)
         size = 2 * scene.hinges + 26 + touching + len(self._touch) + len(AHEAD) * planned
-        self.shape = (size + len(self._from),)
+        self.shape = (size + len(self._from) + (13 + 7 * len(AHEAD) if options.object else 0),)
 
     def encode(
         self,
@@ -63,6 +68,7 @@ class State(Encoder):
                 *(torch.log1p(more[name]) for name in self._touch),
                 ahead.flatten(1),
                 *(more[name][:, None] for name in self._from),
+                *(more[name].flatten(1) for name in _OBJECT if self._options.object),
             ],
             dim=1,
         )

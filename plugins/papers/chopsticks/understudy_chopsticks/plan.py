@@ -89,7 +89,7 @@ class Gripping:
     def at(self, table: Tensor, angle: Tensor) -> tuple[Tensor, Tensor]:
         """Of `table` (C, K, H): the values at `angle` (N, …) of each world's own, (N, …, H), and their slopes
         there."""
-        row = torch.bucketize(angle, self.angles[1:-1])
+        row = torch.bucketize(angle.contiguous(), self.angles[1:-1])
         low, high = self.angles[row], self.angles[row + 1]
         if len(self.grips) == 1:
             first, second = table[0, row], table[0, row + 1]
