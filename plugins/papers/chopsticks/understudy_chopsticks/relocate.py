@@ -26,7 +26,7 @@ from understudy_hand.tools import upper_pose
 from understudy_tensors import rotations
 from understudy_tool_planner import objects
 from understudy_tool_planner.configuration import NoPlan
-from understudy_tool_planner.planner import DT, PHASES, Plan, Planner
+from understudy_tool_planner.planner import CLOSING, DT, LEAST, PHASES, Plan, Planner
 from understudy_tool_planner.tasks import Table, random_goal
 
 #: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, and whether it is held.
@@ -144,7 +144,7 @@ class Relocations(InitialStates):
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
             check_range(self, "refill", least=0, most=100_000)
-            check_range(self, "longest", above=0, most=60)
+            check_range(self, "longest", least=2 * (LEAST + CLOSING), most=60.0)
             if self.refill >= self.plans:
                 raise ValueError(
                     f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
@@ -232,7 +232,7 @@ class Follow(Fields):
     @dataclass(frozen=True)
     class Options:
         #: rad that the sticks' targets close further while they hold the object, so that they press on it
-        squeeze: float = 0.02
+        squeeze: float = 0.05
 
         def __post_init__(self) -> None:
             check_range(self, "squeeze", least=0, most=0.2)
