@@ -16,10 +16,10 @@ from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
 from understudy.task.terms import ranges
 from understudy_chopsticks.plan import gripping
-from understudy_gripping.distances import at, place_on_segment
 from understudy_gripping.pose import sides
 from understudy_hand.tools import RADIUS
 from understudy_tensors import rotations
+from understudy_tensors.segments import at, place_on_segment
 
 
 class Tracking(Fields):

@@ -8,7 +8,7 @@ from understudy.setup.registry import Registrar
 from understudy_mujoco import opengl
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("tensors",)
 
 
 def _wait_asleep() -> None:
@@ -30,6 +30,12 @@ def understudy_register(register: Registrar) -> None:
         "mujoco",
         "understudy_mujoco.simulator:MujocoSimulator",
         "MuJoCo on CPU threads",
+    )
+    register.component(
+        "fields",
+        "mujoco/distances",
+        "understudy_mujoco.distances:Distances",
+        "how far groups of geoms are apart",
     )
     register.component(
         "scene", "mjcf", "understudy_mujoco.scene:MjcfFile", "a scene read from an MJCF file"
