@@ -65,7 +65,7 @@ class Step:
     unsound: Tensor  #: (N,) bool: failed because numbers went wrong
     returns: Tensor  #: (N,) the episodes' returns up to and with this step
     endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
-    reached: dict[str, Tensor]  #: the fields that :attr:`Environment.reaches` names
+    next_fields: dict[str, Tensor]  #: those that :attr:`Environment.next_fields` names
     #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
     final_observations: dict[str, Tensor] | None = None
 
@@ -182,7 +182,7 @@ class Environment:
         }
         self.observations: dict[str, Tensor] = {}
         #: Fields of the states reached that a step is to bring, (N, …).
-        self.reaches: Sequence[str] = ()
+        self.next_fields: Sequence[str] = ()
         self.statistics = EpisodeStatistics(parts.terminations, num_worlds, device)
         #: Worlds quarantined since the start because their numbers went wrong.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
@@ -264,8 +264,8 @@ class Environment:
             yield part.where, tuple(part.reads.values())
         for term in (*parts.rewards, *parts.terminations, *parts.measures):
             yield term.where, tuple(term.reads.values())
-        yield "initial_states", parts.initial_states.records
-        yield "curriculum", parts.curriculum.records if parts.curriculum else ()
+        yield "initial_states", parts.initial_states.rollout_fields
+        yield "curriculum", parts.curriculum.rollout_fields if parts.curriculum else ()
 
     @_as_physics
     def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
@@ -350,7 +350,7 @@ class Environment:
         self._quarantine(unsound, before)
         self.observations = reached
         returns = self.statistics.returns.clone()
-        kept = {name: without_unsound(table[name]).clone() for name in self.reaches}
+        kept = {name: without_unsound(table[name]).clone() for name in self.next_fields}
         return Step(
             reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
         )
@@ -396,10 +396,10 @@ class Environment:
 
     def _control(self) -> Tensor:
         """(N, U), as the actuation gives it."""
-        bound, table = self.parts.actuation, self.table
-        if bound.part.keeps:
-            self._keep(bound, bound.part.advance(self.action, **table.pick(bound.reads)))
-        return bound.part.control(self.action, **table.pick(bound.reads))
+        wired, table = self.parts.actuation, self.table
+        if wired.part.keeps:
+            self._keep(wired, wired.part.advance(self.action, **table.pick(wired.reads)))
+        return wired.part.control(self.action, **table.pick(wired.reads))
 
     def _taken(self, name: str, memory: Wired[Memory]) -> dict[str, Tensor]:
         """What a memory is called with: fields, and random numbers."""

@@ -32,7 +32,7 @@ __all__ = [
     "options",
     "refuse_resolvers",
     "replaced",
-    "sorts",
+    "split_overrides",
 ]
 
 
@@ -232,7 +232,9 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     return result
 
 
-def sorts(overrides: Sequence[str], plugins: Plugins) -> tuple[list[str], dict[str, str], set[str]]:
+def split_overrides(
+    overrides: Sequence[str], plugins: Plugins
+) -> tuple[list[str], dict[str, str], set[str]]:
     """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot whatever
     else chooses it, since Hydra has no null for a group of options; and the groups for which an
     override chooses a file (``policy=mlp``)."""
@@ -292,7 +294,7 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     """
     plugins = plugins or installed()
     overrides = [readable(override) for override in overrides]
-    kept, emptied, chosen = sorts(overrides, plugins)
+    kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         config = compose("config", overrides=for_hydra(kept, plugins))
         if chosen:  # what task and experiment say of other choices does not hold for these

@@ -38,7 +38,7 @@ def imagine(
     policy and noise would do; where `ended` (L, N) what follows begins at the first states again."""
     table = job.environment.table
     imagined, rigid = learner.adjoint._imagined, learner.adjoint._rigid
-    first = {name: table[name].clone() for name in learner.records}
+    first = {name: table[name].clone() for name in learner.rollout_fields}
     state, rows = dict(first), []
     dt, total = job.environment.control_dt, torch.zeros(())
     for t in range(len(moved)):
@@ -103,8 +103,8 @@ def test_what_it_says_of_the_policy_is_what_the_policy_does(
     learner, adjoint = parts(made)
     rollout = made.collector.collect(STEPS)
     window = Window(
-        {name: rollout.records[name] for name in learner.records},
-        rollout.reached,
+        {name: rollout.fields[name] for name in learner.rollout_fields},
+        rollout.next_fields,
         rollout.actions,
         rollout.terminated | rollout.truncated,
     )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import json
-import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browsers import opened
 
 from understudy.command.cli import main
 from understudy.errors import RunError
@@ -288,7 +288,6 @@ def test_recordings_of_strangers_are_data(
 
 # ---------------------------------------------------------------------- in a browser
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 QUICK = (
     "num_worlds=16", "learner.rollout_steps=8", "budget.samples=768", "evaluation.every_samples=256",
     "evaluation.episodes=8", "evaluation.final_episodes=8", "evaluation.seconds=1.0",
@@ -297,14 +296,7 @@ QUICK = (
 
 @pytest.fixture
 def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"no browser to look at the page with ({', '.join(BROWSERS)})")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        yield browser
-        browser.close()
+    yield from opened()
 
 
 def test_the_page_of_an_ablation(browser: Any, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from understudy_hand import tools
 from understudy_hand.model import build_spec
 from understudy_hand.table import Measures, links
 from understudy_mujoco.contact import Contact
-from understudy_mujoco.drawing import open_renderer
+from understudy_mujoco.drawing import draw_motion
 from understudy_mujoco.scene import MujocoScene
 
 __all__ = ["HandScene"]
@@ -122,27 +122,23 @@ class HandScene(MujocoScene):
     ) -> Iterator[np.ndarray]:
         """A close-up of the hand; what is planned, where it is, as a ghost."""
         model = self.shown().compile()
-        data = mujoco.MjData(model)
-        renderer = open_renderer(model, width, height)
         camera = mujoco.MjvCamera()
         camera.distance, camera.elevation = _DISTANCE * max(1.0, self.measures.size), _ELEVATION
         camera.azimuth = _AZIMUTH if self.azimuth is None else self.azimuth
         palm = model.body("palm").id
-        try:
-            for frame, qpos in enumerate(tracks["qpos"]):
-                data.qpos[:] = qpos
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_camlight(model, data)
+
+        def aim(frame: int, data: mujoco.MjData) -> None:
+            if frame == 0:  # it stands still: the hand's movement is what is to be seen
                 turn = data.xmat[palm].reshape(3, 3)
-                if frame == 0:  # it stands still: the hand's movement is what is to be seen
-                    camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)
-                renderer.update_scene(data, camera)
-                for name in ("planned_upper", "planned_lower"):
-                    if name in tracks:
-                        _add_ghost(renderer.scene, data.xpos[palm], turn, tracks[name][frame])
-                yield renderer.render()
-        finally:
-            renderer.close()
+                camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)
+
+        def ghosts(frame: int, data: mujoco.MjData, scene: mujoco.MjvScene) -> None:
+            for name in ("planned_upper", "planned_lower"):
+                if name in tracks:
+                    turn = data.xmat[palm].reshape(3, 3)
+                    _add_ghost(scene, data.xpos[palm], turn, tracks[name][frame])
+
+        yield from draw_motion(model, tracks["qpos"], (width, height), camera, aim, ghosts)
 
     def outlines(
         self, tracks: Mapping[str, np.ndarray]

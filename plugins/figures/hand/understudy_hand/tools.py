@@ -73,7 +73,7 @@ def upper_pose(
         angle: (…) rad, between the two.
         gripper: how they hang together.
     """
-    # From numbers, so that a step that is recorded makes no tensors of them.
+    # From numbers, so that a step that is captured makes no tensors of them.
     sine, cosine = (0.5 * angle).sin(), (0.5 * angle).cos()
     turn = torch.stack([cosine, *(part * sine for part in gripper.axis)], dim=-1)
     turned = rotations.multiply(rotation, turn)

@@ -121,7 +121,7 @@ class UnderstudyVectorEnv(VectorEnv):
         autoreset_mode: when an ended world begins its next episode, Gymnasium's. ``NEXT_STEP``, its
             default: in the step after, whose action it ignores and whose reward is 0. ``SAME_STEP``:
             at once, with the last observation under ``info["final_obs"]``, an array of one object a
-            world; the fastest on a GPU, where only this step is replayed as a recording.
+            world; the fastest on a GPU, where only this step is captured and replayed.
             ``DISABLED``: when ``reset(options={"reset_mask": mask})`` says so.
 
     Raises:

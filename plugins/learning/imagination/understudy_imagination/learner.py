@@ -164,7 +164,7 @@ class Imagination(Learner):
             if compiled.body_weldid[body] != 0
         }
         self._imagined = imagined = Imagined(parts, context, rigid)
-        self.records = self.reaches = (*_STATE, *imagined.taken)
+        self.rollout_fields = self.next_fields = (*_STATE, *imagined.taken)
         own, seed = options.model, context.seed
         with private_rng(seed, "imagination/model"):
             model = WorldModel(
@@ -214,8 +214,8 @@ class Imagination(Learner):
         metrics = {"value_loss": self._fit_critic(batch)}
         metrics["explained_variance"] = explained_variance(rollout)
         newest = Window(
-            {name: rollout.records[name] for name in self.records},
-            rollout.reached,
+            {name: rollout.fields[name] for name in self.rollout_fields},
+            rollout.next_fields,
             rollout.actions,
             rollout.terminated | rollout.truncated,
         )
@@ -337,8 +337,8 @@ class Imagination(Learner):
         return float(total) / len(parts)
 
     def _capture(self) -> None:
-        """Forget recorded steps: they hold the addresses of the optimisers' state. Averages over
-        processes are not recorded."""
+        """Forget captured steps: they hold the addresses of the optimisers' state. Averages over
+        processes are not captured."""
         device = self._bad.device
         self.adjoint.forget_graphs()
         losses = {"model": self._model_loss, "actor": self._actor_loss}
@@ -381,7 +381,7 @@ class Imagination(Learner):
         device, steps = self._bad.device, min(self.options.tail, len(kept["actions"]))
 
         def fields(prefix: str) -> dict[str, Tensor]:
-            return {name: kept[f"{prefix}/{name}"].to(device) for name in self.records}
+            return {name: kept[f"{prefix}/{name}"].to(device) for name in self.rollout_fields}
 
         ended = kept["ended"].to(device)
         window = Window(fields("before"), fields("reached"), kept["actions"].to(device), ended)

@@ -46,12 +46,12 @@ def counted(rollout: Rollout, of_segment: Tensor, by: By) -> Tensor:
     """`of_segment` (n, T N), less the states that do not count for eq. 3.9."""
     if by == "visits":
         return of_segment
-    return of_segment & (rollout.records["episode_step"].flatten() == 0)
+    return of_segment & (rollout.fields["episode_step"].flatten() == 0)
 
 
 class _Segments:
     """The running average of the estimated return of states by motion segment, and the distribution
-    of eq. 3.9 over segments. Tensors stay the same objects, since recorded steps read them."""
+    of eq. 3.9 over segments. Tensors stay the same objects, since captured steps read them."""
 
     def __init__(
         self, segments: int, *, uniform: float, decay: float, device: torch.device
@@ -101,7 +101,7 @@ class Importance(InitialStates):
     """Reference states, drawn more often from segments whose states have low returns (eq. 3.9)."""
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase", "episode_step")
+    rollout_fields = ("phase", "episode_step")
 
     @dataclass(frozen=True)
     class Options:
@@ -130,7 +130,7 @@ class Importance(InitialStates):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
-        of_segment = self._segments.of(rollout.records["phase"].flatten())
+        of_segment = self._segments.of(rollout.fields["phase"].flatten())
         of_segment = counted(rollout, of_segment, self._options.by)
         probabilities = self._segments.update(of_segment, rollout.returns.flatten())
         return {"hardest_segment": float(probabilities.argmax())}
@@ -181,7 +181,7 @@ class Evolution(InitialStates):
     """
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase", "episode_step", "motion_time", "qpos", "qvel")
+    rollout_fields = ("phase", "episode_step", "motion_time", "qpos", "qvel")
 
     @dataclass(frozen=True)
     class Options:
@@ -227,14 +227,14 @@ class Evolution(InitialStates):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
-        options, records = self._options, rollout.records
+        options, fields = self._options, rollout.fields
         returns = rollout.returns.flatten()
-        of_segment = self._segments.of(records["phase"].flatten())
+        of_segment = self._segments.of(fields["phase"].flatten())
         self._segments.update(counted(rollout, of_segment, options.by), returns)
         qpos, qvel, start = self._reference.to_first_cycle(
-            records["qpos"].flatten(0, 1),
-            records["qvel"].flatten(0, 1),
-            records["motion_time"].flatten(),
+            fields["qpos"].flatten(0, 1),
+            fields["qvel"].flatten(0, 1),
+            fields["motion_time"].flatten(),
         )
         sign = -1.0 if options.prefer == "low" else 1.0
         rows, counts = boltzmann_draws(

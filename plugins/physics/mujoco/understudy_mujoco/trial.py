@@ -1,4 +1,4 @@
-"""A stranger's model is first compiled in a process of its own, within bounds.
+"""A stranger's model is first compiled in a process of its own, within limits.
 
 A few bytes of MJCF (``replicate``, ``lengthrange``, ``nkey``) have MuJoCo compute for hours or allocate
 without end, and an exception within it (MuJoCo 4.0) leaves the thread's log handler pointing at itself:
@@ -15,10 +15,10 @@ from pathlib import Path
 import mujoco
 
 from understudy.errors import FileError
-from understudy_mujoco.apart import Bounds, read_apart, serve
+from understudy_mujoco.apart import Limits, read_apart, serve
 from understudy_mujoco.mjcf import Mjcf, read_mjcf
 
-BOUNDS = Bounds()
+LIMITS = Limits()
 """For reading and compiling a model."""
 
 _passed: set[bytes] = set()
@@ -43,7 +43,7 @@ def try_out(path: Path, root: Path, model: Mjcf) -> None:
     of it.
 
     Raises:
-        FileError: it does not compile, or not within the bounds.
+        FileError: it does not compile, or not within the limits.
     """
     digest = hashlib.sha256(model.text.encode())
     for name, content in sorted(model.assets.items()):
@@ -51,7 +51,7 @@ def try_out(path: Path, root: Path, model: Mjcf) -> None:
     if digest.digest() in _passed:
         return
     refusal = f"The model {path} does not compile"
-    read_apart(__name__, path, refusal, BOUNDS, os.fsencode(root.absolute()))
+    read_apart(__name__, path, refusal, LIMITS, os.fsencode(root.absolute()))
     _passed.add(digest.digest())
 
 

@@ -300,7 +300,7 @@ def reference_table(built: Built) -> dict[str, np.ndarray] | None:
     is its end. Where it does, the first row follows the last one, its root turned by ``cycle_turn`` rad
     about the vertical and then moved by ``cycle_displacement`` (2,) m. None without a reference.
     """
-    if not any(isinstance(bound.part, Reference) for bound in built.environment.parts.fields):
+    if not any(isinstance(wired.part, Reference) for wired in built.environment.parts.fields):
         return None
     motion = reference_motion(built.context)
     count = max(2, round(motion.duration / motion.control_dt * ROWS))
