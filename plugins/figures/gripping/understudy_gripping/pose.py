@@ -13,20 +13,19 @@ import torch
 from torch import Tensor
 
 from understudy_gripping.descent import minimise
-from understudy_gripping.distances import (
-    at,
-    box_distance,
-    clamped_log,
-    nearest_places,
-    place_on_segment,
-    segment_distance,
-)
+from understudy_gripping.distances import box_distance, clamped_log
 from understudy_gripping.kinematics import HandKinematics, Placed, stick_ends
 from understudy_gripping.styles import LOWER, UPPER, Style, check_style
 from understudy_hand.scene import HandScene
 from understudy_hand.table import FINGERS
 from understudy_hand.tools import HALF_LENGTH, RADIUS, upper_pose
 from understudy_tensors import rotations
+from understudy_tensors.segments import (
+    at,
+    nearest_places,
+    place_on_segment,
+    segment_distance,
+)
 
 __all__ = ["first_guess", "sides"]
 
