@@ -13,6 +13,7 @@ REQUIRES = (
     "tensors",
     "terms",
     "characters",
+    "doctor",
     "imagination",
     "motion",
     "mujoco",
@@ -100,6 +101,15 @@ def understudy_register(register: Registrar) -> None:
         "the clip's beginning",
     )
     add(
+        "initial_states", "spacetime/phases", f"{_HERE}.initial_states:Phases", "a part of the clip"
+    )
+    add(
+        "initial_states",
+        "spacetime/flyable",
+        f"{_HERE}.initial_states:Flyable",
+        "any time of the clip from which it can be flown",
+    )
+    add(
         "initial_states",
         "spacetime/evolved",
         f"{_HERE}.initial_states:Evolved",
@@ -117,6 +127,12 @@ def understudy_register(register: Registrar) -> None:
         "spacetime/evolved_states",
         f"{_HERE}.section:EvolvedSection",
         "where initial states have evolved to",
+    )
+    add(
+        "report_section",
+        "spacetime/by_phase",
+        f"{_HERE}.by_phase:ByPhaseSection",
+        "success by where episodes begin, beside where that cannot be",
     )
     add(
         "command",
