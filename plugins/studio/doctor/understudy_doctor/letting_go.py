@@ -22,6 +22,8 @@ from understudy_motion.clip import Clip
 from understudy_motion.section import Floor
 from understudy_tensors import rotations
 
+__all__ = ["LettingGo", "let_go"]
+
 ASTRAY, TURNED = 0.2, 0.7
 """m along an axis, rad: the bounds on centre of mass and root orientation of Ma et al. 2021."""
 STARTS = 60.0
