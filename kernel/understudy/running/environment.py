@@ -110,16 +110,23 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
 class Environment:
     """N worlds of one task.
 
-    Args:
-        parts: what the task consists of.
-        context: N, device, seed, and rates; its difficulty is the field of that name, unless the
-            curriculum provides it.
-        episode_seconds: episodes are truncated at this length, unless the curriculum provides
-            ``episode_limit`` (which it does not in evaluations).
-        known_fields: from a field's name to the components that provide it, for errors.
+    Parameters
+    ----------
+    parts
+        what the task consists of.
+    context
+        N, device, seed, and rates; its difficulty is the field of that name, unless the
+        curriculum provides it.
+    episode_seconds
+        episodes are truncated at this length, unless the curriculum provides
+        ``episode_limit`` (which it does not in evaluations).
+    known_fields
+        from a field's name to the components that provide it, for errors.
 
-    Raises:
-        ConfigError: if a part reads a field that nothing provides, or a term has the wrong shape.
+    Raises
+    ------
+    ConfigError
+        if a part reads a field that nothing provides, or a term has the wrong shape.
     """
 
     def __init__(

@@ -52,6 +52,8 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
         GlobalHydra.instance().clear()
 
 
+#: ``[1] walk.bvh``: more than a list, a mapping or a quotation.
+_MORE = r"""(\[[^\[\]]*\]|\{[^{}]*\}|'[^']*'|"[^"]*")[^\s,'"\]}][^,]*|(\[[^\[\]]*\]|\{[^{}]*\})\s[^,:]*"""
 _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
@@ -77,6 +79,8 @@ def readable(override: str) -> str:
         value = value.strip()
         override = f"{key}={value}"
     structured = value.startswith(("[", "{")) and not _is_file(value)
+    if not reads(value) and re.fullmatch(_MORE, value):
+        return f"{key}={quoted(value)}"
     if reads(value) or (value.count(",") and not _is_file(value) and not structured):
         return override
     if structured:
@@ -140,7 +144,10 @@ def _check(override: str, plugins: Plugins) -> None:
                 f"{override} names no option: those are files in the folders of options."
             )
     if several:
-        form = f" A list is written [{value}]; runs and seeds are compared by `understudy sweep`."
+        form = (
+            f" A list is written [{value}], a text with commas {key}=\"'{value}'\"; runs and seeds are "
+            "compared by `understudy sweep`."
+        )
         raise ConfigError(f"{override} has several values and a run takes one.{form}")
 
 
@@ -289,8 +296,10 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     A part that an override chooses (``policy=mlp``) is as its file has it, and as other overrides
     set it: what the task or experiment says of its own choice is not mixed in.
 
-    Raises:
-        ConfigError: if Hydra cannot compose it, or it contains a key that names code.
+    Raises
+    ------
+    ConfigError
+        if Hydra cannot compose it, or it contains a key that names code.
     """
     plugins = plugins or installed()
     overrides = [readable(override) for override in overrides]

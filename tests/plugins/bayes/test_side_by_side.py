@@ -76,12 +76,9 @@ def test_it_goes_on_as_it_would_have() -> None:
         assert second.recall(trial)
         second.tell(report(trial))
     assert asked(first, 2) == asked(second, 2)
-    other = asked(made(), 0)
-    made_again = made()
-    asked(made_again, 0)
-    moved = {**other.point, "starts.c0.x": 0.123}
+    moved = Trial("job0", point={**asked(third := made(), 0).point, "starts.c0.x": 0.123})
     with pytest.raises(ConfigError, match="at another point when this search began"):
-        made_again.recall(Trial("job0", point=moved))
+        third.recall(moved)
 
 
 def test_a_candidate_without_a_world_has_failed_and_cost_nothing() -> None:

@@ -73,8 +73,10 @@ class Layout:
 def layout_of(character: Character, end_effectors: Sequence[str] = ()) -> Layout:
     """The layout of `character`, whose hands and feet are the links named, or else the limbs' ends.
 
-    Raises:
-        ConfigError: it has no link of one of these names.
+    Raises
+    ------
+    ConfigError
+        it has no link of one of these names.
     """
     model, bodies = character.model, sorted(character.carrier)
     names = tuple(_name(model, body) for body in bodies)

@@ -22,5 +22,5 @@ def understudy_register(register: Registrar) -> None:
     register.kind("grip", "how a hand holds two sticks: a function that gives the file's path")
     register.parts(__name__, PARTS)
     register.section(
-        "grip", "understudy_gripping.grip:GripOptions", "understudy_gripping.grip:build_grip"
+        "grip", "understudy_gripping.grip:GripOptions", "understudy_gripping.grip:build_grips"
     )

@@ -48,6 +48,7 @@ class HandScene(MujocoScene):
         finger_length: float = 1.0  #: of all fingers, in those of the human hand
         size: float = 1.0  #: of the hand, in that of the human hand; the arm stays as it is
         tool: tools.Tool = "sticks"  #: what it holds
+        object: tools.Thing | None = None  #: what lies on the table; null is nothing
         friction: float = 1.0  #: sliding, of everything (the release)
         contact: Contact = field(
             default_factory=Contact
@@ -67,7 +68,9 @@ class HandScene(MujocoScene):
         self.timestep = context.control_dt / context.substeps if context else 0.005
 
     def spec(self) -> mujoco.MjSpec:
-        spec = build_spec(self.measures, self.options.tool, self.options.friction)
+        spec = build_spec(
+            self.measures, self.options.tool, self.options.friction, self.options.object
+        )
         spec.option.timestep = self.timestep
         FIRM.apply(spec)
         self.contact.apply(spec)

@@ -151,8 +151,10 @@ def _banked(
 ) -> dict[str, Tensor]:
     """The states of all `banks`: qpos (M, nq), qvel (M, nv), and where the `chair` stood (M, 3), (M, 4).
 
-    Raises:
-        ConfigError: if one is of another figure, or has no chair.
+    Raises
+    ------
+    ConfigError
+        if one is of another figure, or has no chair.
     """
 
     def load(given: str) -> dict[str, Tensor]:

@@ -30,6 +30,8 @@ def chair_sizes(box: Box) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class RoomOptions:
+    """Which room, and which of its chairs."""
+
     file: str | None = None  #: path of a scene; null is the embedded example
     chair: int = 0  #: which of its chairs is sat upon
 

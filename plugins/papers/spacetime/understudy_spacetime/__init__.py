@@ -13,6 +13,7 @@ REQUIRES = (
     "tensors",
     "terms",
     "characters",
+    "doctor",
     "imagination",
     "motion",
     "mujoco",
@@ -50,6 +51,8 @@ PARTS = {
         "spacetime/importance": ("initial_states:Importance", "more where returns are low"),
         "spacetime/evolution": ("initial_states:Evolution", "elite states of past rollouts"),
         "spacetime/clip_start": ("initial_states:ClipStart", "the clip's beginning"),
+        "spacetime/phases": ("initial_states:Phases", "a part of the clip"),
+        "spacetime/flyable": ("initial_states:Flyable", "any time from which it can be flown"),
         "spacetime/evolved": ("initial_states:Evolved", "another run's evolved initial states"),
     },
     "curriculum": {
@@ -60,6 +63,7 @@ PARTS = {
     },
     "report_section": {
         "spacetime/evolved_states": ("section:EvolvedSection", "where initial states evolved to"),
+        "spacetime/by_phase": ("by_phase:ByPhaseSection", "success by where episodes begin"),
     },
     "command": {
         "motion learned": ("learned:Learned", "write the motion that a run learned as a clip"),

@@ -8,7 +8,7 @@ from understudy.setup.registry import Registrar
 from understudy_mujoco import opengl
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("tensors",)
 
 
 def _wait_asleep() -> None:
@@ -26,6 +26,9 @@ _wait_asleep()
 PARTS = {
     "simulator": {
         "mujoco": ("simulator:MujocoSimulator", "MuJoCo on CPU threads"),
+    },
+    "fields": {
+        "mujoco/distances": ("distances:Distances", "how far groups of geoms are apart"),
     },
     "scene": {
         "mjcf": ("scene:MjcfFile", "a scene read from an MJCF file"),

@@ -17,8 +17,10 @@ def open_renderer(
 ) -> mujoco.Renderer:
     """For pictures of ``width`` times ``height`` pixels and ``max_geom`` shapes at most; to be closed.
 
-    Raises:
-        UnderstudyError: there is no OpenGL to draw with.
+    Raises
+    ------
+    UnderstudyError
+        there is no OpenGL to draw with.
     """
     try:
         return mujoco.Renderer(model, height, width, max_geom=max_geom)

@@ -27,8 +27,10 @@ _passed: set[bytes] = set()
 def spec_of(model: Mjcf) -> mujoco.MjSpec:
     """What MuJoCo makes of `model`. A URDF's first link is free: the format has no floating base.
 
-    Raises:
-        ValueError: it refuses it.
+    Raises
+    ------
+    ValueError
+        it refuses it.
     """
     spec = mujoco.MjSpec.from_string(model.text, assets=dict(model.assets))
     if model.urdf:
@@ -42,8 +44,10 @@ def try_out(path: Path, root: Path, model: Mjcf) -> None:
     """Compile the model at `path`, which may refer to files below `root`, once for what `model` holds
     of it.
 
-    Raises:
-        FileError: it does not compile, or not within the limits.
+    Raises
+    ------
+    FileError
+        it does not compile, or not within the limits.
     """
     digest = hashlib.sha256(model.text.encode())
     for name, content in sorted(model.assets.items()):
@@ -59,8 +63,10 @@ def attempt(path: Path) -> str:
     """Read and compile the model at `path` in this process, which may refer to files below the folder
     that standard input names; nothing to tell.
 
-    Raises:
-        FileError: it does not load or compile.
+    Raises
+    ------
+    FileError
+        it does not load or compile.
     """
     model = read_mjcf(path, Path(os.fsdecode(sys.stdin.buffer.read())))
     doing = "load"

@@ -74,6 +74,10 @@ class MujocoWarpSimulator(Simulator):
     While the caller captures a CUDA graph of its own, the kernels go into that one.
 
     On the CPU, where there are no graphs, it computes the same slowly; tests use that.
+
+    *Limits:* float32; on a GPU contacts come in another order each time, so it does not
+    repeat bit for bit. Contacts beyond what was sized are left out and counted. Of both
+    limits of a joint that act at once it knows only one, and refuses such a scene.
     """
 
     state_fields = ("qpos", "qvel")

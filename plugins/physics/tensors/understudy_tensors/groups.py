@@ -17,13 +17,19 @@ __all__ = ["Groups"]
 class Groups:
     """World i is of group i mod G, so all groups are as large, to one world.
 
-    Args:
-        names: of the G groups; those of several are fields ``from_NAME`` (), 1 in the worlds of that group.
-        context: of the task; an evaluation may have fewer worlds than groups.
-        absent: names without any world, whose fields are 0 everywhere.
+    Parameters
+    ----------
+    names
+        of the G groups; those of several are fields ``from_NAME`` (), 1 in the worlds of that group.
+    context
+        of the task; an evaluation may have fewer worlds than groups.
+    absent
+        names without any world, whose fields are 0 everywhere.
 
-    Raises:
-        ConfigError: a training has fewer worlds than groups.
+    Raises
+    ------
+    ConfigError
+        a training has fewer worlds than groups.
     """
 
     def __init__(self, names: Sequence[str], context: Context, absent: Sequence[str] = ()) -> None:

@@ -220,8 +220,10 @@ class Comparison:
 def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
     """What the search `loop` has found, by its `journal`.
 
-    Raises:
-        ConfigError: its summary does not say which trials are whole and what they gave.
+    Raises
+    ------
+    ConfigError
+        its summary does not say which trials are whole and what they gave.
     """
     for event in journal.events:
         if isinstance(event, Report):

@@ -185,7 +185,7 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
                         f"could not be trained again: {report.status}"
                     )
                 running -= 1
-                page.write(journal, talk.loop.summary())
+                page.keep_up(journal, talk.loop.summary())
 
 
 def _next(executor: Executor, stop: StopRequest, folder: Path) -> Report:

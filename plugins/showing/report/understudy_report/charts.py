@@ -195,6 +195,7 @@ def _range(values: np.ndarray, chart: Chart) -> tuple[float, float]:
 
 
 def grid(axes: Axes, below: str = "samples") -> str:
+    """SVG of the lines behind a chart, with their numbers; `below` is said under the axis."""
     parts = []
     ticks, step = _ticks(axes.low, axes.high, 4)
     for tick in ticks:

@@ -97,8 +97,10 @@ def write_policy(skill: Skill, path: Path, licence: Mapping[str, Any]) -> list[s
     :func:`understudy_credits.walk.answer`), and beside it ``NAME.reference.npz`` if its task has a
     reference motion; returns a line on each file.
 
-    Raises:
-        FileError: ONNX is not installed, the policy cannot be one, or the folder cannot be written.
+    Raises
+    ------
+    FileError
+        ONNX is not installed, the policy cannot be one, or the folder cannot be written.
     """
     if any(importlib.util.find_spec(name) is None for name in ("onnx", "onnxscript")):
         raise FileError(
@@ -134,8 +136,10 @@ def write_model(
     """Write `acting` as the ONNX model `path` with the metadata `facts`; `example` are observations of
     one world.
 
-    Raises:
-        FileError: as :func:`write_policy`.
+    Raises
+    ------
+    FileError
+        as :func:`write_policy`.
     """
     import onnx
 

@@ -43,8 +43,10 @@ _SQUARE, _SECTION = 1.0, 5.0
 def free_port(host: str, port: int) -> int:
     """`port`, or the next one above it that is free on `host`; any if it is 0.
 
-    Raises:
-        ConfigError: this machine has no such address, or no port of it is free.
+    Raises
+    ------
+    ConfigError
+        this machine has no such address, or no port of it is free.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     reason: Exception | None = None

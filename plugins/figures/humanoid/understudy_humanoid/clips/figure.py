@@ -64,8 +64,10 @@ def grid(
 ) -> Grid:
     """The grid of a clip of so many seconds, with a whole `multiple` of steps between its frames.
 
-    Raises:
-        ConfigError: the frame rate is not between 10 and 1000 frames/s.
+    Raises
+    ------
+    ConfigError
+        the frame rate is not between 10 and 1000 frames/s.
     """
     check(clip, 10.0, 1000.0, frame_rate=frame_rate)
     steps = multiple * max(8, round(seconds * frame_rate / multiple))
