@@ -138,7 +138,7 @@ def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_i
 
 def rollout(rows: list[list[float]]) -> Any:
     class Noted:
-        records = {"plan_row": torch.tensor(rows)}
+        fields = {"plan_row": torch.tensor(rows)}
 
     return Noted()
 

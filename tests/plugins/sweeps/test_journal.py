@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from executors import carry_out, make, work
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from understudy.errors import ConfigError, RunError
@@ -97,6 +97,7 @@ def test_it_is_on_the_disk_before_anything_follows(
     assert synced[-1] == journal.path.stat().st_size
 
 
+@settings(deadline=None)
 @given(cut=st.integers(0, 700))
 def test_cut_anywhere_it_goes_on(cut: int, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Whole rows stay, and what is written next does not run into the torn one."""

@@ -12,6 +12,8 @@ from understudy_hand.scene import HandScene
 
 
 def main(file: str, text: str, *places: str) -> int:
+    """Find the grip of the style `text` with its fingers at `places` (m), and save it as `file`; the exit
+    status, 2 where there is none."""
     scene = HandScene(HandScene.Options(len(text)))
     try:
         find_grip(scene, read_style(text, len(text)), list(map(float, places))).save(Path(file))
