@@ -26,10 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from understudy.running.trials import OuterLoop, Report, Trial, Work
 
 from understudy import random
 from understudy.options import make_options
-from understudy.running.trials import OuterLoop, Report, Trial, Work
 from understudy_bayes import draws
 from understudy_diversity.map_elites import MapElites
 from understudy_diversity.search import DiversitySearch, RandomDiversity

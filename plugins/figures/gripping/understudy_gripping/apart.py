@@ -12,6 +12,7 @@ from understudy_hand.scene import HandScene
 
 
 def main(file: str, text: str, *places: str) -> int:
+    """Find the grip of the style `text` at these `places` and save it as `file`; returns the exit status."""
     scene = HandScene(HandScene.Options(len(text)))
     try:
         find_grip(scene, read_style(text, len(text)), list(map(float, places))).save(Path(file))
