@@ -69,6 +69,11 @@ check: install
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/python -m pytest -q tests/plugins/test_every_component.py
 
+# Install a wheel into a fresh environment, and train, evaluate, play and carry out the notebook there.
+.PHONY: wheel
+wheel: install
+	$(BIN)/python tests/from_a_wheel.py
+
 # Try every part in every task and write docs/parts-and-tasks.md.
 parts-and-tasks: install
 	$(BIN)/python tests/parts_and_tasks.py

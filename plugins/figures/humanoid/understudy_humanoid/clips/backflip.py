@@ -98,18 +98,7 @@ def generated_backflip(
 ) -> Clip:
     """A backflip, from standing at ease to standing at ease 0.7 m behind.
 
-    Parameters
-    ----------
-    key_poses
-        return only ten poses: standing, crouch, take-off, half tucked, tucked twice, open,
-        landing, squat, standing.
-    frame_rate
-        frames/s.
-
-    Returns
-    -------
-    Clip
-        A clip that does not loop.
+    Returns a clip that does not loop.
 
     Raises
     ------

@@ -51,21 +51,7 @@ def generated_hop(
 ) -> Clip:
     """One hop of many, in place or forward along +x, from the touchdown to the next.
 
-    Parameters
-    ----------
-    height
-        m by which the centre of mass rises after take-off, from 0.05 to 0.3.
-    distance
-        m forward, from 0 to 0.7.
-    leg
-        which leg hops.
-    frame_rate
-        frames/s.
-
-    Returns
-    -------
-    Clip
-        A looping clip.
+    Returns a looping clip.
 
     Raises
     ------

@@ -43,19 +43,7 @@ def generated_run(
 ) -> Clip:
     """One cycle, two steps, of a run along +x, from a right foot strike.
 
-    Parameters
-    ----------
-    speed
-        m/s, from 2 to 5. Faster runs take shorter contacts, and shorter and longer steps.
-    key_poses
-        return only the poses of strike, mid-stance, toe-off and mid-flight.
-    frame_rate
-        frames/s, rounded so that a step is a whole number of frames.
-
-    Returns
-    -------
-    Clip
-        A looping clip whose second half mirrors its first.
+    Returns a looping clip whose second half mirrors its first.
 
     Raises
     ------

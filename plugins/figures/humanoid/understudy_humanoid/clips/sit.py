@@ -84,19 +84,7 @@ def generated_sit(
 ) -> Clip:
     """Sitting down on a chair behind.
 
-    Parameters
-    ----------
-    seat_height
-        m above the floor, from 0.35 to 0.55.
-    seconds
-        from standing to sitting still, from 1.2 to 6.
-    frame_rate
-        frames/s.
-
-    Returns
-    -------
-    Clip
-        A clip that does not loop.
+    Returns a clip that does not loop.
 
     Raises
     ------

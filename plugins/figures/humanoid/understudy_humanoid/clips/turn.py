@@ -50,19 +50,7 @@ def generated_turn_left(
 ) -> Clip:
     """A turn to the left in place, from standing to standing.
 
-    Parameters
-    ----------
-    angle
-        rad, from 0.2 to 2 pi. Each foot takes one step per 60 degrees, or part of it.
-    seconds
-        of the whole turn; a step may take 0.3 to 1.5 s.
-    frame_rate
-        frames/s.
-
-    Returns
-    -------
-    Clip
-        A looping clip, whose cycle turns by `angle`.
+    Returns a looping clip, whose cycle turns by `angle`.
 
     Raises
     ------

@@ -87,10 +87,7 @@ def generated_walk(
     are 113 steps/min and 1.41 m; the stride here is shortened with the leg, from about 0.93 m to
     the character's 0.83 m, at the same cadence.
 
-    Returns
-    -------
-    Clip
-        A looping clip; of a straight walk the second half mirrors the first.
+    Returns a looping clip; of a straight walk the second half mirrors the first.
 
     Raises
     ------
