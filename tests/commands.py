@@ -70,3 +70,20 @@ def kill(process: Any) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     assert process.exitcode == -signal.SIGKILL
+
+
+def begin_reproduction(table: Path, *arguments: str) -> Any:
+    """As :func:`begin`, of ``reproduce`` where the file `table` is the table ``mine/one``."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(["torch._dynamo", "understudy_ppo.learner", "commands"])
+    process = server.Process(target=_offering, args=(table, arguments))
+    process.start()
+    return process
+
+
+def _offering(table: Path, arguments: tuple[str, ...]) -> None:
+    from understudy_reproduce import command, tables
+
+    for module in (tables, command):
+        module.table_files = lambda plugins: {"mine/one": table}
+    _quietly(arguments)
