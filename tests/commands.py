@@ -82,6 +82,7 @@ def begin_reproduction(table: Path, *arguments: str) -> Any:
 
 
 def _offering(table: Path, arguments: tuple[str, ...]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # else an error of Python's until our first line
     from understudy_reproduce import command, tables
 
     for module in (tables, command):

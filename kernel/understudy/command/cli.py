@@ -23,6 +23,7 @@ from understudy.errors import (
     FileError,
     PreemptedError,
     UnderstudyError,
+    shown,
     suggestion,
 )
 from understudy.setup import plugins
@@ -48,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not isinstance(error, UnderstudyError):
                 raise
             with contextlib.suppress(OSError):  # the terminal may have been closed
-                print(f"understudy: {error}", file=sys.stderr, flush=True)
+                print(f"understudy: {shown(str(error))}", file=sys.stderr, flush=True)
             return error.exit_status
 
 
