@@ -85,6 +85,7 @@ def _offering(table: Path, arguments: tuple[str, ...]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # else an error of Python's until our first line
     from understudy_reproduce import command, tables
 
-    for module in (tables, command):
+    modules: list[Any] = [tables, command]
+    for module in modules:
         module.table_files = lambda plugins: {"mine/one": table}
     _quietly(arguments)

@@ -36,7 +36,7 @@ SWEEP = (
 @pytest.fixture
 def cluster() -> Iterator[Any]:
     made = Cluster()
-    store = {"object_store_memory": 100 * 2**20}
+    store: dict[str, Any] = {"object_store_memory": 100 * 2**20}
     made.add_node(num_cpus=1, include_dashboard=False, **store)
     for _ in range(2):
         made.add_node(num_cpus=1, **store)

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import os
-import shutil
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,16 +13,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browsers import opened
 
 from understudy.command.cli import main
 from understudy.errors import RunError
-from understudy.running.trials import Report, Trial
 from understudy_motion.readers import npz
 from understudy_sweeps import film as film_module
 from understudy_sweeps import page as page_module
 from understudy_sweeps import tables
 from understudy_sweeps.film import Tile, columns_of, make_film
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import describe, time_left
 from understudy_sweeps.results import Result, Results, best_of, variants_of
@@ -292,7 +292,6 @@ def test_recordings_of_strangers_are_data(
 
 # ---------------------------------------------------------------------- in a browser
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 QUICK = (
     "num_worlds=16", "learner.rollout_steps=8", "budget.samples=768", "evaluation.every_samples=256",
     "evaluation.episodes=8", "evaluation.final_episodes=8", "evaluation.seconds=1.0",
@@ -301,14 +300,7 @@ QUICK = (
 
 @pytest.fixture
 def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"no browser to look at the page with ({', '.join(BROWSERS)})")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        yield browser
-        browser.close()
+    yield from opened()
 
 
 def test_the_page_of_an_ablation(browser: Any, tmp_path: Path) -> None:
