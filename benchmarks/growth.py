@@ -96,7 +96,8 @@ def on_gpu() -> dict[str, float]:
 def trend(seconds: np.ndarray, values: np.ndarray) -> dict[str, Any]:
     """Mean; slope an hour and the line's rise over `seconds` as a share of the mean, with 95 % intervals; and the last
     quarter over the first."""
-    fit, quarter = stats.linregress(seconds, values), max(len(values) // 4, 1)
+    fit: Any = stats.linregress(seconds, values)
+    quarter = max(len(values) // 4, 1)
     error = 0.0 if np.ptp(values) == 0 else float(fit.stderr)  # else 0 / 0
     half = float(stats.t.ppf(0.975, len(values) - 2)) * error
     slope, mean = float(fit.slope), float(values.mean())
@@ -233,13 +234,13 @@ class Visitors:
         import viser
         from websockets.asyncio.client import connect
         from websockets.exceptions import WebSocketException
-        from websockets.typing import Subprotocol
+        from websockets.typing import Origin, Subprotocol
 
         kind = number % 10
         while not self._ended:
             try:
                 async with connect(
-                    self._url.replace("http", "ws"), origin=self._url, max_size=None,
+                    self._url.replace("http", "ws"), origin=Origin(self._url), max_size=None,
                     subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], compression=None, ping_interval=None,
                 ) as talk:  # fmt: skip
                     stay = time.monotonic() + (3.0 + number / 10 if kind == 1 else 1e9)

@@ -70,3 +70,22 @@ def kill(process: Any) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     assert process.exitcode == -signal.SIGKILL
+
+
+def begin_reproduction(table: Path, *arguments: str) -> Any:
+    """As :func:`begin`, of ``reproduce`` where the file `table` is the table ``mine/one``."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(["torch._dynamo", "understudy_ppo.learner", "commands"])
+    process = server.Process(target=_offering, args=(table, arguments))
+    process.start()
+    return process
+
+
+def _offering(table: Path, arguments: tuple[str, ...]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # else an error of Python's until our first line
+    from understudy_reproduce import command, tables
+
+    modules: list[Any] = [tables, command]
+    for module in modules:
+        module.table_files = lambda plugins: {"mine/one": table}
+    _quietly(arguments)

@@ -7,14 +7,16 @@ process 0 writes files.
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from datetime import timedelta
 
 import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, TrainingError, said
 
 __all__ = ["requested", "size", "total"]
 
@@ -59,8 +61,25 @@ def total(value: Tensor) -> Tensor:
     """The sum of `value` over processes."""
     if size() > 1:
         value = value.clone()
-        dist.all_reduce(value)
+        add_up(value)
     return value
+
+
+def add_up(values: Tensor) -> None:
+    """The sum over processes in place of `values`."""
+    with _lost_processes():
+        dist.all_reduce(values)
+
+
+@contextlib.contextmanager
+def _lost_processes() -> Iterator[None]:
+    try:
+        yield
+    except RuntimeError as error:  # which libraries give when nobody answers
+        raise TrainingError(
+            f"Another process of this training ended or does not answer ({said(error)}). What was saved stays: "
+            "start as many processes again, of `understudy resume` with the run's folder."
+        ) from error
 
 
 def decided(choice: int, device: torch.device) -> int:
@@ -68,7 +87,8 @@ def decided(choice: int, device: torch.device) -> int:
     if size() == 1:
         return choice
     box = torch.tensor(choice, device=device)
-    dist.broadcast(box, 0)
+    with _lost_processes():
+        dist.broadcast(box, 0)
     return int(box)
 
 

@@ -64,6 +64,11 @@ def said(error: BaseException) -> str:
         return f"{kind}, which cannot say what it is"
 
 
+def shown(text: str) -> str:
+    """`text` as a terminal gets it: what strangers wrote into their files tells that nothing to do."""
+    return "".join(c for c in text if c.isprintable() or c == "\n")
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """`` Did you mean 'x'?`` for a near miss of known names, or their ends, else all known names; many
     are grouped by what stands before their slash."""

@@ -1,5 +1,5 @@
 """Fault 15: one of two processes of a training is killed, or hangs: the other ends, with a status that
-is not 0, within a bound, and ``torchrun`` leaves nobody behind.
+is not 0 and one sentence, within a bound, ``torchrun`` leaves nobody behind, and the run can be resumed.
 
 What a killed or a hanging worker of a sweep does to it stands in tests/plugins/sweeps/test_executors.py.
 """
@@ -14,7 +14,15 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
+from counted_task import install, line_plugins
 from worlds import child_environment
+
+from understudy import distributed
+from understudy.command.cli import main
+from understudy.errors import TrainingError
+from understudy.records import checkpoint, runs
+from understudy_networks import averages
 
 pytest.importorskip("torch.distributed")
 
@@ -53,7 +61,9 @@ def alive(process: int) -> bool:
         pytest.param(signal.SIGSTOP, 1, marks=pytest.mark.slow),
     ],
 )
-def test_the_others_end(tmp_path: Path, number: signal.Signals, rank: int) -> None:
+def test_the_others_end(
+    tmp_path: Path, number: signal.Signals, rank: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "worker.py").write_text(WORKER)
     parent = subprocess.Popen(
         [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2",
@@ -77,7 +87,39 @@ def test_the_others_end(tmp_path: Path, number: signal.Signals, rank: int) -> No
         assert parent.returncode != 0
         assert time.monotonic() - began < BOUND
         assert not any(alive(worker) for worker in workers), errors
+        told = [line for line in errors.splitlines() if line.startswith("understudy: ")]
+        assert len(told) == 1, errors  # of the one that was left
+        assert told[0].startswith(("understudy: Another process of", "understudy: Stopped by SIG"))
+        assert "raise TrainingError" not in errors
     finally:
         if parent.poll() is None:
             parent.kill()
             parent.communicate()
+    install(monkeypatch, line_plugins())
+    run = runs.open_run(tmp_path / "run")
+    done = int(checkpoint.newest(run.checkpoints)[0].name)
+    samples = run.metrics()[-1]["samples"] + 24
+    assert main(["resume", str(run.path), f"budget.samples={samples}"]) == 0
+    assert [row["iteration"] for row in run.metrics()] == list(range(1, len(run.metrics()) + 1))
+    assert len(run.metrics()) >= done
+
+
+@pytest.mark.parametrize("call", ["total", "decided", "anyone", "average"])
+def test_a_lost_process_is_one_sentence(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever processes meet, whatever the library makes of it."""
+
+    def alone(*_: object) -> None:
+        raise RuntimeError("Connection closed by peer [127.0.0.1]:4321\nand more")
+
+    monkeypatch.setattr(distributed, "size", lambda: 2)
+    for name in ("all_reduce", "broadcast"):
+        monkeypatch.setattr(torch.distributed, name, alone)
+    cpu = torch.device("cpu")
+    calls = {
+        "total": lambda: distributed.total(torch.ones(2)),
+        "decided": lambda: distributed.decided(1, cpu),
+        "anyone": lambda: distributed.anyone(True, cpu),
+        "average": lambda: averages.average(torch.ones(2)),
+    }
+    with pytest.raises(TrainingError, match=r"Another process .* closed by peer .*4321\)\. What"):
+        calls[call]()

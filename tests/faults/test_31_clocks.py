@@ -85,9 +85,8 @@ def test_a_training_while_the_clock_is_set_back(
     stopped_half_way(run, monkeypatch)
     assert main(["resume", str(run)]) == 0
     assert result(run) == result(straight)
-    assert_same_state(
-        *(checkpoint.load_newest(r / "checkpoints")[0] for r in (straight, run))
-    )  # fmt: skip
+    one, other = (checkpoint.load_newest(r / "checkpoints")[0] for r in (straight, run))
+    assert_same_state(one, other)
     seconds = [row["seconds"] for row in runs.open_run(run).metrics()]
     assert seconds == sorted(seconds)
     assert seconds[0] > 0

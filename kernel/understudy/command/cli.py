@@ -18,7 +18,14 @@ from typing import Any, NoReturn
 
 from understudy import __version__
 from understudy.command.command import Command
-from understudy.errors import ConfigError, FileError, PreemptedError, UnderstudyError, suggestion
+from understudy.errors import (
+    ConfigError,
+    FileError,
+    PreemptedError,
+    UnderstudyError,
+    shown,
+    suggestion,
+)
 from understudy.setup import plugins
 from understudy.signals import StopRequest
 
@@ -42,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not isinstance(error, UnderstudyError):
                 raise
             with contextlib.suppress(OSError):  # the terminal may have been closed
-                print(f"understudy: {error}", file=sys.stderr, flush=True)
+                print(f"understudy: {shown(str(error))}", file=sys.stderr, flush=True)
             return error.exit_status
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from understudy import distributed
-from understudy.errors import RunError
+from understudy.errors import RunError, shown
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
@@ -24,7 +24,7 @@ __all__ = ["judge", "tell"]
 def tell(text: str) -> None:
     """A message to whoever runs the command."""
     with contextlib.suppress(OSError):  # a terminal that was closed stops nothing
-        print(text, file=sys.stderr, flush=True)
+        print(shown(text), file=sys.stderr, flush=True)
 
 
 def train(overrides: Sequence[str]) -> int:

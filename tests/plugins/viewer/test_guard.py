@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
 
 import viser
+import viser.infra._infra
 from websockets import Headers
 
 from understudy_viewer.guard import guarded, is_own
@@ -68,9 +69,9 @@ def test_two_hosts_are_none() -> None:
 
 
 def test_the_library_is_as_it_was() -> None:
-    import viser.infra._infra as infra
     import websockets.asyncio.server as server
 
+    infra: Any = viser.infra._infra
     before = server.serve, infra.AsyncMessageBuffer
     with guarded("127.0.0.1"):
         assert server.serve is not before[0]

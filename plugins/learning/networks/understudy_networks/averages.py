@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-import torch.distributed as dist
 from torch import Tensor, nn
 
 from understudy import distributed
@@ -29,7 +28,7 @@ def moments(value: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def average(values: Tensor) -> None:
     """Average `values` over processes, in place."""
     if distributed.size() > 1:
-        dist.all_reduce(values)
+        distributed.add_up(values)
         values /= distributed.size()
 
 
@@ -39,7 +38,7 @@ def average_gradients(parameters: Sequence[nn.Parameter], values: Tensor) -> Ten
         return values
     gradients = [p.grad for p in parameters if p.grad is not None]
     flat = torch.cat([g.flatten() for g in gradients] + [values])
-    dist.all_reduce(flat)
+    distributed.add_up(flat)
     flat /= distributed.size()
     parts = flat.split([g.numel() for g in gradients] + [values.numel()])
     for gradient, part in zip(gradients, parts, strict=False):

@@ -15,7 +15,7 @@ from typing import Any
 
 from understudy import __version__
 from understudy.command.command import Command
-from understudy.errors import ConfigError, UnderstudyError
+from understudy.errors import ConfigError, UnderstudyError, shown
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
@@ -85,9 +85,9 @@ class Compare(Command):
         measures = _measures(variants)
         print(f"\n{measures.text()}\n")
         for text in (*_notes(variants), *_judging(variants)):
-            print(text)
+            print(shown(text))
         for title, found in different.items():
-            print(f"\n{title}")
+            print(shown(f"\n{title}"))
             heads = ["", *(v.name for v in variants)]
             print(Table(heads, found).text() if found else "the same")
         sections = [

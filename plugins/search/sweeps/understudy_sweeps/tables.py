@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from understudy import errors
 from understudy.running.evaluation import wilson_interval
 from understudy_report import words
 from understudy_report.markup import grid
@@ -56,8 +57,8 @@ class Table:
         return "\n".join([line(self.heads), line(["---"] * len(self.heads)), *map(line, self.rows)])
 
     def text(self) -> str:
-        widths = [max(map(len, column)) for column in zip(self.heads, *self.rows, strict=True)]
-        lines = [self.heads, *self.rows]
+        lines = [[errors.shown(cell) for cell in row] for row in (self.heads, *self.rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         return "\n".join(
             "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
             for row in lines

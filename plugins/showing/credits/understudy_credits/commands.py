@@ -112,7 +112,7 @@ class Licence(Command):
             verdict = judge(item.licence, options.purpose)
             mark = {True: "yes", False: "no", None: "?"}[verdict.allowed]
             line = f"{mark:<4}{_plain(item.what):<{width}}  {_plain(item.licence):<{licences}}  {verdict.why}"
-            print(line.rstrip())
+            print(_plain(line).rstrip())
             if item.attribution:
                 print(f"    {'':<{width}}  name: {_plain(item.attribution)}")
         what = {"commercial": "commercial use", "sharing": "passing it on", "research": "research"}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from understudy.command.command import Command
-from understudy.errors import FileError, RunError
+from understudy.errors import FileError, RunError, shown
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy_report import words
@@ -70,7 +70,7 @@ class ListRuns(Command):
             cells = (f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
             print("  ".join(cells).rstrip())
         for why in broken:
-            print(f"Left out: {why}")
+            print(shown(f"Left out: {why}"))
         return 0
 
 

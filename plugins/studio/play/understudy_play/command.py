@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, shown
 from understudy.running.training import Training
 from understudy.setup.plugins import installed
 from understudy_characters.scene import CharacterScene
@@ -74,7 +74,7 @@ class Play(Command):
                 skill = open_skill(name)
                 clip = clip_of(skill)
                 needs = f"; needs the clip {clip}" if clip else ""
-                print(f"{name}: {describe(skill)}{needs}")
+                print(shown(f"{name}: {describe(skill)}{needs}"))
             return 0
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
@@ -163,7 +163,7 @@ def _pack(skill: Skill, path: Path) -> int:
     finally:
         training.close()
     pack(skill, file, evaluation.as_json(skill.samples))
-    print(f"{file}: {describe(open_skill(str(file)))}")
+    print(shown(f"{file}: {describe(open_skill(str(file)))}"))
     return 0
 
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
-import viser.infra._infra as infra
+import viser.infra._infra
 import websockets.asyncio.server as server
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets import Headers
 from websockets.http11 import Request, Response
 
@@ -45,6 +46,10 @@ def is_own(headers: Headers, host: str) -> bool:
     return False
 
 
+#: Where viser takes them from.
+infra: Any = viser.infra._infra
+
+
 class _Event(asyncio.Event):
     """Set by its own loop alone, which viser asks for each time. viser sets it at once, too, from whatever
     thread draws, and while visitors come and go that ends the drawing with an error."""
@@ -58,7 +63,7 @@ class _Event(asyncio.Event):
 
 
 @dataclass
-class _Messages(infra.AsyncMessageBuffer):
+class _Messages(AsyncMessageBuffer):
     """To all visitors, from any thread."""
 
     message_event: asyncio.Event = field(default_factory=_Event)
