@@ -280,7 +280,9 @@ def play(options: argparse.Namespace) -> dict[str, Any]:
             table.append({**row, SPEED: speed, "kilobytes_per_second": share})
             before, processor, at = read, now, row["seconds"]
         if process.poll() is not None:
-            raise SystemExit(f"The page ended with {process.returncode}: {process.communicate()[0]}")
+            raise SystemExit(
+                f"The page ended with {process.returncode}: {process.communicate()[0]}"
+            )
         visitors.close()
         time.sleep(5.0)
         after = held(process.pid)

@@ -137,7 +137,9 @@ class Relocations(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        plans: int = 4  #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
+        plans: int = (
+            4  #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
+        )
         refill: int = 1  #: plans that are made anew in an iteration (some 0.1 s of a core each); 0 keeps the first ones
         longest: float = 3.0  #: s: plans that take longer are not followed
 
