@@ -138,7 +138,7 @@ def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_i
 
 def rollout(rows: list[list[float]]) -> Any:
     class Noted:
-        records = {"plan_row": torch.tensor(rows)}
+        fields = {"plan_row": torch.tensor(rows)}
 
     return Noted()
 
@@ -163,6 +163,12 @@ def test_the_bank_is_refilled_without_a_jolt_to_those_that_follow(plugins: Plugi
     assert torch.equal(bank.frames[1:], before[1:])
     assert initial._waiting == [1]
     made.environment.close()
+
+
+def test_a_rollout_says_which_plans_are_followed(built: Built) -> None:
+    """What :meth:`Relocations.update` goes by."""
+    assert parts(built)[0].rollout_fields == ("plan_row",)
+    assert "plan_row" in built.environment.table.shapes
 
 
 def test_a_bank_goes_on_as_it_was(plugins: Plugins, built: Built) -> None:

@@ -132,7 +132,7 @@ class Relocations(InitialStates):
     () s, how long it lasts.
     """
 
-    records = ("plan_row",)
+    rollout_fields = ("plan_row",)
     episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,), "plan_seconds": ()}
 
     @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class Relocations(InitialStates):
         if not self._refill:
             return {}
         # What waited through the whole rollout was not drawn in it, so its last step has all that follow it.
-        followed = set(rollout.records["plan_row"][-1].long().unique().tolist())
+        followed = set(rollout.fields["plan_row"][-1].long().unique().tolist())
         done = [row for row in self._waiting if row not in followed]
         for row in done:
             self._bank.replace(row)
