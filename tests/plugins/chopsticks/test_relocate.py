@@ -59,7 +59,7 @@ def test_each_world_follows_its_own_plan(built: Built) -> None:
     for _ in range(7):
         built.environment.advance(torch.zeros(4, 36))
     rows = field(built, "plan_row").long()
-    torch.testing.assert_close(field(built, "planned_arm"), bank.frames[rows, 7, :7])
+    torch.testing.assert_close(field(built, "planned_pose")[:, :7], bank.frames[rows, 7, :7])
     torch.testing.assert_close(field(built, "planned_angle"), bank.frames[rows, 7, 7])
     ahead = field(built, "plan_ahead")
     torch.testing.assert_close(ahead[:, 3, :7], bank.frames[rows, 27, :7])

@@ -219,7 +219,6 @@ class Follow(Fields):
     reads = ("plan_row", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
         "planned_angle": (),
-        "planned_arm": (len(ARM_POSE),),
         "planned_targets": (0,),
         "planned_pose": (0,),
         "planned_velocity": (0,),
@@ -272,7 +271,6 @@ class Follow(Fields):
         thing = here[:, 1:, 8:15]
         return {
             "planned_angle": angle[:, 0],
-            "planned_arm": arm[:, 0],
             "planned_targets": torch.cat([arm[:, 0], targets], dim=1),
             "planned_pose": pose[:, 0],
             "planned_velocity": velocity[:, 0],
