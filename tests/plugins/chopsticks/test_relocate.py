@@ -59,7 +59,7 @@ def test_each_world_follows_its_own_plan(built: Built) -> None:
     for _ in range(7):
         built.environment.advance(torch.zeros(4, 36))
     rows = field(built, "plan_row").long()
-    torch.testing.assert_close(field(built, "planned_arm"), bank.frames[rows, 7, :7])
+    torch.testing.assert_close(field(built, "planned_pose")[:, :7], bank.frames[rows, 7, :7])
     torch.testing.assert_close(field(built, "planned_angle"), bank.frames[rows, 7, 7])
     ahead = field(built, "plan_ahead")
     torch.testing.assert_close(ahead[:, 3, :7], bank.frames[rows, 27, :7])
@@ -163,6 +163,12 @@ def test_the_bank_is_refilled_without_a_jolt_to_those_that_follow(plugins: Plugi
     assert torch.equal(bank.frames[1:], before[1:])
     assert initial._waiting == [1]
     made.environment.close()
+
+
+def test_a_rollout_says_which_plans_are_followed(built: Built) -> None:
+    """What :meth:`Relocations.update` goes by."""
+    assert parts(built)[0].rollout_fields == ("plan_row",)
+    assert "plan_row" in built.environment.table.shapes
 
 
 def test_a_bank_goes_on_as_it_was(plugins: Plugins, built: Built) -> None:

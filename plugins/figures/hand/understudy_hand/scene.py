@@ -35,6 +35,8 @@ FIRM = Contact(
 _DISTANCE, _AZIMUTH, _ELEVATION = 0.45, 345.0, -14.0
 #: m, in the palm's frame.
 _AIM = np.array([0.02, -0.06, 0.09])
+#: m, in the world, and m from there: where an object is moved.
+_TABLE_AIM, _TABLE_DISTANCE = np.array([0.0, -0.05, 0.06]), 0.62
 _GHOST = np.array([0.145, 0.388, 0.922, 0.35], np.float32)
 
 
@@ -59,8 +61,8 @@ class HandScene(MujocoScene):
             check_range(self, "friction", above=0)
 
     #: ``planned_upper`` and ``planned_lower``, positions and rotations (7,) in the palm's frame, are drawn
-    #: as a ghost.
-    recorded = ("qpos", "planned_upper", "planned_lower")
+    #: as a ghost, and so is ``planned_object`` (7,), in the world.
+    recorded = ("qpos", "planned_upper", "planned_lower", "planned_object")
 
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self.options, self.contact = options, options.contact
@@ -131,12 +133,16 @@ class HandScene(MujocoScene):
             if frame == 0:  # it stands still: the hand's movement is what is to be seen
                 turn = data.xmat[palm].reshape(3, 3)
                 camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)
+                if self.options.object is not None:  # which is to be seen, and where it goes
+                    camera.lookat, camera.distance = _TABLE_AIM, _TABLE_DISTANCE
 
         def ghosts(frame: int, data: mujoco.MjData, scene: mujoco.MjvScene) -> None:
             for name in ("planned_upper", "planned_lower"):
                 if name in tracks:
                     turn = data.xmat[palm].reshape(3, 3)
                     _add_ghost(scene, data.xpos[palm], turn, tracks[name][frame])
+            if "planned_object" in tracks and self.options.object is not None:
+                _add_object(scene, model, tracks["planned_object"][frame])
 
         yield from draw_motion(model, tracks["qpos"], (width, height), camera, aim, ghosts)
 
@@ -182,4 +188,22 @@ def _add_ghost(
     capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
     mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), _GHOST)
     mujoco.mjv_connector(geom, capsule, 1.02 * tools.RADIUS, *ends)
+    scene.ngeom += 1
+
+
+def _add_object(scene: mujoco.MjvScene, model: mujoco.MjModel, pose: np.ndarray) -> None:
+    """The object, translucent, at `pose` (7,) in the world."""
+    if scene.ngeom >= scene.maxgeom:
+        return
+    number, turn, matrix = model.geom("object").id, np.zeros(4), np.zeros(9)
+    mujoco.mju_mulQuat(turn, np.asarray(pose[3:], np.float64), model.geom_quat[number])
+    mujoco.mju_quat2Mat(matrix, turn)
+    geom = scene.geoms[scene.ngeom]
+    size = 1.02 * model.geom_size[number]
+    if model.geom_type[number] == mujoco.mjtGeom.mjGEOM_SPHERE:
+        size = np.full(3, size[0])
+    elif model.geom_type[number] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        size = np.array([size[0], size[0], size[1]])
+    place = np.asarray(pose[:3], np.float64)
+    mujoco.mjv_initGeom(geom, int(model.geom_type[number]), size, place, matrix, _GHOST)
     scene.ngeom += 1

@@ -19,6 +19,8 @@ from understudy_tool_planner import arm, gripper
 from understudy_tool_planner.clearance import of_sticks
 from understudy_tool_planner.objects import Shape, Things, upright
 
+__all__ = ["NoPlan"]
+
 #: Elevations of the sticks (rad), azimuths and turns about their axis: 10 × 20 × 10, in the object's frame.
 ELEVATION, COUNTS = (0.45, 1.5), (10, 20, 10)
 #: 1/rad: what a tip line beside the surface's normal costs; and a turn away from the present one (ξ).

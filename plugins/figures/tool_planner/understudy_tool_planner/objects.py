@@ -14,6 +14,8 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 
+__all__ = ["Shape"]
+
 Kind = Literal["sphere", "capsule", "box"]
 KINDS: tuple[Kind, ...] = ("sphere", "capsule", "box")
 #: m, table 5.2: radius; length of a capsule; width, length and height of a box.

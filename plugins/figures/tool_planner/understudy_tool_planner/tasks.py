@@ -12,6 +12,8 @@ from torch import Generator, Tensor
 from understudy_tool_planner.objects import KINDS, LENGTH, RADIUS, SIDE, Shape, Things
 from understudy_tool_planner.planner import Task
 
+__all__ = ["Table", "random_goal"]
+
 Point = tuple[float, float]
 #: m: where objects begin and where they are put. The release's regions, of 15 × 7.5 and 15 × 5 cm, hold one in play;
 #: eight at once need more room.

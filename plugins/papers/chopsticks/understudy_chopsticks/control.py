@@ -77,7 +77,7 @@ class State(Encoder):
 class Offsets(Actuation):
     """Targets are a grip's, or a plan's, plus the action times `hand` or `arm`."""
 
-    reads = ("planned_targets", "planned_arm")
+    reads = ("planned_targets",)
 
     @dataclass(frozen=True)
     class Options:
@@ -99,6 +99,8 @@ class Offsets(Actuation):
         self._grip = made.parallel
         self.action_space = box(made.scene.hinges)
 
-    def control(self, action: Tensor, planned_targets: Tensor, planned_arm: Tensor) -> Tensor:
-        still = torch.cat([planned_arm, self._grip.expand(len(action), -1)], dim=1)
+    def control(self, action: Tensor, planned_targets: Tensor) -> Tensor:
+        still = torch.cat(
+            [planned_targets[:, : len(ARM_POSE)], self._grip.expand(len(action), -1)], dim=1
+        )
         return (planned_targets if self._follows else still) + self._scale * action

@@ -137,7 +137,9 @@ class Relocations(InitialStates):
 
     @dataclass(frozen=True)
     class Options:
-        plans: int = 64  #: in the bank; the thesis has 100 tasks of eight objects
+        plans: int = (
+            4  #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
+        )
         refill: int = 1  #: plans that are made anew in an iteration (some 0.1 s of a core each); 0 keeps the first ones
         longest: float = 3.0  #: s: plans that take longer are not followed
 
@@ -217,7 +219,6 @@ class Follow(Fields):
     reads = ("plan_row", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
         "planned_angle": (),
-        "planned_arm": (len(ARM_POSE),),
         "planned_targets": (0,),
         "planned_pose": (0,),
         "planned_velocity": (0,),
@@ -270,7 +271,6 @@ class Follow(Fields):
         thing = here[:, 1:, 8:15]
         return {
             "planned_angle": angle[:, 0],
-            "planned_arm": arm[:, 0],
             "planned_targets": torch.cat([arm[:, 0], targets], dim=1),
             "planned_pose": pose[:, 0],
             "planned_velocity": velocity[:, 0],
