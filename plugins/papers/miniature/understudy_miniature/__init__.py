@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sweeps")
+REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sequencing", "sweeps")
 
 #: By module and kind: the component's name less ``miniature.``, its class or function, and what it is.
 _PARTS = {
@@ -74,6 +74,7 @@ def understudy_register(register: Registrar) -> None:
         "stop": "a point comes to rest",
         "amorphous": "a tool pushes grains together",
         "sleeve": "a point reaches a first place",
+        "in_sequence": "a point reaches a first place, then a second",
         "jumping": "a point jumps over a bar",
         "chopsticks": "two sticks take two objects to their places",
     }.items():
