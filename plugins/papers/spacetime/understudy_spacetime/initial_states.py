@@ -10,13 +10,15 @@ import torch
 from torch import Tensor
 
 from understudy import distributed
-from understudy.errors import RunError
+from understudy.errors import ConfigError, RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.task import Context, InitialStates, Rollout, State
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
-from understudy_characters.scene import reference_motion
+from understudy_characters.scene import CharacterScene, reference_motion
+from understudy_doctor.letting_go import LettingGo, let_go
+from understudy_motion.section import Motion
 
 #: Whose returns stand for a segment: of all states that pass through it, or only of those in which
 #: episodes began ("the average estimated return starting from states in segment k").
@@ -46,12 +48,12 @@ def counted(rollout: Rollout, of_segment: Tensor, by: By) -> Tensor:
     """`of_segment` (n, T N), less the states that do not count for eq. 3.9."""
     if by == "visits":
         return of_segment
-    return of_segment & (rollout.records["episode_step"].flatten() == 0)
+    return of_segment & (rollout.fields["episode_step"].flatten() == 0)
 
 
 class _Segments:
     """The running average of the estimated return of states by motion segment, and the distribution
-    of eq. 3.9 over segments. Tensors stay the same objects, since recorded steps read them."""
+    of eq. 3.9 over segments. Tensors stay the same objects, since captured steps read them."""
 
     def __init__(
         self, segments: int, *, uniform: float, decay: float, device: torch.device
@@ -101,7 +103,7 @@ class Importance(InitialStates):
     """Reference states, drawn more often from segments whose states have low returns (eq. 3.9)."""
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase", "episode_step")
+    rollout_fields = ("phase", "episode_step")
 
     @dataclass(frozen=True)
     class Options:
@@ -130,7 +132,7 @@ class Importance(InitialStates):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
-        of_segment = self._segments.of(rollout.records["phase"].flatten())
+        of_segment = self._segments.of(rollout.fields["phase"].flatten())
         of_segment = counted(rollout, of_segment, self._options.by)
         probabilities = self._segments.update(of_segment, rollout.returns.flatten())
         return {"hardest_segment": float(probabilities.argmax())}
@@ -151,13 +153,20 @@ def boltzmann_draws(
     Weights are whole numbers (32 bits), so that their sums do not depend on the order of summation and
     draws repeat exactly.
 
-    Args:
-        of_segment: (n, B) bool, the states of each segment.
-        returns: (B,) of the states.
-        bits: (n, m) int64 random bits, one for each draw.
-        sign: -1 prefers low returns, 1 high ones.
+    Parameters
+    ----------
+    of_segment
+        (n, B) bool, the states of each segment.
+    returns
+        (B,) of the states.
+    bits
+        (n, m) int64 random bits, one for each draw.
+    sign
+        -1 prefers low returns, 1 high ones.
 
-    Returns:
+    Returns
+    -------
+    tuple[Tensor, Tensor]
         The rows (n, m) of the states drawn, and how many each segment has, (n,); where it has none
         the rows mean nothing.
     """
@@ -181,7 +190,7 @@ class Evolution(InitialStates):
     """
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase", "episode_step", "motion_time", "qpos", "qvel")
+    rollout_fields = ("phase", "episode_step", "motion_time", "qpos", "qvel")
 
     @dataclass(frozen=True)
     class Options:
@@ -227,14 +236,14 @@ class Evolution(InitialStates):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
-        options, records = self._options, rollout.records
+        options, fields = self._options, rollout.fields
         returns = rollout.returns.flatten()
-        of_segment = self._segments.of(records["phase"].flatten())
+        of_segment = self._segments.of(fields["phase"].flatten())
         self._segments.update(counted(rollout, of_segment, options.by), returns)
         qpos, qvel, start = self._reference.to_first_cycle(
-            records["qpos"].flatten(0, 1),
-            records["qvel"].flatten(0, 1),
-            records["motion_time"].flatten(),
+            fields["qpos"].flatten(0, 1),
+            fields["qvel"].flatten(0, 1),
+            fields["motion_time"].flatten(),
         )
         sign = -1.0 if options.prefer == "low" else 1.0
         rows, counts = boltzmann_draws(
@@ -284,6 +293,68 @@ class ClipStart(InitialStates):
         return reference_states(self._reference, streams.uniform(1).squeeze(1) * self._window)
 
 
+class Phases(InitialStates):
+    """Between two phases of the clip, evenly: where a part of it is judged by itself."""
+
+    episode_fields = EPISODE_FIELDS
+
+    @dataclass(frozen=True)
+    class Options:
+        low: float = 0.0  #: phase, in [0, 1), from which on episodes begin
+        high: float = 1.0  #: phase, above `low` and at most 1, before which they begin
+
+        def __post_init__(self) -> None:
+            check_range(self, "low", "high", least=0, most=1)
+            if self.low >= self.high:
+                raise ValueError(
+                    f"low={self.low:g} is not possible: it must be less than high={self.high:g}."
+                )
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._reference, self._options = reference_motion(context), options
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        low, high = self._options.low, self._options.high
+        phase = low + (high - low) * streams.uniform(1).squeeze(1)
+        return reference_states(self._reference, phase * self._reference.duration)
+
+
+class Flyable(InitialStates):
+    """Any time of the clip but those from which a body that is let go, in the clip's state and at the height
+    that training uses, lands outside of the bounds (:func:`~understudy_doctor.letting_go.let_go`).
+
+    Nobody can follow the clip from most of these. How many they are, the run's page says.
+    """
+
+    episode_fields = EPISODE_FIELDS
+
+    def __init__(self, options: None, context: Context) -> None:
+        self._reference = reference_motion(context)
+        found = fall_of(context)
+        times = torch.from_numpy(found.times[~found.bad]).float()
+        if not len(times):
+            raise ConfigError(
+                "initial_states 'spacetime/flyable': whoever begins in this clip lands beside it, wherever it "
+                "begins. Repair the clip (understudy motion check CLIP --fix OUT)."
+            )
+        self._times = times.to(context.device)
+        self._apart = self._reference.duration / len(found.times)
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        drawn, within = streams.uniform(2).unbind(1)
+        row = (drawn * len(self._times)).long().clamp(max=len(self._times) - 1)
+        # half a step to either side, as the start there stands for these
+        time = self._times[row] + (within - 0.5) * self._apart
+        return reference_states(self._reference, time.clamp(0.0, self._reference.duration))
+
+
+def fall_of(context: Context) -> LettingGo:
+    """What becomes of the task's character that is let go in the states of its clip."""
+    scene = context.need_scene(CharacterScene, "initial_states 'spacetime/flyable'")
+    motion = context.need_section("motion", Motion, "initial_states 'spacetime/flyable'")
+    return context.once("let_go", lambda: let_go(motion.clip, scene.character, motion.floor))
+
+
 class Evolved(InitialStates):
     """The states into which the initial states of another run have evolved, each as often."""
 
@@ -310,8 +381,10 @@ class Evolved(InitialStates):
 def evolved_states(run: str) -> dict[str, Tensor]:
     """The buffers (n, m, …) of the newest checkpoint of the folder `run`: qpos, qvel, motion_start.
 
-    Raises:
-        RunError: it is no run whose initial states evolve.
+    Raises
+    ------
+    RunError
+        it is no run whose initial states evolve.
     """
     buffer = newest_state(run).get("environment", {}).get("initial_states", {}).get("buffer", {})
     if not {"qpos", "qvel", "motion_start"} <= buffer.keys():

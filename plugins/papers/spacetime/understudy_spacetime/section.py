@@ -58,6 +58,20 @@ class Evolved:
 def evolution_of(run: Run) -> Evolved:
     """What the newest checkpoint of `run` has evolved to."""
     states = evolved_states(run.path.as_posix())
+    context = context_of(run)
+    layout = context.need_scene(CharacterScene, "the report of evolved states").layout
+    start, order = states["motion_start"].cpu().sort(dim=1)
+    qpos = torch.gather(
+        states["qpos"].cpu(), 1, order.unsqueeze(2).expand(-1, -1, states["qpos"].shape[2])
+    )
+    sampled = reference_motion(context).sample(start.flatten().float())
+    joints = _joints(layout, qpos.flatten(0, 1)).unflatten(0, start.shape)
+    reference = sampled["reference_joint_rotations"].unflatten(0, start.shape)
+    return Evolved(joints, reference, angle_between(joints, reference).mean(2).numpy())
+
+
+def context_of(run: Run) -> Context:
+    """With the scene and the clip of `run`, on the CPU."""
     experiment = run.experiment()
     control = experiment.root.control
     context = Context(
@@ -68,15 +82,7 @@ def evolution_of(run: Run) -> Evolved:
         registry=experiment.registry, inputs=experiment.inputs,
     )  # fmt: skip
     context.scene = experiment.need("scene").build(context)
-    layout = context.need_scene(CharacterScene, "the report of evolved states").layout
-    start, order = states["motion_start"].cpu().sort(dim=1)
-    qpos = torch.gather(
-        states["qpos"].cpu(), 1, order.unsqueeze(2).expand(-1, -1, states["qpos"].shape[2])
-    )
-    sampled = reference_motion(context).sample(start.flatten().float())
-    joints = _joints(layout, qpos.flatten(0, 1)).unflatten(0, start.shape)
-    reference = sampled["reference_joint_rotations"].unflatten(0, start.shape)
-    return Evolved(joints, reference, angle_between(joints, reference).mean(2).numpy())
+    return context
 
 
 def _joints(layout: Layout, qpos: Tensor) -> Tensor:
