@@ -36,6 +36,8 @@ class Until:
 
 @dataclass(frozen=True)
 class Stage:
+    """A policy, and for how long it acts."""
+
     run: str  #: run folder, or skill, whose policy acts, by its mode
     until: Until  #: when it is done
     #: that it may take, which terminations of overtime judge; null: as long as it likes
