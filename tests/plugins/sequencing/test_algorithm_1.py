@@ -10,12 +10,12 @@ import pytest
 from commands import begin, kill, wait_for
 from executors import state_of
 from killed_sweeps import rows, told
-from understudy.running.trials import Report, Trial
 from worlds import assert_same_state
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy_sequencing.algorithm import Algorithm1, stages_of
+from understudy_sweeps.loops import Report, Trial
 
 SUBTASKS = {"grip": ("experiment=g",), "tuck": ("experiment=t",), "sleeve": ("experiment=s",)}
 #: All seven stages in seconds.

@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from understudy.running.trials import OuterLoop, Report, Trial
-
 from understudy.options import check_range
 from understudy_sweeps.chain import Chain
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 #: What may name a subtask: a folder's and an override's `{NAME}` both take it.
 _NAME = re.compile(r"[A-Za-z0-9_]+")
