@@ -86,7 +86,6 @@ def understudy_register(register: Registrar) -> None:
         "stop": "a point comes to rest",
         "amorphous": "a tool pushes grains together",
         "sleeve": "a point reaches a first place",
-        "in_sequence": "a point reaches a first place, then a second",
         "jumping": "a point jumps over a bar",
         "chopsticks": "two sticks take two objects to their places",
     }.items():
