@@ -14,6 +14,7 @@ LISTED = [(group, name) for group in ("experiment", "search", "ablation")
 LOOPS = [(group, name) for group, name in LISTED if group != "experiment"]
 NEED = {
     "experiment=miniature/dressing": "initial_states.file",
+    "experiment=miniature/in_sequence": "actuation.stages",
     "experiment=miniature/sitting": "actuation.runs",
     "experiment=miniature/sleeve_bank": "job.run",
     "experiment=miniature/styles": "actuation.run",

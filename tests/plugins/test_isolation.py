@@ -45,6 +45,7 @@ MATERIAL = {
     "reproduce": TOYS
     | FIGURE
     | {"bayes", "cmfbo", "deepmimic", "morphology", "mujoco_warp", "spacetime", "warp_torch"},
+    "sequencing": TOYS,
     "skills": TOYS,
     "spacetime": FIGURE | {"deepmimic", "retarget", "styles"},
     "styles": FIGURE | {"ppo", "report"},

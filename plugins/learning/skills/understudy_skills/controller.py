@@ -29,17 +29,21 @@ class Controller(nn.Module):
     """
 
     def __init__(
-        self, encoders: Mapping[str, Wired[Encoder]], actuation: Wired[Actuation], policy: nn.Module
-    ) -> None:
+        self, encoders: Mapping[str, Wired[Encoder]], actuation: Wired[Actuation], policy: nn.Module,
+        decision: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__()
+        self.decision = decision  #: control periods for which what it decides holds
+        self.action_size = actuation.part.action_space.size
         self.encoders, self.actuation = dict(encoders), actuation
         self.policy: Any = policy.requires_grad_(False)
 
     @classmethod
-    def load(cls, source: str, context: Context) -> Controller:
+    def load(cls, source: str, context: Context, *, any_rate: bool = False) -> Controller:
         """The controller of the run folder `source`, with the weights of its newest checkpoint, of the skill
         of this name that comes with a plugin, or of the packed file `source`. A run that this task is
-        trained in keeps a copy of folder or file.
+        trained in keeps a copy of folder or file. With `any_rate` it may decide every n-th control period
+        (``decision``): who calls :meth:`decide` and :meth:`control` sees to that.
 
         Raises
         ------
@@ -61,7 +65,9 @@ class Controller(nn.Module):
         skill = open_skill(place, registry=context.registry, without=("simulator",))
         experiment = skill.experiment
         control = experiment.root.control
-        if abs(1.0 / control.frequency - context.control_dt) > 1e-9 or control.decision != 1:
+        if abs(1.0 / control.frequency - context.control_dt) > 1e-9 or (
+            control.decision != 1 and not any_rate
+        ):
             raise ConfigError(
                 f"{source} decides {control.frequency / control.decision:g} times a second, and this "
                 f"task's control periods are {1.0 / context.control_dt:g} a second. Set "
@@ -86,7 +92,7 @@ class Controller(nn.Module):
         own.observation_shapes = {name: e.part.shape for name, e in encoders.items()}
         policy = build_policy(experiment, own)
         replace(skill, name=source).give(policy)
-        return cls(encoders, actuation, policy)
+        return cls(encoders, actuation, policy, control.decision)
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -96,10 +102,18 @@ class Controller(nn.Module):
 
     def forward(self, fields: Mapping[str, Tensor]) -> Tensor:
         """The control (N, U) that its deterministic policy chooses, from `fields` (N, …) by name."""
+        return self.control(self.decide(fields), fields)
+
+    def decide(self, fields: Mapping[str, Tensor]) -> Tensor:
+        """The action (N, A) that its deterministic policy chooses."""
         observations = {
             name: encoder.part.encode(**{own: fields[f] for own, f in encoder.reads.items()})
             for name, encoder in self.encoders.items()
         }
-        action = self.policy.distribution(observations).mode()
+        action: Tensor = self.policy.distribution(observations).mode()
+        return action
+
+    def control(self, action: Tensor, fields: Mapping[str, Tensor]) -> Tensor:
+        """The control (N, U) that an action (N, A) of its policy is."""
         taken = {own: fields[f] for own, f in self.actuation.reads.items()}
         return self.actuation.part.control(action, **taken)

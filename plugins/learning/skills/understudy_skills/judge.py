@@ -11,6 +11,7 @@ from understudy.errors import RunError
 from understudy.records import runs
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.warm_start import newest_state
+from understudy.setup.building import build_policy
 from understudy.setup.config import Experiment
 from understudy.task import State
 
@@ -28,13 +29,17 @@ class Judge(Reinforcement):
 
     @dataclass(frozen=True)
     class Options:
-        run: str  #: folder of the run whose policy is judged
+        #: folder of the run whose policy is judged; null where the task needs none, as its actuation has others'
+        run: str | None
 
     def __init__(self, options: Options, experiment: Experiment) -> None:  # type: ignore[override]
         super().__init__(None, experiment)
         self.options = options
 
     def prepare(self) -> None:
+        if self.options.run is None:
+            self.policy = build_policy(self.experiment, self.evaluator.built.context)
+            return
         source = runs.open_run(self.options.run)
         state = newest_state(self.options.run)
         try:
@@ -60,6 +65,9 @@ class Judge(Reinforcement):
 
     def finished(self) -> bool:
         return True
+
+    def notes(self) -> list[str]:
+        return []  # what a policy reads was settled where it learned
 
     def sources(self) -> Mapping[str, Any]:
         return self._started

@@ -2,17 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates
-from understudy_dressing.person import PersonScene
+from understudy_dressing.person import LINKS, PersonScene
 from understudy_dressing.sleeve import SleeveScene
 from understudy_dressing.terms import neutral
+
+#: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
+_APART, _MOST = 0.05, 16
+
+
+def depth_in_person(person: PersonScene) -> Callable[[np.ndarray], np.ndarray]:
+    """The function from points (P, 3), m, world frame, to how deep each is in the neutral person, (P,) m; negative
+    outside."""
+    model = person.spec().compile()
+    data = mujoco.MjData(model)
+    pose = neutral(person).numpy()
+    data.qpos[: len(pose)] = pose
+    mujoco.mj_kinematics(model, data)
+
+    def depth(points: np.ndarray) -> np.ndarray:
+        deepest = np.full(len(points), -np.inf)
+        for link in LINKS:
+            body = data.body(link.name)
+            local = (points - body.xpos) @ body.xmat.reshape(3, 3)
+            for ra, a, rb, b in link.shapes:
+                way = np.subtract(b, a)
+                share = np.clip((local - a) @ way / (way @ way), 0.0, 1.0)
+                away = np.linalg.norm(local - a - share[:, None] * way, axis=1)
+                deepest = np.maximum(deepest, ra + share * (rb - ra) - away)
+        return deepest
+
+    return depth
 
 
 class Track(InitialStates):
@@ -39,7 +70,8 @@ class Track(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         self.options = options
         who = "initial_states 'dressing/track'"
-        self._pose = neutral(context.need_scene(PersonScene, who)).to(context.device)
+        person = context.need_scene(PersonScene, who)
+        self._pose = neutral(person).to(context.device)
         sleeve = context.need_scene(SleeveScene, who)
         settled = context.once("dressing/settled", sleeve.settled)
         self._settled = torch.tensor(settled, dtype=torch.float32, device=context.device)
@@ -48,6 +80,23 @@ class Track(InitialStates):
             for t in (options.low, options.high, options.end)
         )
         self._low, self._high, self._end = low, high, end
+        self._refuse_inside(person, settled)
+
+    def _refuse_inside(self, person: PersonScene, settled: np.ndarray) -> None:
+        """Starts, on a grid, at which a part of the neutral person is in the cloth."""
+        low, high = np.array(self.options.low), np.array(self.options.high)
+        counts = np.clip(np.ceil((high - low) / _APART).astype(int) + 1, 1, _MOST)
+        sides = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True))
+        starts = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
+        depth = depth_in_person(person)
+        for start in starts:
+            deepest = float(depth(settled + start).max())
+            if deepest > 0:
+                x, y, z = start
+                raise ConfigError(
+                    f"initial_states: with the gripper at ({x:.2f}, {y:.2f}, {z:.2f}) m the cloth begins "
+                    f"{100 * deepest:.1f} cm inside the person: move low and high away from it."
+                )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         hinges = len(self._pose)

@@ -6,7 +6,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sweeps")
+REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sequencing", "sweeps")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

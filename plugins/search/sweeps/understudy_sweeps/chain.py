@@ -10,6 +10,8 @@ from typing import Any
 from understudy.errors import ConfigError, suggestion
 from understudy_sweeps.loops import OuterLoop, Report, Trial
 
+__all__ = ["Chain"]
+
 _NAMED = re.compile(r"\{(\w+)\}")
 
 
