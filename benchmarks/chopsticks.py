@@ -92,10 +92,10 @@ def measure(worlds: int, steps: int, device: str, overrides: list[str]) -> dict[
     bare = Bare(simulator, worlds, job.substeps)
     environment.reset(seed=0)
     action = torch.zeros(worlds, environment.action_size, device=environment.device)
-    for _ in range(6):  # which records the step
+    for _ in range(6):  # which captures the step
         environment.step(action)
     if environment.device.type == "cuda" and not environment.captured_step.on:
-        raise SystemExit("The step could not be recorded.")
+        raise SystemExit("The step could not be captured.")
     env_time = bare_time = 0.0
     for _ in range(steps):
         noise = 0.1 * torch.randn_like(action)

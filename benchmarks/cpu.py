@@ -204,7 +204,7 @@ def _our_update(samples: int, batch: int, precision: Any) -> Callable[[], float]
         failed=never,
         final_values=zero,
         episode_returns=zero,
-        records={},
+        fields={},
     )
 
     def update() -> float:

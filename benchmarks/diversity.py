@@ -31,9 +31,9 @@ import torch
 from scipy import stats
 
 from understudy.options import make_options
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_diversity.map_elites import MapElites
 from understudy_diversity.search import DiversitySearch, RandomDiversity
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "diversity.jsonl"
 NOISE = 0.03  #: rad

@@ -113,8 +113,10 @@ def measure(what: Mapping[str, Any]) -> Measured:
     Rows that ``only`` does not hold of missed it. A seed that is there twice counts as it was last:
     its training went on, or was measured again.
 
-    Raises:
-        ValueError: the record has nothing of it.
+    Raises
+    ------
+    ValueError
+        the record has nothing of it.
     """
     values: dict[int, float] = {}
     missed: dict[int, float] = {}
@@ -332,8 +334,10 @@ def load() -> dict[str, Any]:
 def figure(spec: Mapping[str, Any], name: str) -> str:
     """What stands at the place `name`: a table, the claims of a page, or a value within a line.
 
-    Raises:
-        ValueError: there is no such figure, or its record has nothing of it.
+    Raises
+    ------
+    ValueError
+        there is no such figure, or its record has nothing of it.
     """
     kind, _, rest = name.partition("/")
     if name == "claims":

@@ -53,10 +53,10 @@ def measure(scene: str, worlds: int, steps: int, overrides: list[str]) -> dict[s
     assert isinstance(job, Reinforcement)
     environment, simulator = job.environment, job.environment.parts.simulator
     environment.reset(seed=0)
-    for _ in range(6):  # which records the step
+    for _ in range(6):  # which captures the step
         environment.step(environment.observations["feedforward"])
     if not environment.captured_step.on:
-        raise SystemExit(f"{scene} × {worlds}: the step could not be recorded.")
+        raise SystemExit(f"{scene} × {worlds}: the step could not be captured.")
     # Each step of the environment is paired with a bare one from the same states.
     env_time = bare_time = 0.0
     for _ in range(steps):

@@ -2,7 +2,7 @@
 
 The scene is granular: 216 particles on a table and a box that pushes them, 8 iterations of each of 4
 sub-steps of 1/60 s. Both sides step the same number of worlds from the same positions, on a GPU as a
-recorded CUDA graph of a control period. Newton looks for contacts with the box and the table once a
+captured CUDA graph of a control period. Newton looks for contacts with the box and the table once a
 control period, which is the least that it needs; ``pbd`` does so in every iteration. Prints
 particle-sub-steps per second and their ratio, and appends them to ``docs/benchmarks/particles.jsonl``.
 """

@@ -84,7 +84,7 @@ class Collector:
             failed=terminated,
             final_values=final,
             episode_returns=torch.zeros(shape),
-            records={},
+            fields={},
         )
 
 

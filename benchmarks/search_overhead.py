@@ -27,8 +27,8 @@ import torch
 
 import understudy_sweeps.in_process
 from understudy.command.cli import main
-from understudy.running.trials import Report, Trial, Work
 from understudy_cmfbo.cmfbo import CMFBO
+from understudy_sweeps.loops import Report, Trial, Work
 from understudy_sweeps.page import Page
 from understudy_sweeps.sweep import sweep
 from understudy_sweeps.trial import folder_of

@@ -36,13 +36,13 @@ from scipy import stats
 from torch import Tensor
 
 from understudy.options import make_options
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta
 from understudy_bayes.boca import BOCA
 from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.random_search import RandomSearch
 from understudy_cmfbo.cmfbo import CMFBO
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "searches.jsonl"
 

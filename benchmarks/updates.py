@@ -102,7 +102,7 @@ def learner_of(options: argparse.Namespace, case: dict[str, Any]) -> tuple[PPO, 
         failed=never.bool(),
         final_values=zero,
         episode_returns=zero,
-        records={},
+        fields={},
     )
     return learner, rollout
 

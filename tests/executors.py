@@ -13,8 +13,8 @@ from typing import Any
 from worlds import assert_same_state
 
 from understudy.records import checkpoint, runs
-from understudy.running.trials import Executor, Report, Trial, Work
 from understudy.setup.composition import load_experiment
+from understudy_sweeps.loops import Executor, Report, Trial, Work
 from understudy_sweeps.trial import folder_of, note_stop
 
 #: Five iterations of 128 samples, evaluated after 256 and 512 and in the end.

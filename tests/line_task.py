@@ -91,7 +91,7 @@ class Line:
             last_observations=self._observe(self.x),
             failed=stacked["terminated"],
             episode_returns=torch.zeros_like(stacked["rewards"]),
-            records={},
+            fields={},
             **stacked,
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from understudy.running.trials import OuterLoop, Report, Trial
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 #: What happened, in order: a trial is asked for, or reported on.
 Told = list[Trial | Report]

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import shutil
+import subprocess
 from pathlib import Path
+from types import ModuleType
 
+import pytest
 import yaml
 
 import understudy
@@ -16,12 +21,13 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def test_the_citation_is_of_this_version() -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert cited["version"] == understudy.__version__
+    released = understudy.__version__.partition("+")[0]  # behind its tag, a commit follows
+    assert cited["version"] == released
     assert {"cff-version", "message", "title", "authors"} <= cited.keys()
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.findall(r"^## (.+)$", changes, re.MULTILINE)[:2] == [
         "Unreleased",
-        understudy.__version__,
+        released,
     ]
 
 
@@ -59,3 +65,45 @@ def test_what_the_page_of_ideas_swaps_in_is_there() -> None:
             plugins.registry.names(group)
         )
         assert name in known, f"{group}={name}"
+
+
+@pytest.fixture
+def build() -> ModuleType:
+    pytest.importorskip("hatchling", reason="hatchling is not installed")
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def git(folder: Path, *words: str) -> None:
+    who = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
+    subprocess.run(["git", *who, *words], cwd=folder, check=True, capture_output=True)
+
+
+def test_the_version_is_the_tags(build: ModuleType, tmp_path: Path) -> None:
+    """Without a tag, the one that is cited; within another repository, not that one's."""
+    git(tmp_path, "init", "--quiet")
+    git(tmp_path, "commit", "--allow-empty", "--message", "outer")
+    git(tmp_path, "tag", "v9.9")
+    tree = tmp_path / "tree"
+    tree.mkdir()
+    (tree / "CITATION.cff").write_text("cff-version: 1.2.0\nversion: 1.2.3\n")
+    assert build.version(tree) == "1.2.3"
+    git(tree, "init", "--quiet")
+    git(tree, "commit", "--allow-empty", "--message", "first")
+    assert build.version(tree) == "1.2.3"
+    git(tree, "tag", "v1.2.3")
+    assert build.version(tree) == "1.2.3"
+    git(tree, "commit", "--allow-empty", "--message", "second")
+    assert re.fullmatch(r"1\.2\.3\+1\.g[0-9a-f]+", build.version(tree))
+    git(tree, "tag", "v1.3.0")
+    with pytest.raises(ValueError, match=r"The tag is v1\.3\.0, and CITATION\.cff says 1\.2\.3"):
+        build.version(tree)
+    (tree / "PKG-INFO").write_text("Name: understudy\nVersion: 1.2.9\n\nVersion: no\n")
+    assert build.version(tree) == "1.2.9"
+    (tree / "PKG-INFO").unlink()
+    shutil.rmtree(tree / ".git")
+    assert build.version(tree) == "1.2.3"

@@ -47,6 +47,7 @@ def stop() -> None:
 
 
 def size() -> int:
+    """How many processes train together."""
     return dist.get_world_size() if dist.is_initialized() else 1
 
 

@@ -27,8 +27,10 @@ class Inputs:
         """The file to open for what is `asked`: the run's copy, else the first that `find` gives. Its
         others (meshes, a licence) are kept with it, below the same folder.
 
-        Raises:
-            RunError: if a copy is not what the run was made with.
+        Raises
+        ------
+        RunError
+            if a copy is not what the run was made with.
         """
         if asked not in self.kept:
             self._read[asked] = self._read.get(asked) or list(find())
@@ -44,8 +46,10 @@ class Inputs:
     def folder_of(self, asked: str, source: Path, fill: Callable[[Path], None]) -> Path:
         """The folder to read for what is `asked`: the run's copy, which `fill` writes, else `source`.
 
-        Raises:
-            RunError: as :meth:`file`.
+        Raises
+        ------
+        RunError
+            as :meth:`file`.
         """
         if asked in self.kept:
             return self.file(asked, list).parent

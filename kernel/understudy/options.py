@@ -245,14 +245,14 @@ def check_range(
             if value is None:
                 continue
             end = MANY if most is None and least is not None and type(value) is int else most
-            for bound, holds, how in (
+            for limit, holds, how in (
                 (above, above is None or value > above, "greater than"),
                 (least, least is None or value >= least, "at least"),
                 (end, end is None or value <= end, "at most"),
             ):
                 if not holds:
                     raise ValueError(
-                        f"{name}={given!r} is not possible: it must be {how} {bound:g}."
+                        f"{name}={given!r} is not possible: it must be {how} {limit:g}."
                     )
 
 

@@ -100,8 +100,8 @@ class Poisonable:
         self.environment = environment
         environment.reset(seed=1)
         parts = environment.parts
-        self._records = [*parts.initial_states.records]
-        self._records += parts.curriculum.records if parts.curriculum else ()
+        self._fields = [*parts.initial_states.rollout_fields]
+        self._fields += parts.curriculum.rollout_fields if parts.curriculum else ()
         self.fields()  # what is read for the first time is kept from then on
         self._start = environment.state_dict()
         read = {"__getitem__": lambda table, name: self._read(table, name)}
@@ -151,7 +151,7 @@ class Poisonable:
         environment.load_state_dict(self._start)
         self._poison, self._decisions = poison, 0
         self.unsound = torch.zeros(N, dtype=torch.bool)
-        collector = Collector(environment, Idle(environment), 0, self._records)  # type: ignore[arg-type]
+        collector = Collector(environment, Idle(environment), 0, self._fields)  # type: ignore[arg-type]
         found = flat(vars(collector.collect(STEPS)), "rollout")
         self._poison = None
         future = {k: v for k, v in environment.state_dict().items() if k != "statistics"}

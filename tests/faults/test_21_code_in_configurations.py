@@ -14,7 +14,6 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.records import checkpoint, runs
 from understudy.records.runs import Run
-from understudy.running.trials import Trial
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, kernel_conf
 from understudy.setup.validation import CODE_KEYS, refuse_code, validate
@@ -22,6 +21,7 @@ from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.origins import origins
 from understudy_inspect.replay import replay_step
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Trial
 
 
 @pytest.fixture(autouse=True)

@@ -154,7 +154,7 @@ def load(folder: Path, text: str) -> MjcfFile:
 def test_what_computes_or_allocates_without_end(
     content: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trial, "BOUNDS", apart.Bounds(cpu=2, wall=60, memory=2**30))
+    monkeypatch.setattr(trial, "LIMITS", apart.Limits(cpu=2, wall=60, memory=2**30))
     with pytest.raises(FileError, match=rf"model\.xml does not (load|compile).*{reason}"):
         load(tmp_path, f"<mujoco>{content}</mujoco>")
 
@@ -164,7 +164,7 @@ def test_what_ends_or_stops_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (tmp_path / "python").write_text(f"#!/bin/sh\n{command}\n")
         (tmp_path / "python").chmod(0o700)
         monkeypatch.setattr(apart.sys, "executable", str(tmp_path / "python"))
-        monkeypatch.setattr(trial, "BOUNDS", apart.Bounds(wall=1))
+        monkeypatch.setattr(trial, "LIMITS", apart.Limits(wall=1))
         with pytest.raises(FileError, match=reason):
             load(tmp_path, f"<mujoco model='{command}'>{SLIDER}</mujoco>")
 

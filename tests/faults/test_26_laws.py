@@ -32,10 +32,10 @@ def test_rewards_stay_in_range_and_torques_within_limits() -> None:
     environment = built.environment
     limits = torch.tensor(
         [
-            row.joint.torque
+            joint.torque
             for row in BODIES
-            if row.joint
-            for _ in range(3 if row.joint.kind == "ball" else 1)
+            for joint in row.joints
+            for _ in range(3 if joint.kind == "ball" else 1)
         ]
     )
     generator = torch.Generator().manual_seed(0)

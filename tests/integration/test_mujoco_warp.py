@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 import torch
 from arena import arena, states
+from on_gpu import captured
 from repeatable import repeatable  # noqa: F401 - a fixture
 
 pytest.importorskip(
@@ -41,7 +42,7 @@ DEVICES = [
 
 
 def on_gpu(*overrides: str, task: Sequence[str] = TASK) -> Training:
-    """A training of 64 worlds on the GPU, none of whose steps goes unrecorded silently."""
+    """A training of 64 worlds on the GPU, none of whose steps goes uncaptured silently."""
     fixed = ["simulator=mujoco_warp", "num_worlds=64", "evaluation.episodes=16"]
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message="Steps cannot be captured")
@@ -157,20 +158,20 @@ def test_without_a_gpu_one_line_says_what_is_missing() -> None:
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("recorded", [True, False])
-def test_nothing_goes_to_the_host_inside_a_rollout(recorded: bool) -> None:
+@pytest.mark.parametrize("captured", [True, False])
+def test_nothing_goes_to_the_host_inside_a_rollout(captured: bool) -> None:
     """torch raises at any operation that waits for the device."""
     job = learning(on_gpu())
     assert job.environment.captured_step.on
-    if not recorded:
+    if not captured:
         job.environment.captured_step = Captured(job.environment._step, job.environment)
     torch.cuda.synchronize()
     torch.cuda.set_sync_debug_mode("error")
     try:
-        job.collector.collect(3)  # without a recording: so many steps come before one
+        job.collector.collect(3)  # without a capture: so many steps come before one
     finally:
         torch.cuda.set_sync_debug_mode("default")
-    assert job.environment.captured_step.on == recorded
+    assert job.environment.captured_step.on == captured
 
 
 @pytest.mark.gpu
@@ -180,7 +181,7 @@ def test_captured_steps_are_the_same_steps(initial_states: str) -> None:
     """Where the engine repeats itself, to the last bit, over episodes that end and begin; also after other
     worlds were begun by hand and after the state was restored."""
     chosen = f"initial_states=spacetime/{initial_states}"
-    recorded, plain = (learning(on_gpu(chosen)) for _ in range(2))
+    captured, plain = (learning(on_gpu(chosen)) for _ in range(2))
     plain.environment.captured_step._on = False
     state = plain.environment.state_dict()
 
@@ -198,7 +199,7 @@ def test_captured_steps_are_the_same_steps(initial_states: str) -> None:
     assert sum(int((r.terminated | r.truncated).sum()) for r in expected) > 64
     assert _first_difference(run(plain), expected) is None, "plain steps do not repeat themselves"
     for _ in range(2):
-        assert _first_difference(run(recorded), expected) is None
+        assert _first_difference(run(captured), expected) is None
 
 
 def _first_difference(found: list[Rollout], expected: list[Rollout]) -> str | None:
@@ -227,7 +228,7 @@ def _digested(rollout: Rollout) -> Rollout:
 
 @pytest.mark.gpu
 @pytest.mark.usefixtures("repeatable")
-def test_recorded_evaluations_are_the_same_evaluations() -> None:
+def test_captured_evaluations_are_the_same_evaluations() -> None:
     job = learning(on_gpu("evaluation.seconds=1"))
     evaluator = job.evaluator
     first = evaluator.run(job.policy, "test", 40)
@@ -239,8 +240,8 @@ def test_recorded_evaluations_are_the_same_evaluations() -> None:
 
 
 @pytest.mark.gpu
-def test_garbage_ends_no_recording() -> None:
-    """Another environment's recording that is freed while a step is recorded would end it."""
+def test_garbage_ends_no_capture() -> None:
+    """Another environment's capture that is freed while a step is captured would end it."""
     threshold = gc.get_threshold()
     for _ in range(2):
         garbage: list[object] = [torch.cuda.CUDAGraph()]
@@ -285,7 +286,7 @@ def test_trains_and_evaluates_on_a_gpu(learner: str) -> None:
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("exactly", [True, False])
-def test_recorded_in_the_callers_graph(exactly: bool, request: pytest.FixtureRequest) -> None:
+def test_captured_in_the_callers_graph(exactly: bool, request: pytest.FixtureRequest) -> None:
     """50 steps through one torch graph, in which some worlds begin anew and some are restored, are
     those of plain calls: to the last bit where the engine repeats itself."""
     if exactly:
@@ -327,15 +328,7 @@ def test_recorded_in_the_callers_graph(exactly: bool, request: pytest.FixtureReq
         return trace
 
     expected = run(advance)
-    graph, stream = torch.cuda.CUDAGraph(), torch.cuda.Stream()
-    stream.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(stream):
-        advance()
-    torch.cuda.current_stream().wait_stream(stream)
-    pool = torch.cuda.MemPool()  # see the plugin's README
-    with torch.cuda.use_mem_pool(pool), torch.cuda.graph(graph, stream=stream):
-        advance()
-    found = run(graph.replay)
+    found = run(captured(advance, torch.cuda.MemPool()).replay)  # see the plugin's README
     for i, (one, other) in enumerate(zip(expected, found, strict=True)):
         for name in names:
             if exactly:

@@ -69,7 +69,7 @@ def test_blank_lines_and_delimiters_at_the_end(tmp_path: Path, character: Charac
     qpos = moving(character)
     rows = [",".join(map(str, row)) + "," for row in qpos]
     path = tmp_path / "x.csv"
-    path.write_text("\n\n" + "\r\n".join(rows) + "\n\n")
+    path.write_text("\n# of a robot\n\n" + "\r\n".join(rows) + "\n\n")
     assert read(path).num_frames == FRAMES
 
 

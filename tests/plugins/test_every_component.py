@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 from importlib.util import find_spec
+
+import pytest
 
 from understudy.errors import PluginError
 from understudy.setup.plugins import installed
@@ -32,3 +35,34 @@ def test_so_has_every_option_of_the_kernel_and_of_the_plugins_sections() -> None
     sections = installed().registry.sections.values()
     for schema in (Root, *(section.schema() for section in sections)):
         assert list(unsaid(schema)) == []
+
+
+#: What finds something by searching or by solving equations, and is no component.
+SOLVERS = (
+    "understudy_gripping.balance:balance", "understudy_gripping.descent:minimise",
+    "understudy_gripping.pose:PoseSolver", "understudy_tool_planner.arm:solve",
+    "understudy_tool_planner.planner:Planner", "understudy_retarget.solver:solve",
+    "understudy_amorphous.inverse_kinematics:follow",
+)  # fmt: skip
+
+
+def test_every_simulator_says_where_it_ends() -> None:
+    """In a line of its docstring that begins with *Limits:*."""
+    found = installed().registry.components.values()
+    simulators = [c for c in found if c.kind == "simulator"]
+    assert len(simulators) > 5
+    lacking = [
+        c.name
+        for c in simulators
+        if (c.plugin != "mujoco_warp" or find_spec("mujoco_warp"))
+        and "*Limits:*" not in (c.factory.__doc__ or "")
+    ]
+    assert lacking == []
+
+
+@pytest.mark.parametrize("place", SOLVERS)
+def test_every_solver_says_where_it_ends(place: str) -> None:
+    module, _, name = place.partition(":")
+    if module == "understudy_amorphous.inverse_kinematics":
+        pytest.importorskip("mink", reason="inverse kinematics needs mink")
+    assert "*Limits:*" in (getattr(importlib.import_module(module), name).__doc__ or "")

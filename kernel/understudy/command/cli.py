@@ -18,13 +18,7 @@ from typing import Any, NoReturn
 
 from understudy import __version__
 from understudy.command.command import Command
-from understudy.errors import (
-    ConfigError,
-    FileError,
-    PreemptedError,
-    UnderstudyError,
-    suggestion,
-)
+from understudy.errors import ConfigError, FileError, PreemptedError, UnderstudyError, suggestion
 from understudy.setup import plugins
 from understudy.signals import StopRequest
 
@@ -63,17 +57,15 @@ def _run(arguments: list[str]) -> int:
     return options.function(options, overrides)
 
 
-#: What people who know Hydra write, and what to write here.
-_HYDRAS = (
-    ({"-m", "--multirun"}, "Several values: `understudy sweep experiment=NAME outer_loop=grid "
-     "executor=in_process 'outer_loop.variants={a: [KEY=VALUE], b: [KEY=VALUE]}' 'outer_loop.seeds=[0,1,2]'`."),
-    ({"-c", "--cfg", "-i", "--info", "-p", "--package", "--resolve"},
-     "`understudy config experiment=NAME KEY=VALUE` prints every value and what set it."),
-    ({"-cn", "--config-name", "-cp", "--config-path", "-cd", "--config-dir"},
-     "An experiment is chosen by experiment=NAME; files of your own are a plugin's: `understudy new plugin NAME`."),
-    ({"-sc", "--shell-completion"}, "`understudy completion bash` prints what completes all words."),
-    ({"--hydra-help", "-r", "--run", "--experimental-rerun"}, "`understudy train --help` has what there is."),
-)  # fmt: skip
+def _text(name: str) -> str:
+    """What is said in the file `name` beside the kernel's options."""
+    return (plugins.kernel_conf() / name).read_text(encoding="utf-8")
+
+
+def _instead(word: str) -> str:
+    """What to write here in place of Hydra's own option `word`; empty where it is none."""
+    lines = (line.partition(": ") for line in _text("hydra.txt").splitlines())
+    return next((advice for options, _, advice in lines if word in options.split()), "")
 
 
 def _check(words: Sequence[str], overrides_allowed: bool) -> None:
@@ -82,9 +74,7 @@ def _check(words: Sequence[str], overrides_allowed: bool) -> None:
         key, _, value = word.lstrip("-").partition("=")
         if not overrides_allowed:
             raise ConfigError(f"'{word}' is not taken here. See `understudy COMMAND --help`.")
-        if instead := next(
-            (text for names, text in _HYDRAS if word.partition("=")[0] in names), ""
-        ):
+        if instead := _instead(word.partition("=")[0]):
             raise ConfigError(f"{word} is Hydra's own. {instead}")
         if word.startswith("-"):
             raise ConfigError(f"There is no option {word}. Write {key}={value or following}.")
@@ -104,7 +94,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     common: dict[str, Any] = {
-        "epilog": (plugins.kernel_conf() / "help.txt").read_text(encoding="utf-8"),
+        "epilog": _text("help.txt"),
         "formatter_class": argparse.RawDescriptionHelpFormatter,
     }
     text = "Simulated characters learn physical skills."
@@ -146,7 +136,7 @@ def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
         command = component.factory()
         command.arguments(parser)
         parser.formatter_class = argparse.RawDescriptionHelpFormatter
-        keys = (plugins.kernel_conf() / "help.txt").read_text(encoding="utf-8")
+        keys = _text("help.txt")
         example = f"for example:\n  {command.example}" if command.example else ""
         parser.epilog = example.replace("%", "%%")
         if command.takes_overrides:

@@ -106,8 +106,10 @@ class Run:
     def lock(self) -> None:
         """Hold the folder for this process.
 
-        Raises:
-            RunError: if another process trains in it, or a part of it leads out of it.
+        Raises
+        ------
+        RunError
+            if another process trains in it, or a part of it leads out of it.
         """
         try:
             check_within(self.path)
@@ -126,8 +128,10 @@ class Run:
     def check_held(self) -> None:
         """See that the folder is still the one that :meth:`lock` holds, before writing into it.
 
-        Raises:
-            RunError: if it was removed, or is another one by now.
+        Raises
+        ------
+        RunError
+            if it was removed, or is another one by now.
         """
         if self._lock is None:
             return
@@ -153,8 +157,10 @@ class Run:
     def words(self, more: Sequence[str]) -> list[str]:
         """The overrides that made it, then `more`, to be composed.
 
-        Raises:
-            ConfigError: if one of its own would be filled in from this machine.
+        Raises
+        ------
+        ConfigError
+            if one of its own would be filled in from this machine.
         """
         from understudy.setup.composition import refuse_resolvers, replaced  # Hydra takes its time
 
@@ -171,8 +177,10 @@ class Run:
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """The ``(state, meta)`` of the newest intact checkpoint; `warn` is told of damaged ones.
 
-        Raises:
-            RunError: if there is none, or it does not say after how many samples it was made.
+        Raises
+        ------
+        RunError
+            if there is none, or it does not say after how many samples it was made.
         """
         state, meta, path = checkpoint.load_newest(self.checkpoints, warn)
         progress = state.get("progress") if isinstance(state, dict) else None
@@ -185,8 +193,10 @@ class Run:
     def metrics(self) -> list[dict[str, Any]]:
         """The rows of the metrics file; a row cut short by a crash is left out.
 
-        Raises:
-            RunError: if it is no file, or larger than any training's.
+        Raises
+        ------
+        RunError
+            if it is no file, or larger than any training's.
         """
         rows = []
         try:
@@ -226,8 +236,10 @@ def _iteration(row: Mapping[str, Any]) -> int:
 def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[str, Any]) -> Run:
     """Make the run folder of a new training.
 
-    Raises:
-        RunError: if the folder holds a run already or cannot be written.
+    Raises
+    ------
+    RunError
+        if the folder holds a run already or cannot be written.
     """
     root = experiment.root
     try:
@@ -301,9 +313,11 @@ def _free_folder(name: str) -> Path:
 def open_run(path: str | Path) -> Run:
     """Open an existing run folder.
 
-    Raises:
-        RunError: if there is none, it is damaged, a part of it leads out of it, or a newer understudy
-            wrote it.
+    Raises
+    ------
+    RunError
+        if there is none, it is damaged, a part of it leads out of it, or a newer understudy
+        wrote it.
     """
     path = Path(path)
     file = path / "run.json"

@@ -13,19 +13,19 @@ from understudy.task import Policy, Rollout
 
 
 class Collector:
-    """Steps an environment with a policy, and records what a learner needs, the fields `records` before
-    each action, and `reaches` of the states that it led to."""
+    """Steps an environment with a policy, and keeps what a learner needs: the `fields` before each action,
+    and `next_fields` of the states that it led to."""
 
     def __init__(
         self,
         environment: Environment,
         policy: Policy,
         seed: int,
-        records: Sequence[str] = (),
-        reaches: Sequence[str] = (),
+        fields: Sequence[str] = (),
+        next_fields: Sequence[str] = (),
     ) -> None:
         self.environment, self.policy = environment, policy
-        self._records, self._reaches = tuple(dict.fromkeys(records)), tuple(reaches)
+        self._fields, self._next_fields = tuple(dict.fromkeys(fields)), tuple(next_fields)
         self.streams = WorldStreams(seed, "actions", environment.num_worlds, environment.device)
 
     @torch.no_grad()
@@ -48,16 +48,16 @@ class Collector:
             failed=empty(dtype=torch.bool),
             final_values=empty().zero_(),
             episode_returns=empty(),
-            records={name: empty(environment.table[name]) for name in self._records},
-            reached={name: empty(environment.table[name]) for name in self._reaches},
+            fields={name: empty(environment.table[name]) for name in self._fields},
+            next_fields={name: empty(environment.table[name]) for name in self._next_fields},
         )
-        environment.reaches = self._reaches
+        environment.next_fields = self._next_fields
         for t in range(steps):
             observations = environment.observations
             for name, value in observations.items():
                 rollout.observations[name][t] = value
-            for name in self._records:
-                rollout.records[name][t] = without_unsound(environment.table[name])
+            for name in self._fields:
+                rollout.fields[name][t] = without_unsound(environment.table[name])
             distribution = policy.distribution(observations)
             action = distribution.sample(self.streams)
             rollout.actions[t] = action
@@ -68,8 +68,8 @@ class Collector:
             rollout.truncated[t] = step.truncated
             rollout.failed[t] = step.failed
             rollout.episode_returns[t] = step.returns
-            for name, value in step.reached.items():
-                rollout.reached[name][t] = value
+            for name, value in step.next_fields.items():
+                rollout.next_fields[name][t] = value
             if step.final_observations is not None and (
                 device.type != "cpu" or bool(step.truncated.any())
             ):

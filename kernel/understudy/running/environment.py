@@ -24,12 +24,7 @@ from understudy.running.captured import Captured
 from understudy.running.promises import Parts
 from understudy.running.statistics import EpisodeStatistics
 from understudy.running.table import FieldTable
-from understudy.task import (
-    Context,
-    Memory,
-    Shape,
-    State,
-)
+from understudy.task import Context, Memory, Shape, State
 from understudy.task.terms import Term, Wired
 
 __all__ = ["OWN_FIELDS", "Environment", "Step", "rows", "sound"]
@@ -65,7 +60,7 @@ class Step:
     unsound: Tensor  #: (N,) bool: failed because numbers went wrong
     returns: Tensor  #: (N,) the episodes' returns up to and with this step
     endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
-    reached: dict[str, Tensor]  #: the fields that :attr:`Environment.reaches` names
+    next_fields: dict[str, Tensor]  #: those that :attr:`Environment.next_fields` names
     #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
     final_observations: dict[str, Tensor] | None = None
 
@@ -115,16 +110,23 @@ def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
 class Environment:
     """N worlds of one task.
 
-    Args:
-        parts: what the task consists of.
-        context: N, device, seed, and rates; its difficulty is the field of that name, unless the
-            curriculum provides it.
-        episode_seconds: episodes are truncated at this length, unless the curriculum provides
-            ``episode_limit`` (which it does not in evaluations).
-        known_fields: from a field's name to the components that provide it, for errors.
+    Parameters
+    ----------
+    parts
+        what the task consists of.
+    context
+        N, device, seed, and rates; its difficulty is the field of that name, unless the
+        curriculum provides it.
+    episode_seconds
+        episodes are truncated at this length, unless the curriculum provides
+        ``episode_limit`` (which it does not in evaluations).
+    known_fields
+        from a field's name to the components that provide it, for errors.
 
-    Raises:
-        ConfigError: if a part reads a field that nothing provides, or a term has the wrong shape.
+    Raises
+    ------
+    ConfigError
+        if a part reads a field that nothing provides, or a term has the wrong shape.
     """
 
     def __init__(
@@ -182,7 +184,7 @@ class Environment:
         }
         self.observations: dict[str, Tensor] = {}
         #: Fields of the states reached that a step is to bring, (N, …).
-        self.reaches: Sequence[str] = ()
+        self.next_fields: Sequence[str] = ()
         self.statistics = EpisodeStatistics(parts.terminations, num_worlds, device)
         #: Worlds quarantined since the start because their numbers went wrong.
         self.quarantined = torch.zeros((), dtype=torch.int64, device=device)
@@ -264,8 +266,8 @@ class Environment:
             yield part.where, tuple(part.reads.values())
         for term in (*parts.rewards, *parts.terminations, *parts.measures):
             yield term.where, tuple(term.reads.values())
-        yield "initial_states", parts.initial_states.records
-        yield "curriculum", parts.curriculum.records if parts.curriculum else ()
+        yield "initial_states", parts.initial_states.rollout_fields
+        yield "curriculum", parts.curriculum.rollout_fields if parts.curriculum else ()
 
     @_as_physics
     def reset(self, seed: int | None = None, draw: str = "") -> dict[str, Tensor]:
@@ -350,7 +352,7 @@ class Environment:
         self._quarantine(unsound, before)
         self.observations = reached
         returns = self.statistics.returns.clone()
-        kept = {name: without_unsound(table[name]).clone() for name in self.reaches}
+        kept = {name: without_unsound(table[name]).clone() for name in self.next_fields}
         return Step(
             reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
         )
@@ -396,10 +398,10 @@ class Environment:
 
     def _control(self) -> Tensor:
         """(N, U), as the actuation gives it."""
-        bound, table = self.parts.actuation, self.table
-        if bound.part.keeps:
-            self._keep(bound, bound.part.advance(self.action, **table.pick(bound.reads)))
-        return bound.part.control(self.action, **table.pick(bound.reads))
+        wired, table = self.parts.actuation, self.table
+        if wired.part.keeps:
+            self._keep(wired, wired.part.advance(self.action, **table.pick(wired.reads)))
+        return wired.part.control(self.action, **table.pick(wired.reads))
 
     def _taken(self, name: str, memory: Wired[Memory]) -> dict[str, Tensor]:
         """What a memory is called with: fields, and random numbers."""

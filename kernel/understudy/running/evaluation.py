@@ -110,8 +110,8 @@ class Evaluation:
             figures.append(f"numbers went wrong in {shown_share(self.unsound)} of the episodes")
         if self.success_rate is None:
             return "; ".join(figures or ["nothing was measured"]) + "."
-        bound, early = ("", "") if self.complete else ("at most ", ", stopped early")
-        text = f"{bound}{self.success_rate:.0%} of {self.episodes} episodes succeeded{early} ({self.success})"
+        most, early = ("", "") if self.complete else ("at most ", ", stopped early")
+        text = f"{most}{self.success_rate:.0%} of {self.episodes} episodes succeeded{early} ({self.success})"
         if cut := [f"{name} cut {share:.0%} short" for name, share in self.cut.items() if share]:
             cut.append(f"on average they lasted {self.mean_episode_seconds:.3g} s")
         return "; ".join([text, *cut, *figures]) + "."

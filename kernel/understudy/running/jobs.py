@@ -105,9 +105,11 @@ class Job(ABC):
     def load_state_dict(self, state: State) -> None:
         """Continue from `state`.
 
-        Raises:
-            RunError: if it belongs to another model, task or number of worlds; names the first
-                difference.
+        Raises
+        ------
+        RunError
+            if it belongs to another model, task or number of worlds; names the first
+            difference.
         """
 
     @abstractmethod

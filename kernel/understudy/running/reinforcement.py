@@ -65,9 +65,10 @@ class Reinforcement(Job):
         self._hopeless = Hopeless(self.environment.num_worlds)
         initial, curriculum = self._adapting()
         learner = self.learner
-        records = (*initial.records, *(curriculum.records if curriculum else ()), *learner.records)
+        asking = [initial, learner, *([curriculum] if curriculum else [])]
+        fields = [name for part in asking for name in part.rollout_fields]
         seed = experiment.root.seed
-        self.collector = Collector(self.environment, self.policy, seed, records, learner.reaches)
+        self.collector = Collector(self.environment, self.policy, seed, fields, learner.next_fields)
         if experiment.root.start is not None:
             self._started = take_over(experiment.root.start, self.policy, initial, curriculum)
             self.environment.reset(seed)  # episodes begin as what was taken over says

@@ -80,9 +80,11 @@ class Hopeless:
         """After an iteration of so many `steps`, with the statistics' `row` of it; `where` says which
         part's numbers go wrong.
 
-        Raises:
-            TrainingError: if more than a quarter of all steps of the iteration were quarantined, or most
-                of the episodes that ended since there were enough of them.
+        Raises
+        ------
+        TrainingError
+            if more than a quarter of all steps of the iteration were quarantined, or most
+            of the episodes that ended since there were enough of them.
         """
         self._episodes += row["episodes"]
         self._unsound += row["unsound"]

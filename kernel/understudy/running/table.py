@@ -18,9 +18,11 @@ class FieldTable:
     Fields come from the simulator, from the environment (`own`), or from providers, which read other
     fields.
 
-    Raises:
-        ConfigError: if two parts provide the same field, or providers need each other's fields in a
-            circle.
+    Raises
+    ------
+    ConfigError
+        if two parts provide the same field, or providers need each other's fields in a
+        circle.
     """
 
     def __init__(

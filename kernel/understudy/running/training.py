@@ -177,9 +177,12 @@ class Training:
     def train(self) -> str:
         """Iterate until the ``criterion`` is met, the ``budget`` is spent, or the job is ``finished``.
 
-        Raises:
-            PreemptedError: after a stop signal, when everything is saved.
-            TrainingError: when the numbers leave the finite for good.
+        Raises
+        ------
+        PreemptedError
+            after a stop signal, when everything is saved.
+        TrainingError
+            when the numbers leave the finite for good.
         """
         for _ in self.rows():
             pass

@@ -46,9 +46,11 @@ def take_over(
     """Put the parts that `start` names, from the newest checkpoint of its run, in place; returns what
     was taken from where, for provenance.
 
-    Raises:
-        RunError: if the run lacks one of them, or it has another shape here; names the first that
-            does not fit.
+    Raises
+    ------
+    RunError
+        if the run lacks one of them, or it has another shape here; names the first that
+        does not fit.
     """
     state = newest_state(start.run)
     given: Mapping[str, Tensor] = state.get("policy", {})
@@ -79,8 +81,10 @@ def take_over(
 def load_part(part: Curriculum | InitialStates, state: State, name: str, what: str) -> None:
     """Put what a checkpoint's `state` says of the environment's part `name` into `part`.
 
-    Raises:
-        RunError: if it says nothing that fits; calls it `what`.
+    Raises
+    ------
+    RunError
+        if it says nothing that fits; calls it `what`.
     """
     try:
         given = state["environment"][name]

@@ -100,7 +100,7 @@ def build_environment(
     context.scene = scene or experiment.need("scene").build(context)
     simulator = context.simulator = experiment.need("simulator").build(context)
 
-    def bound(chosen: Chosen) -> Wired[Any]:
+    def wired(chosen: Chosen) -> Wired[Any]:
         part = chosen.build(context)
         given = getattr(part, "keeps" if chosen.component.kind != "fields" else "provides", {})
         return Wired(
@@ -125,14 +125,14 @@ def build_environment(
     curriculum = experiment.one("curriculum")
     parts = Parts(
         simulator=simulator,
-        actuation=bound(experiment.need("actuation")),
+        actuation=wired(experiment.need("actuation")),
         initial_states=experiment.need("initial_states").build(context),
-        encoders={c.name: bound(c) for c in experiment.many("encoder")},
+        encoders={c.name: wired(c) for c in experiment.many("encoder")},
         rewards=terms("reward.terms"),
         terminations=terminations,
         measures=terms("measure"),
-        fields=[bound(c) for c in experiment.many("fields")],
-        memories={c.name: bound(c) for c in experiment.many("memory")},
+        fields=[wired(c) for c in experiment.many("fields")],
+        memories={c.name: wired(c) for c in experiment.many("memory")},
         curriculum=curriculum.build(context) if curriculum else None,
         combine=root.reward.combine,
     )

@@ -32,7 +32,7 @@ __all__ = [
     "options",
     "refuse_resolvers",
     "replaced",
-    "sorts",
+    "split_overrides",
 ]
 
 
@@ -52,6 +52,8 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
         GlobalHydra.instance().clear()
 
 
+#: ``[1] walk.bvh``: more than a list, a mapping or a quotation.
+_MORE = r"""(\[[^\[\]]*\]|\{[^{}]*\}|'[^']*'|"[^"]*")[^\s,'"\]}][^,]*|(\[[^\[\]]*\]|\{[^{}]*\})\s[^,:]*"""
 _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
@@ -77,6 +79,8 @@ def readable(override: str) -> str:
         value = value.strip()
         override = f"{key}={value}"
     structured = value.startswith(("[", "{")) and not _is_file(value)
+    if not reads(value) and re.fullmatch(_MORE, value):
+        return f"{key}={quoted(value)}"
     if reads(value) or (value.count(",") and not _is_file(value) and not structured):
         return override
     if structured:
@@ -140,7 +144,10 @@ def _check(override: str, plugins: Plugins) -> None:
                 f"{override} names no option: those are files in the folders of options."
             )
     if several:
-        form = f" A list is written [{value}]; runs and seeds are compared by `understudy sweep`."
+        form = (
+            f" A list is written [{value}], a text with commas {key}=\"'{value}'\"; runs and seeds are "
+            "compared by `understudy sweep`."
+        )
         raise ConfigError(f"{override} has several values and a run takes one.{form}")
 
 
@@ -232,7 +239,9 @@ def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     return result
 
 
-def sorts(overrides: Sequence[str], plugins: Plugins) -> tuple[list[str], dict[str, str], set[str]]:
+def split_overrides(
+    overrides: Sequence[str], plugins: Plugins
+) -> tuple[list[str], dict[str, str], set[str]]:
     """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot whatever
     else chooses it, since Hydra has no null for a group of options; and the groups for which an
     override chooses a file (``policy=mlp``)."""
@@ -287,12 +296,14 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     A part that an override chooses (``policy=mlp``) is as its file has it, and as other overrides
     set it: what the task or experiment says of its own choice is not mixed in.
 
-    Raises:
-        ConfigError: if Hydra cannot compose it, or it contains a key that names code.
+    Raises
+    ------
+    ConfigError
+        if Hydra cannot compose it, or it contains a key that names code.
     """
     plugins = plugins or installed()
     overrides = [readable(override) for override in overrides]
-    kept, emptied, chosen = sorts(overrides, plugins)
+    kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         config = compose("config", overrides=for_hydra(kept, plugins))
         if chosen:  # what task and experiment say of other choices does not hold for these

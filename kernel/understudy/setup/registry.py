@@ -264,6 +264,13 @@ class Registrar:
             Component(kind, name, target, self.plugin, self.distribution, self.version, summary)
         )
 
+    def parts(self, package: str, table: Mapping[str, Mapping[str, tuple[str, str]]]) -> None:
+        """Register the components of a `table`: by kind and name, where each is in the plugin's
+        `package` (``"module:name"``), and what it is in a sentence."""
+        for kind, rows in table.items():
+            for name, (place, summary) in rows.items():
+                self.component(kind, name, f"{package}.{place}", summary)
+
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""
         _check_texts(self.plugin, "task", name, summary)

@@ -37,9 +37,11 @@ EXTRAS: dict[str, dict[str, Option]] = {
 def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
     """Look up every component that `raw` names and check every option.
 
-    Raises:
-        ConfigError: for an unknown key or component, a missing or wrong value; the message has the
-            key path.
+    Raises
+    ------
+    ConfigError
+        for an unknown key or component, a missing or wrong value; the message has the
+        key path.
     """
     refuse_code(raw)
     own = {f.name for f in dataclasses.fields(Root)}

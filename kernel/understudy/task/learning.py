@@ -25,11 +25,11 @@ class Rollout:
     failed: Tensor  #: (T, N) bool: terminated by a failure
     final_values: Tensor  #: (T, N) value of the state after a truncated step, 0 elsewhere
     episode_returns: Tensor  #: (T, N) sum of the episode's rewards up to and with this step
-    records: dict[str, Tensor]  #: fields that were asked for, before the action, (T, N, …)
+    fields: dict[str, Tensor]  #: fields that were asked for, before the action, (T, N, …)
     values: Tensor | None = None  #: (T, N)
     returns: Tensor | None = None  #: (T, N)
     #: Fields that were asked for of the states reached, before what ended begins anew, (T, N, …).
-    reached: dict[str, Tensor] = field(default_factory=dict)
+    next_fields: dict[str, Tensor] = field(default_factory=dict)
 
     @property
     def ended(self) -> Tensor:
@@ -44,8 +44,8 @@ class Learner(ABC):
     rollout_steps: int
     #: Fields of the states, each (T, N, …), that rollouts are to bring beside the observations:
     #: before the action, and as it left them, before the next episode begins.
-    records: tuple[str, ...] = ()
-    reaches: tuple[str, ...] = ()
+    rollout_fields: tuple[str, ...] = ()
+    next_fields: tuple[str, ...] = ()
     #: Called once with what led to the first non-finite step, so that it can be replayed.
     on_fault: Callable[[Mapping[str, Tensor]], None] | None = None
 

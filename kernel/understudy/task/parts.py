@@ -37,7 +37,8 @@ class Fields(ABC):
 
 
 class Encoder(ABC):
-    """Turns state fields into one observation tensor (N, …). A pure function."""
+    """Turns state fields into one observation tensor (N, …). A pure function, not a network: those are
+    the policy's."""
 
     reads: tuple[str, ...]
     #: Shape of the observation without N.
@@ -75,7 +76,8 @@ class Actuation(ABC):
 
 
 class Memory(ABC):
-    """Tensors per world that carry the past: timers, latches, means, targets drawn anew.
+    """Tensors per world that carry an episode's past: timers, latches, means, targets drawn anew. No
+    replay buffer, and no recurrent state of a network.
 
     They are fields. After every control period :meth:`advance` is called with the fields as they
     are then, among them its own tensors from before; memories advance in the order of the
@@ -109,7 +111,7 @@ class InitialStates(ABC):
     #: Simulator parameters that :meth:`sample` returns too: those in which worlds then differ.
     varies: tuple[str, ...] = ()
     #: Fields to be kept at every step of a rollout for :meth:`update`.
-    records: tuple[str, ...] = ()
+    rollout_fields: tuple[str, ...] = ()
     #: Control periods that a beginning simulates without control before the episode starts, for
     #: what must come to rest first. Costs that many steps of all worlds whenever one begins.
     settle: int = 0
@@ -142,7 +144,7 @@ class Curriculum(ABC):
 
     provides: Mapping[str, Shape]
     #: Fields to be kept at every step of a rollout for :meth:`update`.
-    records: tuple[str, ...] = ()
+    rollout_fields: tuple[str, ...] = ()
 
     @abstractmethod
     def begin(self, streams: WorldStreams) -> dict[str, Tensor]:

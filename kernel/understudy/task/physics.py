@@ -30,8 +30,10 @@ class Scene(ABC):
     ) -> Iterator[np.ndarray]:
         """Frames (height, width, 3) uint8 of the recorded `tracks`, each (T, …).
 
-        Raises:
-            UnderstudyError: if nothing can be drawn here (no OpenGL).
+        Raises
+        ------
+        UnderstudyError
+            if nothing can be drawn here (no OpenGL).
         """
         raise UnderstudyError(f"scene {type(self).__name__} cannot be drawn.")
 
@@ -63,8 +65,10 @@ class Simulator(ABC):
         """Let worlds differ in these ``parameters``; called once, before the first state is set.
         They become fields of the same names, and begin with the model's values.
 
-        Raises:
-            ConfigError: for a parameter that the simulator does not know.
+        Raises
+        ------
+        ConfigError
+            for a parameter that the simulator does not know.
         """
         for name in names:
             known = suggestion(name, self.parameters)

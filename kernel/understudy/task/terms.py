@@ -48,8 +48,10 @@ def renamed(
 ) -> dict[str, str]:
     """`names` as they are, but for those that `other` maps to other fields.
 
-    Raises:
-        ConfigError: if `other` renames something that is none of `names`.
+    Raises
+    ------
+    ConfigError
+        if `other` renames something that is none of `names`.
     """
     for name in other:
         if name not in names:

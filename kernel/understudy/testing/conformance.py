@@ -173,7 +173,7 @@ def check_environment(environment: Environment, steps: int = 20) -> None:
 
 def check_plugin(name: str, plugins: Plugins | None = None, num_worlds: int = 4) -> None:
     """All that the plugin `name` registers: every component, and every task built and stepped,
-    in steps that a GPU could record."""
+    in steps that a GPU could capture."""
     plugins = plugins or installed()
     status = {p.name: p.status for p in plugins.loaded}
     assert status.get(name) == "ok", f"plugin '{name}' is {status.get(name, 'not installed')}"

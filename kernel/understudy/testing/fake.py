@@ -14,15 +14,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.random import WorldStreams
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy.task import (
-    Actuation,
-    Context,
-    Encoder,
-    InitialStates,
-    Scene,
-    Simulator,
-    box,
-)
+from understudy.task import Actuation, Context, Encoder, InitialStates, Scene, Simulator, box
 
 
 class FakeScene(Scene):

@@ -26,7 +26,7 @@ class Stairs(Curriculum):
     second stair decisions last two control periods."""
 
     provides = {"stair": (), "episode_limit": (), "gain": (), "difficulty": ()}
-    records = ("x",)
+    rollout_fields = ("x",)
 
     def __init__(self, options: None = None, context: Context | None = None) -> None:
         self.evaluating = context is not None and context.evaluating
@@ -47,7 +47,7 @@ class Stairs(Curriculum):
         return 2 if self.stair == 2 else None
 
     def update(self, rollout: Rollout) -> dict[str, float]:
-        self.recorded.append(rollout.records["x"].clone())
+        self.recorded.append(rollout.fields["x"].clone())
         self.stair += 1
         return {"stair": self.stair, "mark/up": 1.0}
 

@@ -56,17 +56,19 @@ def test_a_step_brings_the_states_that_it_reached(plugins: Plugins) -> None:
     """Of worlds that ended where they ended, not where they began anew; of unsound ones nothing."""
     env = made(plugins)
     env.reset()
-    assert still(env).reached == {}
-    env.reaches = ("qpos", "episode_time")
+    assert still(env).next_fields == {}
+    env.next_fields = ("qpos", "episode_time")
     place(env, [0.5, 9.0, torch.nan, -0.5])
     step = still(env)
     assert step.ended.tolist() == [False, True, True, False]
-    assert step.reached["qpos"].flatten().tolist() == pytest.approx([0.5, 9.0, 0.0, -0.5], abs=0.1)
+    assert step.next_fields["qpos"].flatten().tolist() == pytest.approx(
+        [0.5, 9.0, 0.0, -0.5], abs=0.1
+    )
     assert float(env.table["qpos"].abs().max()) < 5.0
-    assert (step.reached["episode_time"] > 0).all()
-    kept = step.reached["qpos"].clone()
+    assert (step.next_fields["episode_time"] > 0).all()
+    kept = step.next_fields["qpos"].clone()
     still(env)
-    assert torch.equal(step.reached["qpos"], kept)
+    assert torch.equal(step.next_fields["qpos"], kept)
 
 
 def test_only_ended_worlds_begin_anew(plugins: Plugins) -> None:

@@ -296,7 +296,7 @@ def test_a_controller_whose_checkpoint_does_not_fit(tmp_path: Path) -> None:
     path = run / "checkpoints/00000003"
     state, meta = checkpoint.load(path)
     checkpoint.save(path, {**state, "policy": {"push": torch.zeros(3)}}, meta)
-    with pytest.raises(RunError, match=r"first does not fit its own configuration: push differs"):
+    with pytest.raises(RunError, match=r"first does not fit this configuration: push differs"):
         Controller.load(str(run), context())
     with pytest.raises(ConfigError, match=r"There is no skill '.*nowhere'"):
         Controller.load(str(tmp_path / "nowhere"), context())

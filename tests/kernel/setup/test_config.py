@@ -311,7 +311,18 @@ NAMES = (
 )
 
 
-@pytest.mark.parametrize("name", [*NAMES, "100% [new] {1}.bvh", "back\\\\slash(\\'.bvh"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *NAMES,
+        "100% [new] {1}.bvh",
+        "[1] walk.bvh",
+        "{a}.bvh",
+        "'a'.bvh",
+        '"a".bvh',
+        "back\\\\slash(\\'.bvh",
+    ],
+)
 def test_names_outside_the_grammar_are_taken_as_they_are(name: str) -> None:
     """Hydra's grammar has no such words; quoted, they mean what was typed, and are quoted once."""
     override = readable(f"motion.file={name}")

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from understudy.errors import ConfigError
-from understudy.running.trials import Report, Trial
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.space import Parameter
+from understudy_sweeps.loops import Report, Trial
 
 SPACE = {"a.x": Parameter(0.0, 2.0), "a.y": Parameter(0.0, 1.0)}
 

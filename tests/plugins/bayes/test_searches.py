@@ -14,7 +14,6 @@ from worlds import python
 
 from understudy.errors import ConfigError, PluginError
 from understudy.options import make_options
-from understudy.running.trials import OuterLoop, Report
 from understudy.setup.plugins import installed
 from understudy_bayes.boca import BOCA, cheapest, relative_cost
 from understudy_bayes.book import Data
@@ -22,6 +21,7 @@ from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.random_search import RandomSearch
 from understudy_bayes.space import Parameter
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions
+from understudy_sweeps.loops import OuterLoop, Report
 
 SPACE = {
     "a.x": Parameter(-1.0, 1.0),

@@ -9,9 +9,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from understudy.running.trials import Trial
 from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.space import Parameter, Space, check_paths
+from understudy_sweeps.loops import Trial
 
 RATE = Parameter(1e-5, 1e-1, "log")
 EPOCHS = Parameter(1, 10, integer=True)

@@ -13,7 +13,7 @@ import trimesh
 from understudy.errors import FileError
 from understudy_characters import meshes
 from understudy_characters.meshes import convex_parts
-from understudy_mujoco.apart import Bounds
+from understudy_mujoco.apart import Limits
 
 
 @pytest.mark.parametrize("suffix", ["obj", "STL", "ply", "glb"])
@@ -61,7 +61,7 @@ def endless(folder: Path, count: int) -> Path:
 def test_a_mesh_that_takes_too_much_costs_its_reader_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, why: str
 ) -> None:
-    monkeypatch.setattr(meshes, "BOUNDS", Bounds(cpu=3, wall=300))
+    monkeypatch.setattr(meshes, "LIMITS", Limits(cpu=3, wall=300))
     path = endless(tmp_path, count)
     with pytest.raises(FileError, match=rf"chair\.gltf {why}\.$"):
         convex_parts(path)

@@ -6,12 +6,12 @@ import pytest
 
 from understudy.errors import ConfigError
 from understudy.inputs import Inputs
-from understudy.running.trials import Report, Trial
 from understudy.setup.composition import compose_raw
 from understudy.setup.plugins import Plugins
 from understudy_chopsticks.search import GripSearch
-from understudy_gripping.grip import GripOptions, build_grip
+from understudy_gripping.grip import CandidateOptions, GripOptions, build_grips
 from understudy_gripping.styles import styles, written
+from understudy_sweeps.loops import Report, Trial
 
 TWO = ("11120", "11200")
 
@@ -119,13 +119,13 @@ def test_styles_that_are_none(options: dict[str, object], said: str) -> None:
 )  # fmt: skip
 def test_places_that_are_none(options: dict[str, object], said: str, plugins: Plugins) -> None:
     with pytest.raises(ConfigError, match=said):
-        build_grip(GripOptions(**options), plugins.registry, Inputs())  # type: ignore[arg-type]
+        build_grips(GripOptions(**options), plugins.registry, Inputs())  # type: ignore[arg-type]
 
 
 def test_a_candidate_out_of_reach_is_refused_before_any_training(plugins: Plugins) -> None:
     far = GripOptions(style="11200", places={"thumb": 0.12, "index": -0.12, "middle": -0.12})
     with pytest.raises(ConfigError, match="mm are left between a stick and what shall touch it"):
-        build_grip(far, plugins.registry, Inputs())
+        build_grips(far, plugins.registry, Inputs())
 
 
 def test_a_trial_is_a_run_with_its_own_grip(plugins: Plugins) -> None:
@@ -135,3 +135,77 @@ def test_a_trial_is_a_run_with_its_own_grip(plugins: Plugins) -> None:
     grip = raw["grip"]
     assert str(grip["style"]) == "11120"
     assert [grip["places"][n.rpartition(".")[2]] for n in trial.point] == list(trial.point.values())
+
+
+# ------------------------------------------------------------------ candidates that share one job
+
+
+def joint(trial: Trial, without: str = "") -> Report:
+    styles = sorted({path.split(".")[2] for path in trial.point})
+    scores = {f"score_{s}": trial.point[f"grip.candidates.{s}.places.thumb"] for s in styles}
+    return Report(trial.key, "ok", 0.0, {k: v for k, v in scores.items() if k != f"score_{without}"}, 100.0)  # fmt: skip
+
+
+def test_a_round_is_one_job_with_a_candidate_of_each_style() -> None:
+    search, alone = made(together=17, styles=()), made(styles=())
+    trial = asked(search, 0)
+    assert trial.key == "round0-0"
+    for number, style in enumerate(map(written, styles(5))):
+        own = asked(alone, number)
+        assert f"grip.candidates.s{style}.style='{style}'" in trial.overrides
+        for path, value in own.point.items():
+            assert trial.point[path.replace("grip.", f"grip.candidates.s{style}.")] == value
+    assert asked(search, 1).key == "round1-0"
+
+
+def test_each_style_of_a_job_is_told_its_own_score() -> None:
+    search = made(together=2)
+    for number in range(4):
+        trial = asked(search, number)
+        search.tell(joint(trial, without="s11200" if number == 1 else ""))
+    assert search.ask(4) is None
+    assert search.share == 1.0
+    rows = [row for row in search.summary() if row["style"] == "11200"]
+    assert [row["status"] for row in rows] == ["ok", "failed", "ok", "ok"]
+    assert [row["samples"] for row in rows] == [50.0, 0.0, 50.0, 50.0]
+    for row in rows:
+        assert row["objective"] is None or row["objective"] == row["grip.places.thumb"]
+
+
+def test_a_search_of_jobs_goes_on_as_it_would_have() -> None:
+    first, second = made(together=2), made(together=2)
+    for number in range(3):
+        trial = asked(first, number)
+        first.tell(joint(trial))
+        assert second.recall(trial)
+        second.tell(joint(trial))
+    assert asked(first, 3) == asked(second, 3)
+    with pytest.raises(ConfigError, match="of a search with other jobs"):
+        made(together=2).recall(asked(made(), 0))
+
+
+def test_a_job_composes_with_a_measure_for_each(plugins: Plugins) -> None:
+    trial = asked(made(together=2), 0)
+    words = [f"{name}={value!r}" for name, value in trial.point.items()]
+    raw = compose_raw(["experiment=chopsticks/open_close", *trial.overrides, *words], plugins)
+    assert set(raw["grip"]["candidates"]) == {"s11120", "s11200"}
+    assert raw["measure"]["score_s11200"]["reads"]["where"] == "from_s11200"
+
+
+@pytest.mark.parametrize(
+    ("candidates", "said"),
+    [
+        ({"a": CandidateOptions("11120"), "b": CandidateOptions("112")}, "hands of 3 and 5 fingers"),
+        ({"a": CandidateOptions("11120"), "b": CandidateOptions("12120")}, "cross"),
+    ],
+)  # fmt: skip
+def test_candidates_that_cannot_share_a_job(
+    candidates: dict[str, CandidateOptions], said: str, plugins: Plugins
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        build_grips(GripOptions(candidates=candidates), plugins.registry, Inputs())
+
+
+def test_candidates_have_names_of_fields() -> None:
+    with pytest.raises(ValueError, match="candidates names '1'"):
+        GripOptions(candidates={"1": CandidateOptions("11120")})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,11 @@ from understudy.errors import ConfigError, UnderstudyError
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
+from understudy.task import Context
 from understudy_chopsticks.plan import Gripping, OpenAndClose, Plan, angle_at
-from understudy_chopsticks.tracking import Hand, contact, contact_lost, dropped, sticks
-from understudy_gripping.grip import Grip, load_grip, standard
+from understudy_chopsticks.tracking import Hand, Tracking, contact, contact_lost, dropped, sticks
+from understudy_gripping.grip import Grip, Grips, load_grip, standard
+from understudy_gripping.hold import placed
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import upper_pose
@@ -37,6 +40,10 @@ def built(plugins: Plugins) -> Any:
     built = build_environment(load_experiment(TASK, plugins))
     yield built
     built.environment.close()
+
+
+def alone(worlds: int = 1) -> Context:
+    return Context(0, torch.device("cpu"), worlds, control_dt=0.01, substeps=2)
 
 
 def field(built: Built, name: str) -> Tensor:
@@ -99,10 +106,10 @@ def test_planned_velocities_are_derivatives_of_planned_poses(built: Built) -> No
 
 
 def test_poses_between_the_grips_angles_are_between_its_poses(grip: Grip) -> None:
-    made = Gripping(grip, HandScene(HandScene.Options()), torch.device("cpu"))
-    torch.testing.assert_close(made.at(made.poses, made.angles)[0], made.poses)
+    made = Gripping(Grips({"one": grip}), HandScene(HandScene.Options()), alone())
+    torch.testing.assert_close(made.at(made.poses, made.angles)[0], made.poses[0])
     middle = 0.5 * (made.angles[:-1] + made.angles[1:])
-    expected = 0.5 * (made.poses[:-1] + made.poses[1:])
+    expected = 0.5 * (made.poses[0, :-1] + made.poses[0, 1:])
     torch.testing.assert_close(made.at(made.poses, middle)[0], expected)
 
 
@@ -138,9 +145,6 @@ def test_the_sticks_are_in_the_palms_frame(built: Built) -> None:
 
 def test_the_angle_is_the_plans_where_the_sticks_are_planned(grip: Grip, built: Built) -> None:
     """Sticks that stand where a gripper at 0.1 rad has them are at 0.1 rad, and on their places."""
-    from understudy_chopsticks.tracking import Tracking
-    from understudy_gripping.hold import placed
-
     scene = HandScene(HandScene.Options())
     row = 2
     data = placed(scene, np.array(ARM_POSE), grip.poses[row], grip.upper[row], grip.lower)
@@ -268,6 +272,39 @@ def test_episodes_begin_in_every_direction_and_at_rest(plugins: Plugins) -> None
     made.environment.close()
 
 
+# ------------------------------------------------------------------ several grips in one job
+
+
+def test_each_world_has_its_own_grip(grip: Grip) -> None:
+    """Of a style with fewer fingers; those that touch nothing are nowhere from their places."""
+    other = replace(
+        grip, style=(1, 1, 2, 0, 0), places=grip.places[:3], targets=grip.targets + 0.01
+    )
+    scene, context = HandScene(HandScene.Options()), alone(4)
+    made = Gripping(Grips({"a": grip, "b": other}, {"c": "too far"}), scene, context)
+    assert made.touching == ("thumb", "index", "middle", "ring")
+    targets, _ = made.at(made.targets, torch.tensor([0.0, 0.0, 0.08, 0.08]))
+    expected = torch.tensor(grip.targets[[0, 0, 2, 2]], dtype=torch.float32)
+    expected[1::2] += 0.01
+    torch.testing.assert_close(targets, expected)
+    many, _ = made.at(made.poses, torch.full((4, 6), 0.05))
+    assert many.shape == (4, 6, 29)
+    context.scene, context.sections = scene, {"grip": Grips({"a": grip, "b": other})}
+    tracking = Tracking(None, context)
+    data = placed(scene, np.array(ARM_POSE), grip.poses[0], grip.upper[0], grip.lower)
+    read = {
+        name: torch.tensor(np.array(getattr(data, name)), dtype=torch.float32).repeat(4, *[1] * getattr(data, name).ndim)
+        for name in ("xpos", "xquat", "cvel", "subtree_com", "geom_xpos", "geom_xmat")
+    }  # fmt: skip
+    planned = {f"planned_{n}": torch.tensor(v, dtype=torch.float32).repeat(4, 1) for n, v in (("upper", grip.upper[0]), ("lower", grip.lower))}  # fmt: skip
+    found = tracking.compute(**read, **planned, planned_angle=torch.zeros(4))["tip_distance"]
+    assert (found[1::2, 3] == 0).all()
+    assert (found[::2] < 2e-3).all()
+    assert (found[1::2, 2] > 3e-3).all(), (
+        "the middle finger is at the upper stick, not at the lower one"
+    )
+
+
 # ------------------------------------------------------------------ bad input
 
 
@@ -320,4 +357,4 @@ def test_the_options_have_their_own_checks() -> None:
 
 def test_another_hands_grip_names_both(grip: Grip) -> None:
     with pytest.raises(ConfigError, match="--fingers 3 --finger-length 1 --size 1"):
-        Gripping(grip, HandScene(HandScene.Options(fingers=3)), torch.device("cpu"))
+        Gripping(Grips({"one": grip}), HandScene(HandScene.Options(fingers=3)), alone())

@@ -96,3 +96,13 @@ def along(ends: tuple[Sequence[float], Sequence[float]]) -> dict[str, Any]:
         "orientation": tuple(q / np.linalg.norm(q)),
         "half_length": 0.5 * float(np.linalg.norm(b - a)),
     }
+
+
+#: Parameters in which worlds may differ.
+VARY = ["gravity", "friction", "density", "stretch", "shear", "bending"]
+#: Into the floor and through the sheet, both grips closed for two tools.
+PUSH = [0.0, 0.1, 0.02, 0.1, 0.2, 0.3, 0.0, 0.0, -0.12, 0.0, 0.0, 0.0, 1.0, 1.0]
+
+
+def pushed(found: ClothSimulator) -> Tensor:
+    return control(found, *PUSH[: found.control_size])

@@ -8,22 +8,15 @@ import numpy as np
 import pytest
 import torch
 from cloth_models import MODELS, everything
-from sheets import control, run, sheet, simulator, tube
+from on_gpu import same_bits_again, steps_without_waiting
+from sheets import VARY, pushed, run, sheet, simulator, tube
 from torch import Tensor
 
 from understudy.testing import check_simulator
 from understudy_cloth.mesh import SHARED_VERTICES, WEIGHTED_VERTICES
 from understudy_cloth.scene import Capsule, ClothModel, Tool
-from understudy_cloth.simulator import ClothSimulator
 
 pytestmark = pytest.mark.gpu
-
-VARY = ["gravity", "friction", "density", "stretch", "shear", "bending"]
-PUSH = [0.0, 0.1, 0.02, 0.1, 0.2, 0.3, 0.0, 0.0, -0.12, 0.0, 0.0, 0.0, 1.0, 1.0]
-
-
-def pushed(found: ClothSimulator) -> Tensor:
-    return control(found, *PUSH[: found.control_size])
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -72,10 +65,7 @@ def test_the_same_bits_again() -> None:
             one.step(pushed(one))
         return one.snapshot()
 
-    first, second = bits(), bits()
-    for name, value in first.items():
-        assert torch.equal(value, second[name]), name
-        assert torch.equal(value[0], value[-1]), f"worlds that begin alike part in '{name}'"
+    same_bits_again(bits)
 
 
 def test_layers_stay_apart() -> None:
@@ -90,24 +80,7 @@ def test_layers_stay_apart() -> None:
 
 def test_a_step_does_not_wait_for_the_device() -> None:
     found = simulator(everything(), 8, "cuda")
-    target, begin = pushed(found), found.snapshot()
-    state = {name: begin[name] for name in found.state_fields}
-    some = torch.arange(8, device="cuda") % 2 == 0
-
-    def everything_that_a_step_may_do() -> None:
-        found.step(target)
-        found.step(target, 1)
-        found.failed()
-        found.set_state(some, state)
-        found.restore(begin, some)
-
-    everything_that_a_step_may_do()
-    torch.cuda.synchronize()
-    torch.cuda.set_sync_debug_mode("error")
-    try:
-        everything_that_a_step_may_do()
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
+    steps_without_waiting(found, pushed(found))
 
 
 def test_a_step_goes_into_a_recording_of_the_callers() -> None:

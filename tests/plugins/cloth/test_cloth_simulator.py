@@ -11,23 +11,14 @@ import pytest
 import torch
 import warp as wp
 from cloth_models import ARM, FLOOR, MODELS, everything, hung
-from sheets import control, run, sheet, simulator
+from sheets import PUSH, VARY, control, pushed, run, sheet, simulator
 from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.testing import check_simulator
 from understudy_cloth.mesh import SHARED_VERTICES, WEIGHTED_VERTICES
 from understudy_cloth.scene import Capsule, ClothModel, Grip, Tool
-from understudy_cloth.simulator import ClothSimulator
 from understudy_cloth.solver import Features, build_kernels
-
-VARY = ["gravity", "friction", "density", "stretch", "shear", "bending"]
-#: Into the floor and through the sheet, both grips closed for two tools.
-PUSH = [0.0, 0.1, 0.02, 0.1, 0.2, 0.3, 0.0, 0.0, -0.12, 0.0, 0.0, 0.0, 1.0, 1.0]
-
-
-def pushed(found: ClothSimulator) -> Tensor:
-    return control(found, *PUSH[: found.control_size])
 
 
 @pytest.mark.parametrize("model", MODELS)

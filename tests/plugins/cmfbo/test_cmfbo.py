@@ -13,7 +13,6 @@ from search_runs import Told, carry_on, valley
 
 from understudy.errors import ConfigError
 from understudy.options import make_options
-from understudy.running.trials import Report, Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, upper_bound
 from understudy_bayes.book import Data
@@ -21,6 +20,7 @@ from understudy_bayes.space import Parameter
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions
 from understudy_cmfbo.cmfbo import CMFBO
+from understudy_sweeps.loops import Report, Trial
 
 SPACE = {"a.x": Parameter(-1.0, 1.0), "learner.rate": Parameter(1e-4, 1e-1, "log")}
 

@@ -87,14 +87,14 @@ def test_only_episodes_that_a_field_names_count() -> None:
     """World 0 is asked for the newest lesson and fails, world 1 repeats an old one."""
     options = Adaptive.Options(threshold=0.5, by="return", step=0.25, episodes=2, counts="newest")
     curriculum = Adaptive(options, context())
-    assert curriculum.records == ("newest",)
+    assert curriculum.rollout_fields == ("newest",)
     both = rollout(4, 0, 1.0)
     returns = both.episode_returns
     returns[:, 0] = 0.0
-    both.records["newest"] = torch.tensor([1.0, 0.0]).expand_as(returns)
+    both.fields["newest"] = torch.tensor([1.0, 0.0]).expand_as(returns)
     found = curriculum.update(both)
     assert (found["return"], found["difficulty"]) == (0.0, 0.0)
-    both.records["newest"] = torch.tensor([0.0, 1.0]).expand_as(returns)
+    both.fields["newest"] = torch.tensor([0.0, 1.0]).expand_as(returns)
     assert curriculum.update(both)["difficulty"] == 0.25
 
 

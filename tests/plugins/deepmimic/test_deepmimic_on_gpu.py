@@ -1,4 +1,4 @@
-"""The walk on a GPU: its steps are recorded, its evaluations too, and what they give is what a CPU gives."""
+"""The walk on a GPU: its steps are captured, its evaluations too, and what they give is what a CPU gives."""
 
 from __future__ import annotations
 

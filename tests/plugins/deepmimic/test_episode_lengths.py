@@ -48,7 +48,7 @@ def rollout(ended: int = 10, failed: int = 0, returns: float = 12.0) -> Rollout:
         failed=number < failed,
         final_values=none,
         episode_returns=none + returns,
-        records={},
+        fields={},
     )
 
 
@@ -91,7 +91,7 @@ def test_until_the_horizon_of_the_difficulty(difficulty: float, longest: float) 
 
 
 def test_the_tensor_stays_the_same() -> None:
-    """A recorded step reads it."""
+    """A captured step reads it."""
     for curriculum in (
         Adaptive(Adaptive.Options(), context()),
         Annealed(Annealed.Options(samples=40), context()),

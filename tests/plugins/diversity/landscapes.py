@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from understudy.options import make_options
-from understudy.running.trials import OuterLoop, Report, Trial
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 Told = list[Trial | Report]
 #: One feature, an angle, of points in the unit square.

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from understudy.command.cli import main
-from understudy.running.trials import Report, Trial
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 from understudy_tensors import rotations
 
 AXES = ("x0", "x1", "x2", "z0", "z1", "z2")

@@ -17,7 +17,6 @@ from landscapes import OPTIONS, Told, carry_on, make, stairs, strategy
 
 from understudy.errors import ConfigError
 from understudy.options import make_options
-from understudy.running.trials import Report, Trial
 from understudy.task import Context
 from understudy_bayes.space import Parameter
 from understudy_diversity.acquisition import by_direct, by_gradient, expected_novelty, uncertainty
@@ -28,6 +27,7 @@ from understudy_diversity.search import DiversitySearch, RandomDiversity
 from understudy_diversity.strategies import Feature, alike, distances, feature_of
 from understudy_diversity.surrogate import Surrogate
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 from understudy_tensors import rotations
 
 LOOPS: list[Any] = [DiversitySearch, RandomDiversity, MapElites]

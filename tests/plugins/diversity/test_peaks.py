@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -93,3 +94,19 @@ def test_a_recording_that_cannot_be_drawn_says_why(
     take = taken(trained, tmp_path, **changed)
     assert take.film is None
     assert take.reason.startswith(reason)
+
+
+def test_a_film_of_the_future_is_of_its_recording_alone(trained: Path, tmp_path: Path) -> None:
+    """Clocks that were set do not make an older recording's film this one's."""
+    take = taken(trained, tmp_path)
+    if take.film is None:
+        pytest.skip("no encoder")
+    os.utime(take.film, (4e9, 4e9))
+    stale = take.film.read_bytes()
+    np.savez(tmp_path / "run" / "recording.npz", **{**SOUND, "pitch": np.ones(FRAMES)})
+    again = take_of(tmp_path / "run", tmp_path, "take", HIGHEST)
+    assert again.film is not None
+    assert again.film.read_bytes() != stale
+    kept = again.film.stat().st_ino
+    assert take_of(tmp_path / "run", tmp_path, "take", HIGHEST).film is not None
+    assert again.film.stat().st_ino == kept, "and it is drawn once"

@@ -6,6 +6,7 @@ import warnings
 
 import pytest
 import torch
+from on_gpu import no_waiting
 from torch import Tensor
 
 from understudy.running.environment import Environment
@@ -40,12 +41,8 @@ def test_a_decision_does_not_wait_for_the_device() -> None:
     action = torch.full((8, environment.action_size), 0.2, device="cuda")
     for _ in range(2):
         environment._step(action)
-    torch.cuda.synchronize()
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+    with no_waiting():
         environment._step(action)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
 
 
 @pytest.mark.parametrize("given", [SMALL, ["experiment=dressing/sleeve"]])

@@ -10,12 +10,13 @@ import pytest
 import torch
 
 from understudy_gripping.descent import minimise
-from understudy_gripping.distances import LEAST, box_distance, clamped_log, segment_distance
+from understudy_gripping.distances import LEAST, box_distance, clamped_log
 from understudy_gripping.kinematics import HandKinematics, stick_ends
 from understudy_gripping.pose import Candidate, PoseSolver, _Problem, first_guess
 from understudy_gripping.styles import NAMED, styles
 from understudy_hand.scene import HandScene
 from understudy_hand.tools import HALF_LENGTH, RADIUS
+from understudy_tensors.segments import segment_distance
 
 
 @pytest.fixture(scope="module")

@@ -28,10 +28,10 @@ def test_size(model: mujoco.MjModel) -> None:
 
 def test_actuators_follow_the_table_with_stable_pd_gains(model: mujoco.MjModel) -> None:
     rows = [
-        row.joint
+        joint
         for row in BODIES
-        if row.joint
-        for _ in range(3 if row.joint.kind == "ball" else 1)
+        for joint in row.joints
+        for _ in range(3 if joint.kind == "ball" else 1)
     ]
     kp, kd = np.array([row.kp for row in rows]), np.array([row.kd for row in rows])
     np.testing.assert_allclose(model.actuator_gainprm[:, 0], kp)
@@ -68,10 +68,10 @@ def test_torques_stay_within_their_limits_and_the_state_finite_under_extreme_tar
     """Targets jump between extremes every control step of 1/30 s, for 4 s."""
     limits = np.array(
         [
-            row.joint.torque
+            joint.torque
             for row in BODIES
-            if row.joint
-            for _ in range(3 if row.joint.kind == "ball" else 1)
+            for joint in row.joints
+            for _ in range(3 if joint.kind == "ball" else 1)
         ]
     )
     rng = np.random.default_rng(0)

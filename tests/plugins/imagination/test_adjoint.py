@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from understudy.running.reinforcement import Reinforcement
+from understudy.task.terms import Margin
 from understudy_imagination.adjoint import Adjoint, Weights, Window, clean, limited
 from understudy_imagination.errors import model_errors
 from understudy_imagination.learner import Imagination
 
 STEPS = 5
-WEIGHTS = Weights(margins=1.0, actions=0.01, rewards=1.0)
+WEIGHTS = Weights(margins=1.0, actions=0.01, rewards=1.0, norm=8.0, power=2.0)
 
 
 def parts(job: Reinforcement) -> tuple[Imagination, Adjoint]:
@@ -38,7 +39,7 @@ def imagine(
     policy and noise would do; where `ended` (L, N) what follows begins at the first states again."""
     table = job.environment.table
     imagined, rigid = learner.adjoint._imagined, learner.adjoint._rigid
-    first = {name: table[name].clone() for name in learner.records}
+    first = {name: table[name].clone() for name in learner.rollout_fields}
     state, rows = dict(first), []
     dt, total = job.environment.control_dt, torch.zeros(())
     for t in range(len(moved)):
@@ -50,7 +51,7 @@ def imagine(
         qpos, qvel = learner.model(posed, imagined.control(action, fields))
         reached = {**state, "qpos": qpos, "qvel": qvel, "episode_time": state["episode_time"] + dt}
         there = imagined.fields(rigid.posed(qpos, qvel), imagined.constants(reached), action)
-        total = total + WEIGHTS.margins * imagined.used(there).sum()
+        total = total + WEIGHTS.margins * imagined.used(there, WEIGHTS.norm, WEIGHTS.power).sum()
         rows.append((state, reached, action))
         again = ended[t].unsqueeze(1)
         state = {
@@ -103,8 +104,8 @@ def test_what_it_says_of_the_policy_is_what_the_policy_does(
     learner, adjoint = parts(made)
     rollout = made.collector.collect(STEPS)
     window = Window(
-        {name: rollout.records[name] for name in learner.records},
-        rollout.reached,
+        {name: rollout.fields[name] for name in learner.rollout_fields},
+        rollout.next_fields,
         rollout.actions,
         rollout.terminated | rollout.truncated,
     )
@@ -155,3 +156,31 @@ def test_a_models_error_is_how_far_bodies_are_off(job: Callable[..., Reinforceme
     ended[1, 0] = True  # and its episode does not last so long
     found = model_errors(rigid, imagined, learner.model, replace(shifted, ended=ended))
     assert found[4][1:].max() < 1e-3
+
+
+def test_the_cost_is_that_of_the_worst_of_a_margins_things(
+    job: Callable[..., Reinforcement],
+) -> None:
+    """One joint that is about to end the episode counts as much as a centre of mass that is."""
+    _, adjoint = parts(job())
+    imagined = adjoint._imagined
+    one, many = torch.full((4, 1), 0.9), torch.zeros(4, 30)
+    many[:, 7] = 0.9
+
+    class Only(Margin):
+        def __init__(self, share: Tensor) -> None:
+            self.share = share
+
+        def used(self) -> Tensor:
+            return self.share
+
+    def cost(share: Tensor) -> Tensor:
+        term = replace(imagined.margins[0], function=Only(share), reads={}, options={})
+        imagined.margins[:] = [term]
+        fields = {"action": torch.zeros(4, 1)}
+        return imagined.used(fields, norm=8.0, power=2.0)
+
+    first = imagined.margins[0]
+    torch.testing.assert_close(cost(one), torch.full((4,), 0.81))
+    torch.testing.assert_close(cost(many), torch.full((4,), 0.81))
+    imagined.margins[:] = [first]

@@ -20,7 +20,7 @@ MISTAKES = {
     "train --seed 3": "There is no option --seed. Write seed=3.",
     f"train {WALK} --learner=trpo": "Write learner=trpo.",
     f"train {WALK} seed = 3": "'seed' sets nothing. Write KEY=VALUE, without spaces.",
-    f"train {WALK} seed=1,2,3": "several values and a run takes one. A list is written [1,2,3];",
+    f"train {WALK} seed=1,2,3": "several values and a run takes one. A list is written [1,2,3], a text with commas ",
     f"train {WALK},deepmimic/walk": "compared by `understudy sweep`",
     f"train {WALK} seed=three": "seed='three' is not possible: it takes a whole number.",
     "train experiment=walk": "'deepmimic/walk' or 'morphology/walk' or 'sitting/walk' or 'spacetime/walk'?",

@@ -23,7 +23,7 @@ def rollout(ended: torch.Tensor, returns: torch.Tensor) -> Rollout:
     return Rollout(
         observations={}, last_observations={}, actions=nothing, log_probs=nothing,
         rewards=nothing, terminated=ended, truncated=torch.zeros_like(ended),
-        failed=torch.zeros_like(ended), final_values=nothing, episode_returns=returns, records={},
+        failed=torch.zeros_like(ended), final_values=nothing, episode_returns=returns, fields={},
     )  # fmt: skip
 
 

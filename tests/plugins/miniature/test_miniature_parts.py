@@ -14,13 +14,13 @@ from miniatures import QUICK, overrides_of, train
 from understudy.errors import ConfigError, RunError, TrainingError
 from understudy.records.runs import open_run
 from understudy.running.training import Training
-from understudy.running.trials import Report
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_miniature.cmfbo import RandomFidelity
 from understudy_skills import bank
 from understudy_skills.controller import Controller
 from understudy_skills.harvest import Harvest
+from understudy_sweeps.loops import Report
 
 
 def prepared(*overrides: str) -> Training:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-import warnings
 from pathlib import Path
 
 import pytest
 import torch
 from miniatures import JOBS, TRAININGS, overrides_of
+from on_gpu import rollouts_without_waiting
 from waits import NoWaits
 from worlds import assert_same_state
 
@@ -102,22 +102,10 @@ def test_learns(name: str, built_on: Path) -> None:
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", TRAININGS)
 def test_trains_on_a_gpu_without_waiting(name: str, built_on: Path) -> None:
-    """Steps are recorded, and torch raises at any operation in a rollout that waits."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="Steps cannot be captured")
-        training = made(name, built_on, "device=cuda")
-        job = learning(training)
-        for _ in range(3):
-            row = training.iterate()
-        assert job.environment.captured_step.on
-        assert all(value == value for value in row.values()), row
-        torch.cuda.synchronize()
-        torch.cuda.set_sync_debug_mode("error")
-        try:
-            job.collector.collect(4)
-        finally:
-            torch.cuda.set_sync_debug_mode("default")
-        job.evaluate("test", 8)
+    """Steps are captured, and torch raises at any operation in a rollout that waits."""
+    training = made(name, built_on, "device=cuda")
+    rollouts_without_waiting(training)
+    learning(training).evaluate("test", 8)
 
 
 @pytest.mark.gpu

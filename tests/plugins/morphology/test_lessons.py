@@ -24,12 +24,12 @@ def rollout(reward: float, seconds: float = 8.25, speed: float = 1.0, ends: int 
     row, none = torch.ones(1, 4), torch.zeros(1, 4, dtype=torch.bool)
     truncated = none.clone()
     truncated[:, :ends] = True
-    records = {
+    fields = {
         "episode_time": (seconds - DT) * row,
         "forward_velocity": speed * row,
         "target_velocity": row,
     }
-    return Rollout({}, {}, row, row, row, none, truncated, none, row, reward * row, records)
+    return Rollout({}, {}, row, row, row, none, truncated, none, row, reward * row, fields)
 
 
 def difficulty(curriculum: Lessons) -> float:

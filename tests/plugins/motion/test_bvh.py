@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import permutations
 from pathlib import Path
 
@@ -214,7 +215,10 @@ def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
         ("JOINT Head", "ROOT Head", "line 15: one ROOT is expected"),
         ("JOINT Head", "JOINT", "line 16: a joint has no name"),
         ("JOINT Head", "BONE Head", "line 15: 'BONE' is not part of a joint"),
-        ("CHANNELS 1", "CHANNELS 7", "from 0 to 6 CHANNELS, not '7'"),
+        ("CHANNELS 1", "CHANNELS 12", "from 0 to 9 CHANNELS, not '12'"),
+        ("0.025", "25", "'Frame Time' must be seconds above 0 and up to 1"),
+        ("Frame Time: 0.025", "FPS: 0", "'Frame Time' must be seconds above 0"),
+        ("CHANNELS 1 Yrotation", "CHANNELS 1 Xscale", "joint 'Head' changes its size"),
         ("CHANNELS 1 Yrotation", "CHANNELS 1 Wrotation", "'wrotation' is not a channel"),
         ("}\nMOTION", "MOTION", "line 24: MOTION comes before the hierarchy is complete"),
         ("}\nMOTION", "}\n}\nMOTION", "'}' stands outside of any joint"),
@@ -279,6 +283,18 @@ def test_place_and_turn_of_a_node_above_the_hips_are_theirs(tmp_path: Path) -> N
     torch.testing.assert_close(clip.rotations[:, 1:], alone.rotations[:, 1:])
 
 
+def test_a_node_that_turns_its_figure_upright(tmp_path: Path) -> None:
+    """The figure is written with z up below a node that turns it by -90° about x, to y up."""
+    turned = re.sub(r"OFFSET (\S+) (\S+) (\S+)", r"OFFSET \1 -\3 \2", TEXT).replace("--", "")
+    turned = re.sub(r"\n1 90 (\d+)", r"\n1 -\1 90", turned).replace(
+        "0 0 0  10 20 30  40", "0 0 0  0 0 0  0"
+    )
+    node = STILL_NODE.replace("Yrotation", "Xrotation")
+    clip = read(tmp_path, below(turned, node, "0 0 0 -90"))
+    assert clip.root_position[0].tolist() == pytest.approx([0.03, 0.01, 0.9])
+    assert float(clip.root_position[1, 2]) == pytest.approx(0.9)
+
+
 def test_handles_beside_the_hips_are_no_part_of_the_figure(tmp_path: Path) -> None:
     handle = (
         STILL_NODE + "\nJOINT ik\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n}\n"
@@ -340,6 +356,21 @@ def test_encodings(tmp_path: Path, encoding: str, mark: str) -> None:
         TEXT.replace("End Site\n    {", "End\n    {\n"),
         TEXT.replace("OFFSET 0 20 0", "OFFSET 0 20 0\n      CHANNELS 0"),
         TEXT.replace("1 90 3 ", "1,0 90 3 ").replace("0.025", "0,025"),
+        TEXT.replace("OFFSET 0 60 0", "OFFSET 0,0 60,0 0,0"),
+        TEXT.replace("OFFSET 0 60 0", "OFFSET 0, 60.0, 0"),
+        TEXT.replace("OFFSET 0 60 0", "OFFSET 0 60 0 # cm"),
+        "/* made by\n a program */\n% and by hand\n" + TEXT,
+        TEXT.replace("End Site", "End_Effector"),
+        TEXT.replace("End Site", "Site"),
+        TEXT.replace("Frames: 2\n", "Frames: 2 "),
+        TEXT.replace("Frames: 2\n", ""),
+        TEXT.replace("Frames: 2", "Frames 2.0"),
+        TEXT.replace("0.025", "2.5e-2 s"),
+        TEXT.replace("Frame Time: 0.025", "FPS: 40"),
+        TEXT.replace("1 90 3 ", "1; 90; 3; "),
+        TEXT.replace("Yposition", "Y_POSITION"),
+        TEXT + "\0",
+        TEXT + "\x1a",
     ],
 )
 def test_dialects(tmp_path: Path, text: str) -> None:

@@ -216,7 +216,7 @@ def test_tables_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
         assert torch.equal(clip.rotations, expected.rotations)
         assert torch.equal(clip.root_position, expected.root_position)
 
-    for index in ("", '""', "Unnamed: 0", "index", "Frame"):
+    for index in ("", '""', "Unnamed: 0", "index", "Frame", "#", "# frame", "idx", "level_0"):
         same(f"{index},{rows[0]}", f"0,{rows[1]}", f"1,{rows[2]}")
     same(f"{rows[0]},,", f"{rows[1]},,", f"{rows[2]},,")
     same(rows[0], *(",".join(f'"{cell}"' for cell in row.split(",")) for row in rows[1:]))
@@ -224,6 +224,9 @@ def test_tables_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
     same(rows[0].replace(",", "\t"), *(r.replace(",", "\t").replace(".", ",") for r in rows[1:]))
     same(rows[0].replace(",", ";"), *(r.replace(",", ";").replace(".", ",") for r in rows[1:]))
     same(*rows, encoding="utf-16")
+    same("sep=,", *rows)
+    for time in ("Time", "t", "time_s", "Time [s]", "time (sec)"):
+        same(rows[0].replace("time", time), *rows[1:])
     with pytest.raises(FileError, match="line 5: 10 numbers are needed, not 9"):
         read_csv(tmp_path, "\n".join((*comments, f",{rows[0]}", rows[1][2:], f"1,{rows[2]}")))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from granular import MASS, RADIUS, control, disturbed, lattice, run, simulator
+from on_gpu import captured, same_bits_again, steps_without_waiting
 from particle_models import MODELS, everything, grains
 from torch import Tensor
 
@@ -75,32 +76,12 @@ def test_the_same_bits_again() -> None:
             one.step(pushed(one))
         return one.snapshot()
 
-    first, second = bits(), bits()
-    for name, value in first.items():
-        assert torch.equal(value, second[name]), name
-        assert torch.equal(value[0], value[-1]), f"worlds that begin alike part in '{name}'"
+    same_bits_again(bits)
 
 
 def test_a_step_does_not_wait_for_the_device() -> None:
     found = simulator(everything(), 8, "cuda")
-    target, begin = pushed(found), found.snapshot()
-    state = {name: begin[name] for name in found.state_fields}
-    some = torch.arange(8, device="cuda") % 2 == 0
-
-    def everything_that_a_step_may_do() -> None:
-        found.step(target)
-        found.step(target, 1)
-        found.failed()
-        found.set_state(some, state)
-        found.restore(begin, some)
-
-    everything_that_a_step_may_do()
-    torch.cuda.synchronize()
-    torch.cuda.set_sync_debug_mode("error")
-    try:
-        everything_that_a_step_may_do()
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
+    steps_without_waiting(found, pushed(found))
 
 
 @pytest.mark.parametrize("traversal", TRAVERSALS)
@@ -137,14 +118,7 @@ def test_it_is_recorded_in_a_graph_of_the_callers(traversal: Any) -> None:
         return result
 
     expected = trace(advance)
-    graph, stream = torch.cuda.CUDAGraph(), torch.cuda.Stream()
-    stream.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(stream):
-        advance()
-    torch.cuda.current_stream().wait_stream(stream)
-    with torch.cuda.graph(graph, stream=stream):
-        advance()
-    replayed = trace(graph.replay)
+    replayed = trace(captured(advance).replay)
     for i, (one, other) in enumerate(zip(expected, replayed, strict=True)):
         for name, value in one.items():
             assert torch.equal(value, other[name]), f"{name} in step {i}"

@@ -151,7 +151,7 @@ def test_the_page_shows_the_chair_where_the_episode_has_it() -> None:
             assert np.allclose(thing.position, chair, atol=1e-6)
         page.advance()
         assert page._things == drawn  # it stands still
-        page._again = True
+        page._controls.again = True
         page.advance()
         assert np.allclose(page._things[0].position, page._player.shown()["chair_position"])
         check_page(page.url)  # which answers its own address alone
@@ -181,7 +181,7 @@ def test_the_page_shows_any_other_scene() -> None:
         found = [place for place, _ in page.places()]
         np.testing.assert_allclose(found, data.geom_xpos, atol=1e-6)
         assert not np.allclose(found, before, atol=1e-4)
-        page._again = True
+        page._controls.again = True
         page.advance()
         assert not np.allclose([place for place, _ in page.places()], found, atol=1e-5)
         check_page(page.url)

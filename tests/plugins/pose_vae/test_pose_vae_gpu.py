@@ -1,4 +1,4 @@
-"""Acting by decoded poses on a GPU: steps are recorded, and targets are those of a CPU."""
+"""Acting by decoded poses on a GPU: steps are captured, and targets are those of a CPU."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""On a GPU: recorded optimiser steps do what steps that are not recorded do."""
+"""On a GPU: captured optimiser steps do what steps that are not captured do."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from understudy.setup.plugins import hookimpl, load
 from understudy.setup.registry import Registrar, Registry
 from understudy_report.charts import Chart, Mark, draw_chart
 from understudy_report.configuration import Configuration
-from understudy_report.learning import BOUND, LearningCurves, marks_of, with_success
+from understudy_report.learning import AT_MOST, LearningCurves, marks_of, with_success
 from understudy_report.markup import bar, check_markup, grid, nested, piece, table
 from understudy_report.section import ReportSection
 from understudy_report.stick_figures import stick_figure_animation
@@ -242,7 +242,7 @@ def test_success_is_one_curve() -> None:
     found = with_success(rows, {"samples": 500, "success_rate": 0.97})
     shares = [row.get("evaluation/success_rate") for row in found]
     assert shares == [0.4, None, 0.8, 0.9, 0.97]
-    assert [row.get(BOUND) for row in found] == [True, None, False, False, None]
+    assert [row.get(AT_MOST) for row in found] == [True, None, False, False, None]
     assert len(with_success(rows, {})) == 4
 
 

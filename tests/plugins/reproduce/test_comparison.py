@@ -13,12 +13,12 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy.running.trials import Report, Trial
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_reproduce.comparison import Comparison, Found, found_by
 from understudy_reproduce.tables import PaperTable, load_table
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 
 QUICK = (
     "budget.samples=512",

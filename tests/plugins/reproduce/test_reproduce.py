@@ -11,7 +11,6 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
-from understudy.running.trials import Report, Trial
 from understudy.setup.plugins import installed
 from understudy_report.markup import check_markup
 from understudy_reproduce import card as card_module
@@ -19,6 +18,7 @@ from understudy_reproduce import command, tables
 from understudy_reproduce.card import Card, Cell
 from understudy_reproduce.tables import Figure, PaperTable, load_table, table_files
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.results import Result
 
 TABLE = """

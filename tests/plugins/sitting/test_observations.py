@@ -10,7 +10,7 @@ from sitting_tasks import build, follow_clip
 
 from understudy.setup.building import Built
 from understudy_characters.scene import CharacterScene
-from understudy_sitting.state import Seat, chair_of, pitch_yaw_roll
+from understudy_sitting.state import Seat, chair_of
 from understudy_tensors import rotations
 
 
@@ -38,16 +38,6 @@ def test_proprioception_in_order(sit: Built) -> None:
     assert abs(yaw) < 1e-3
     follow_clip(environment, 10)
     assert environment.table["proprioception"][0, 48:].tolist() == [1.0, 1.0]  # on both feet
-
-
-def test_pitch_yaw_roll() -> None:
-    angles = torch.tensor([[0.4, 2.0, -0.3], [-1.2, -3.0, 1.0]], dtype=torch.float64)
-    axes = torch.eye(3, dtype=torch.float64)
-    pitch, yaw, roll = (
-        rotations.from_axis_angle(axes[a], angles[:, k]) for k, a in ((0, 1), (1, 2), (2, 0))
-    )
-    turned = rotations.multiply(yaw, rotations.multiply(pitch, roll))
-    torch.testing.assert_close(pitch_yaw_roll(turned), angles)
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])

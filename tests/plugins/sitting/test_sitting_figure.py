@@ -26,7 +26,7 @@ from understudy_sitting.figure import BODIES
 def test_the_figure_has_21_degrees_of_freedom() -> None:
     model = load_character("sitting/humanoid", installed().registry).model
     assert (model.nv, model.nu) == (27, 21)
-    assert sum(len(body.hinges) for body in BODIES) == 21
+    assert sum(len(body.joints) for body in BODIES) == 21
     assert float(model.body_mass.sum()) == pytest.approx(45.0)
 
 
@@ -39,7 +39,7 @@ def test_left_and_right_mirror_each_other() -> None:
     for name in ("hip", "knee", "ankle", "shoulder", "elbow"):
         one, other = legs[f"left_{name}"], legs[f"right_{name}"]
         assert one.offset[1] == -other.offset[1]
-        for a, b in zip(one.hinges, other.hinges, strict=True):
+        for a, b in zip(one.joints, other.joints, strict=True):
             expected = a.range if abs(a.axis[1]) == 1.0 else (-a.range[1], -a.range[0])
             assert b.range == pytest.approx(expected)
 

@@ -11,9 +11,7 @@ import pytest
 import torch
 from sitting_tasks import build
 
-from understudy.errors import RunError
 from understudy.records.runs import Run
-from understudy_sitting import trials
 from understudy_sitting.clips import generated_step_back, generated_whole
 from understudy_sitting.kinematics import minimum_distances
 from understudy_sitting.trials import FILE, TransitionsSection, _carry_out, _figures
@@ -113,25 +111,3 @@ def test_what_comes_after_an_episode_does_not_count() -> None:
     assert found["distance"].tolist() == [2.0, 0.5]
     assert found["seated"].tolist() == [1.0, 4.0]
     assert int(counts.sum()) == 3
-
-
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ({"weight": torch.zeros(1, 2), "bias": torch.zeros(1), "more": torch.zeros(1)}, "'policy/more' is only there"),
-        ({"weight": torch.zeros(1, 3), "bias": torch.zeros(1)}, "'policy/weight'"),
-        ({"weight": torch.zeros(1, 2)}, "'policy/bias'"),
-        ({"weight": torch.full((1, 2), torch.nan), "bias": torch.zeros(1)}, "'policy/weight'"),
-    ],
-)  # fmt: skip
-def test_a_policy_of_another_shape_is_not_judged(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given: dict[str, torch.Tensor], says: str
-) -> None:
-    state = {"policy": given, "progress": {"samples": 1}}
-    monkeypatch.setattr(trials, "newest_state", lambda path: state)
-    monkeypatch.setattr(trials, "build_policy", lambda experiment, context: torch.nn.Linear(2, 1))
-    nothing: Any = None
-    with pytest.raises(RunError, match=says):
-        trials.learned(nothing, nothing, Run(tmp_path, {}))
-    state["policy"] = {"weight": torch.zeros(1, 2), "bias": torch.zeros(1)}
-    assert trials.learned(nothing, nothing, Run(tmp_path, {}))[1] == 1

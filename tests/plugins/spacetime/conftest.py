@@ -43,8 +43,8 @@ def context(make_context: MakeContext) -> Context:
     return make_context()
 
 
-def rollout_of(records: dict[str, torch.Tensor], returns: torch.Tensor) -> Rollout:
-    """A rollout with these records (T, N, …) and returns (T, N), and nothing else of interest."""
+def rollout_of(fields: dict[str, torch.Tensor], returns: torch.Tensor) -> Rollout:
+    """A rollout with these fields (T, N, …) and returns (T, N), and nothing else of interest."""
     none = torch.zeros_like(returns)
     return Rollout(
         observations={},
@@ -57,7 +57,7 @@ def rollout_of(records: dict[str, torch.Tensor], returns: torch.Tensor) -> Rollo
         failed=none.bool(),
         episode_returns=none,
         final_values=none,
-        records=records,
+        fields=fields,
         values=none,
         returns=returns,
     )

@@ -54,7 +54,7 @@ def walked(
         * torch.rand(steps * worlds, generator=torch.Generator().manual_seed(1))
     )
     state = reference.sample(time)
-    records = {
+    fields = {
         "phase": state["phase"],
         "episode_step": torch.zeros(len(time), dtype=torch.int64),
         "motion_time": time,
@@ -63,7 +63,7 @@ def walked(
     }
     segment = (state["phase"] * SEGMENTS).long()
     return make_rollout(
-        {name: value.unflatten(0, (steps, worlds)) for name, value in records.items()},
+        {name: value.unflatten(0, (steps, worlds)) for name, value in fields.items()},
         RETURNS[segment].view(steps, worlds),
     )
 
@@ -171,7 +171,7 @@ def test_equation_3_10(context: Context, make_rollout: MakeRollout, prefer: str)
     rollout = walked(context, make_rollout, steps=100, worlds=50)
     good = torch.arange(50) % 2 == 1
     rollout.returns = torch.where(good, 2.0, 0.0).expand(100, 50)
-    rollout.records["qvel"] = torch.where(good[:, None], 1.0, -1.0).expand(100, 50, 34)
+    rollout.fields["qvel"] = torch.where(good[:, None], 1.0, -1.0).expand(100, 50, 34)
     states.update(rollout)
     assert rollout.returns is not None
     share = (states.state_dict()["buffer"]["qvel"][0, :, 6] > 0).float().mean()
@@ -195,7 +195,7 @@ def test_some_episodes_still_begin_in_the_reference(
     options = Evolution.Options(segments=SEGMENTS, size=8, reference_share=0.3)
     states = Evolution(options, context)
     rollout = walked(context, make_rollout)
-    rollout.records["qvel"] = torch.full((50, 40, 34), 99.0)
+    rollout.fields["qvel"] = torch.full((50, 40, 34), 99.0)
     states.update(rollout)
     evolved = (states.sample(streams())["qvel"][:, 10] == 99.0).float().mean()
     assert evolved.item() == pytest.approx(0.7, abs=0.01)
@@ -297,7 +297,7 @@ def test_evolution_weighs_segments_by_starts_and_evolves_by_all_states(
     options = Evolution.Options(segments=SEGMENTS, size=8, by="starts", reference_share=0.0)
     states = Evolution(options, context)
     rollout = walked(context, make_rollout)
-    rollout.records["episode_step"] += 1  # no episode began in this rollout
+    rollout.fields["episode_step"] += 1  # no episode began in this rollout
     before = states.state_dict()
     states.update(rollout)
     after = states.state_dict()

@@ -1,4 +1,4 @@
-"""What learns within bounds on a GPU: steps and evaluations are recorded, learning where to begin waits
+"""What learns within bounds on a GPU: steps and evaluations are captured, learning where to begin waits
 for nothing."""
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from on_gpu import no_waiting
 from torch import Tensor
 
 pytest.importorskip(
@@ -77,7 +78,7 @@ def test_evolution_waits_for_nothing(
     states = Evolution(Evolution.Options(by="starts"), context)
     time = torch.rand(16 * 4096, device="cuda")
     found = reference_motion(context).sample(time)
-    records = {
+    fields = {
         "phase": found["phase"],
         "episode_step": torch.zeros(len(time), dtype=torch.int64, device="cuda"),
         "motion_time": time,
@@ -85,12 +86,9 @@ def test_evolution_waits_for_nothing(
         "qvel": found["reference_qvel"],
     }
     rollout = make_rollout(
-        {name: value.unflatten(0, (16, 4096)) for name, value in records.items()},
+        {name: value.unflatten(0, (16, 4096)) for name, value in fields.items()},
         time.view(16, 4096),
     )
     states.update(rollout)  # kernels are loaded
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+    with no_waiting():
         states.update(rollout)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from understudy.errors import ConfigError
-from understudy.running.trials import Report, Trial
 from understudy_sweeps.chain import Chain
+from understudy_sweeps.loops import Report, Trial
 
 
 def test_a_chain_trains_what_others_build_on_first() -> None:

@@ -22,9 +22,9 @@ from worlds import child_environment
 
 from understudy.errors import ConfigError, RunError
 from understudy.records.runs import Run, open_run
-from understudy.running.trials import Executor, Report, Trial, Work
 from understudy.setup.composition import load_experiment
 from understudy_sweeps import pool, trial
+from understudy_sweeps.loops import Executor, Report, Trial, Work
 from understudy_sweeps.pool import Host
 from understudy_sweeps.processes import OUTPUT
 from understudy_sweeps.trial import folder_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from understudy.errors import ConfigError
-from understudy.running.trials import Report, Trial
 from understudy_sweeps.grid import Grid
+from understudy_sweeps.loops import Report, Trial
 
 OPTIONS = Grid.Options(variants={"a": (), "b": ("x=1",)}, seeds=(0, 5))
 

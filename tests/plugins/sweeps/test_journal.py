@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from understudy.errors import ConfigError, RunError
 from understudy.records.runs import Run
-from understudy.running.trials import Report, Trial
 from understudy_sweeps import trial as module
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.trial import folder_of, overrides_of, run_trial, written
 
 ASKED = Trial("a", ("x=1",), {"p": 0.1}, 0.5, {"trial": "z"}, "bank", "v", 3)

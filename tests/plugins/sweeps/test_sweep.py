@@ -21,12 +21,12 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError, TrainingError, UnderstudyError
 from understudy.random import WorldStreams
 from understudy.running.training import Training
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy.task import Context
 from understudy_skills import bank
 from understudy_sweeps import in_process
 from understudy_sweeps import sweep as module
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 #: Three iterations of 8 samples, each raising the push by `learner.rate`; the objective, where worlds
 #: are after 4 s, is 4 × push.

@@ -144,3 +144,29 @@ def test_turned_vectors_are_those_of_the_matrix() -> None:
     expected = (rot.turn_matrix(angle)[:, None] @ vectors[..., None]).squeeze(-1)
     torch.testing.assert_close(rot.turned(vectors, angle), expected)
     assert torch.equal(vectors, before)
+
+
+def test_pitch_yaw_roll() -> None:
+    angles = torch.tensor([[0.4, 2.0, -0.3], [-1.2, -3.0, 1.0]], dtype=torch.float64)
+    axes = torch.eye(3, dtype=torch.float64)
+    pitch, yaw, roll = (
+        rot.from_axis_angle(axes[a], angles[:, k]) for k, a in ((0, 1), (1, 2), (2, 0))
+    )
+    turned = rot.multiply(yaw, rot.multiply(pitch, roll))
+    torch.testing.assert_close(rot.pitch_yaw_roll(turned), angles)
+
+
+def test_turned_flat_is_the_turn_about_z() -> None:
+    angle = torch.tensor([0.5, -2.0, 3.0], dtype=torch.float64)
+    flat = torch.randn(3, 2, dtype=torch.float64)
+    upright = torch.nn.functional.pad(flat, (0, 1))
+    expected = rot.rotate(rot.from_heading(angle), upright)[:, :2]
+    torch.testing.assert_close(rot.turned_flat(flat, angle), expected)
+
+
+def test_wrapped_is_the_same_angle_within_half_a_turn() -> None:
+    angle = torch.tensor([0.0, 3.0, 4.0, -4.0, 100.0], dtype=torch.float64)
+    found = rot.wrapped(angle)
+    assert ((found >= -math.pi) & (found < math.pi)).all()
+    torch.testing.assert_close(found.cos(), angle.cos())
+    torch.testing.assert_close(found.sin(), angle.sin())

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import socket
+import threading
+import time
+from typing import Any
 
 import pytest
 
 pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
 
+import viser
 from websockets import Headers
 
 from understudy_viewer.guard import guarded, is_own
@@ -62,9 +68,43 @@ def test_two_hosts_are_none() -> None:
 
 
 def test_the_library_is_as_it_was() -> None:
+    import viser.infra._infra as infra
     import websockets.asyncio.server as server
 
-    before = server.serve
+    before = server.serve, infra.AsyncMessageBuffer
     with guarded("127.0.0.1"):
-        assert server.serve is not before
-    assert server.serve is before
+        assert server.serve is not before[0]
+    assert (server.serve, infra.AsyncMessageBuffer) == before
+
+
+class Visitor:
+    """Waits for something to be drawn, and notes in which thread it is asked whether it still does."""
+
+    def __init__(self) -> None:
+        self.asked_in: set[int] = set()
+
+    def done(self) -> bool:
+        self.asked_in.add(threading.get_ident())
+        return True
+
+
+def test_visitors_are_woken_in_their_own_thread() -> None:
+    """viser wakes them in the one that draws, too, in which the list of them may change meanwhile: the page
+    ended with `deque mutated during iteration` within a minute of fifty who come and go."""
+    with guarded("127.0.0.1"), contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer("127.0.0.1", 8950, verbose=False)
+    try:
+        visitor: Any = Visitor()
+        event: Any = server._websock_server._broadcast_buffer.message_event
+        event._waiters.append(visitor)
+        event.clear()
+        server.scene.add_frame("/drawn")
+        deadline = time.monotonic() + 10
+        while not visitor.asked_in:
+            assert time.monotonic() < deadline, "nobody is told of what was drawn"
+            time.sleep(0.01)
+        assert threading.get_ident() not in visitor.asked_in
+        event._waiters.remove(visitor)
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browsers import opened
 from page_requests import check_page
 
 from understudy.errors import ConfigError
@@ -37,8 +37,7 @@ from understudy_viewer.page import Page, free_port
 HOST = "127.0.0.1"
 PLUGINS = "tensors,characters,doctor,humanoid,motion,mujoco,report,viewer"
 EVIL = "<img src=x onerror=document.title='taken'>"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-SOFTWARE_OPENGL = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader")
+SOFTWARE_OPENGL = ("--use-gl=angle", "--use-angle=swiftshader")
 
 
 @pytest.fixture(scope="module")
@@ -172,14 +171,7 @@ def test_an_address_of_another_machine_is_refused() -> None:
 
 @pytest.fixture
 def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"no browser to look at the page with ({', '.join(BROWSERS)})")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=list(SOFTWARE_OPENGL))
-        yield browser
-        browser.close()
+    yield from opened(*SOFTWARE_OPENGL)
 
 
 @pytest.fixture

@@ -9,57 +9,34 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "mujoco", "motion")
 
-_HERE = "understudy_characters"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "scene": {
+        "character": ("scene:CharacterScene", "a character on a floor"),
+    },
+    "fields": {
+        "characters/kinematics": ("parts:Kinematics", "links, joints, end-effectors"),
+        "characters/reference": ("parts:Reference", "the clip's state at this time"),
+    },
+    "actuation": {
+        "characters/joint_targets": ("parts:JointTargets", "PD targets of all joints"),
+    },
+    "initial_states": {
+        "characters/reference_states": ("initial_states:ReferenceStates", "any time of the clip"),
+    },
+    "termination": {
+        "characters/fall": ("parts:Fall", "trunk or head touch the floor where the clip's do not"),
+        "characters/floor_contact": ("parts:FloorContact", "trunk or head touch the floor"),
+        "characters/motion_end": ("parts:motion_end", "the clip is over"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.kind("character", "makes the MJCF model specification of a character")
     register.kind("overlay", "what is drawn over the recorded motion of a run")
-    add = register.component
-    add("scene", "character", f"{_HERE}.scene:CharacterScene", "a character on a floor")
-    add(
-        "fields",
-        "characters/kinematics",
-        f"{_HERE}.parts:Kinematics",
-        "links, joints, end-effectors",
-    )
-    add(
-        "fields",
-        "characters/reference",
-        f"{_HERE}.parts:Reference",
-        "the clip's state at this time",
-    )
-    add(
-        "actuation",
-        "characters/joint_targets",
-        f"{_HERE}.parts:JointTargets",
-        "PD targets of all joints",
-    )
-    add(
-        "initial_states",
-        "characters/reference_states",
-        f"{_HERE}.initial_states:ReferenceStates",
-        "the clip's state at a uniformly drawn time",
-    )
-    add(
-        "termination",
-        "characters/fall",
-        f"{_HERE}.parts:Fall",
-        "trunk or head touch the floor where the clip's do not",
-    )
-    add(
-        "termination",
-        "characters/floor_contact",
-        f"{_HERE}.parts:FloorContact",
-        "trunk or head touch the floor",
-    )
-    add(
-        "termination",
-        "characters/motion_end",
-        f"{_HERE}.parts:motion_end",
-        "the clip is over",
-    )
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

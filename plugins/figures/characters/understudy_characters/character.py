@@ -40,9 +40,12 @@ _SUFFIXES = (".xml", ".mjcf", ".urdf")
 def load_character(named: str, registry: Registry) -> Character:
     """The registered character of this name, or the one of this MJCF file.
 
-    Raises:
-        ConfigError: no such name; or the model is no character (see :class:`Character`).
-        FileError: the file does not load.
+    Raises
+    ------
+    ConfigError
+        no such name; or the model is no character (see :class:`Character`).
+    FileError
+        the file does not load.
     """
     name, spec = character_spec(named, registry)
     try:
@@ -58,9 +61,12 @@ def character_spec(
     """Name and model specification of the registered character, or of this MJCF file, which is read
     through the `context` of the task that it is for.
 
-    Raises:
-        ConfigError: no such name.
-        FileError: the file does not load.
+    Raises
+    ------
+    ConfigError
+        no such name.
+    FileError
+        the file does not load.
     """
     if named in registry.names("character"):
         return named, registry.find("character", named).factory()
@@ -100,8 +106,10 @@ class Joint:
         Of equivalent angles those within the hinges' ranges; without ranges, those that go on from
         the frame before.
 
-        Raises:
-            ConfigError: there are three hinges, not at right angles one to the next.
+        Raises
+        ------
+        ConfigError
+            there are three hinges, not at right angles one to the next.
         """
         axes = torch.from_numpy(self.axes)
         if len(axes) == 1:
@@ -154,9 +162,11 @@ class Character:
     Hinges of one body at different points also move it a little. ``qpos`` and all that is computed from
     it have that; a clip, whose joints only turn, has not.
 
-    Raises:
-        ConfigError: no free root, a root without joints, a slide joint, a ball beside hinges, more than
-            three hinges of one body, or one with a reference angle.
+    Raises
+    ------
+    ConfigError
+        no free root, a root without joints, a slide joint, a ball beside hinges, more than
+        three hinges of one body, or one with a reference angle.
     """
 
     def __init__(self, name: str, model: mujoco.MjModel, named: str | None = None) -> None:
@@ -313,8 +323,10 @@ class Character:
         """``qpos`` (F, nq) float64 of `clip` at `times` (F,) s (at its own frames if None), mapped by
         joint name. Rotations that a joint's hinges cannot make are brought to the nearest they can.
 
-        Raises:
-            FileError: the clip lacks a joint of the character.
+        Raises
+        ------
+        FileError
+            the clip lacks a joint of the character.
         """
         clip = self.posed(clip)
         if times is None:
@@ -363,8 +375,10 @@ class Character:
         """`clip` itself; or if it has a robot's angles in place of joints
         (:mod:`understudy_motion.readers.angles`), the clip of this character with these angles.
 
-        Raises:
-            FileError: the angles are not those of the character's hinges.
+        Raises
+        ------
+        FileError
+            the angles are not those of the character's hinges.
         """
         names = angle_names(clip)
         if names is None:

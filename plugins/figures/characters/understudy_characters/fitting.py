@@ -35,8 +35,10 @@ def fitting_character(clip: Clip, registry: Registry) -> Character | None:
 def worn(clip: Clip, character: Character) -> Clip:
     """`clip` on the skeleton of `character`, whose joints it takes by name; rotations are unchanged.
 
-    Raises:
-        FileError: the clip lacks a joint of the character.
+    Raises
+    ------
+    FileError
+        the clip lacks a joint of the character.
     """
     clip = character.posed(clip)
     rows = [0]

@@ -112,9 +112,12 @@ class Kinematics:
         """``qpos`` (F, nq) with the root at `position` (F, 3), whose joints turn as near to `goals` as
         each can, given how far those before it got; a joint without a goal is in the zero pose.
 
-        Args:
-            position: (F, 3) m, world.
-            goals: by joint, the root (0) among them: its rotation (F, 4), world.
+        Parameters
+        ----------
+        position
+            (F, 3) m, world.
+        goals
+            by joint, the root (0) among them: its rotation (F, 4), world.
         """
         character = self.character
         result = torch.tensor(character.model.qpos0, dtype=torch.float64).repeat(len(position), 1)

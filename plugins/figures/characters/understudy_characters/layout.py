@@ -16,6 +16,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy_characters.character import Character
+from understudy_tensors import rotations
 
 __all__ = ["Layout", "layout_of"]
 
@@ -49,6 +50,18 @@ class Layout:
     hinge_used: Tensor  #: (H, K) 1, or 0 where a joint has fewer hinges
     joint_rows: Tensor  #: (J,) of each joint, its row among the balls followed by the others
 
+    def moved(
+        self, qpos: Tensor, qvel: Tensor, turn: Tensor, place: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """States (N, nq), (N, nv) turned by `turn` (N,) rad about the root and put at `place` (N, 2) m."""
+        at, dof = self.root_address, self.root_dof
+        rotation = rotations.multiply(rotations.from_heading(turn), qpos[:, at + 3 : at + 7])
+        linear = rotations.turned_flat(qvel[:, dof : dof + 2], turn)
+        # The rotation's velocity is the body's own.
+        velocity = torch.cat([qvel[:, :dof], linear, qvel[:, dof + 2 :]], dim=1)
+        height, joints = qpos[:, at + 2 : at + 3], qpos[:, at + 7 :]
+        return torch.cat([qpos[:, :at], place, height, rotation, joints], dim=1), velocity
+
     def to(self, device: torch.device) -> Layout:
         """The same on another device, in float32."""
         tensors = {k: v.to(device) for k, v in vars(self).items() if isinstance(v, Tensor)}
@@ -60,8 +73,10 @@ class Layout:
 def layout_of(character: Character, end_effectors: Sequence[str] = ()) -> Layout:
     """The layout of `character`, whose hands and feet are the links named, or else the limbs' ends.
 
-    Raises:
-        ConfigError: it has no link of one of these names.
+    Raises
+    ------
+    ConfigError
+        it has no link of one of these names.
     """
     model, bodies = character.model, sorted(character.carrier)
     names = tuple(_name(model, body) for body in bodies)

@@ -1,7 +1,7 @@
 """Meshes of furniture as convex parts, which is what a physics engine collides.
 
 A mesh may be a stranger's, and a few bytes of glTF have its reader compute for minutes or allocate without
-end. So it is read in a process of its own, within bounds; what ends there costs that process alone.
+end. So it is read in a process of its own, within limits; what ends there costs that process alone.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 
 from understudy.errors import FileError
-from understudy_mujoco.apart import Bounds, read_apart, serve
+from understudy_mujoco.apart import Limits, read_apart, serve
 
 __all__ = ["convex_parts"]
 
@@ -27,7 +27,7 @@ MOST_PARTS, MOST_VERTICES = 16, 64
 #: Bytes of a file, and faces (and vertices) in it: more than any chair needs.
 MOST_BYTES, MOST_FACES = 128 * 2**20, 300_000
 #: For reading it.
-BOUNDS = Bounds(cpu=30, wall=300)
+LIMITS = Limits(cpu=30, wall=300)
 
 #: By the digest of format and content: the hulls, which are asked for at each building of the scene.
 _known: dict[bytes, list[np.ndarray]] = {}
@@ -42,7 +42,7 @@ def convex_parts(path: Path, scale: float = 1.0) -> list[np.ndarray]:
     Raises
     ------
     FileError
-        if it is missing, of another format, no mesh, empty, not read within the bounds, or has more
+        if it is missing, of another format, no mesh, empty, not read within the limits, or has more
         than ``MOST_PARTS`` parts.
     """
     if not path.is_file():
@@ -67,7 +67,7 @@ def convex_parts(path: Path, scale: float = 1.0) -> list[np.ndarray]:
 
 def _read_apart(path: Path, content: bytes) -> list[np.ndarray]:
     """:func:`_hulls`, in a process of its own."""
-    found = read_apart(__name__, path, f"The mesh {path} cannot be read", BOUNDS, content)
+    found = read_apart(__name__, path, f"The mesh {path} cannot be read", LIMITS, content)
     return [np.array(hull, dtype=np.float64) for hull in json.loads(found)]
 
 
@@ -97,7 +97,7 @@ def _hulls(path: Path, content: bytes) -> list[np.ndarray]:
         raise
     except MemoryError as error:
         raise FileError(
-            f"The mesh {path} cannot be read within {BOUNDS.memory >> 30} GiB; make it smaller."
+            f"The mesh {path} cannot be read within {LIMITS.memory >> 30} GiB; make it smaller."
         ) from error
     except Exception as error:  # whatever the reader of that format raises
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -47,12 +47,18 @@ class Overlay(ABC):
     ) -> Sequence[Gauge | Region]:
         """What to draw; nothing for the run of another task.
 
-        Args:
-            config: the run's configuration.
-            tracks: the recorded state fields by name, each (T, …): ``qpos``, and where the task has
-                them ``reference_qpos`` and ``phase``.
-            registry: where the parts that the configuration names are found.
+        Parameters
+        ----------
+        config
+            the run's configuration.
+        tracks
+            the recorded state fields by name, each (T, …): ``qpos``, and where the task has
+            them ``reference_qpos`` and ``phase``.
+        registry
+            where the parts that the configuration names are found.
 
-        Raises:
-            UnderstudyError: the tracks do not say enough, or do not fit the task.
+        Raises
+        ------
+        UnderstudyError
+            the tracks do not say enough, or do not fit the task.
         """

@@ -43,10 +43,13 @@ def run_character(path: str | Path) -> Character:
 
     Nothing is simulated, so the run's simulator need not be here, and the run's clip is not read.
 
-    Raises:
-        RunError: it is no run folder.
-        ConfigError: the configuration is not valid here (a plugin is missing, say), or its scene is
-            no MuJoCo model of one character.
+    Raises
+    ------
+    RunError
+        it is no run folder.
+    ConfigError
+        the configuration is not valid here (a plugin is missing, say), or its scene is
+        no MuJoCo model of one character.
     """
     return _character(unsimulated(runs.open_run(path)))
 
@@ -54,14 +57,19 @@ def run_character(path: str | Path) -> Character:
 def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
     """What the first recorded episode of the run folder `path` shows.
 
-    Returns:
+    Returns
+    -------
+    tuple[Clip, Clip | None]
         The learned motion, and its reference where the task has one. Neither loops. Licence, URL and
         attribution of both are those of the clip that the run learned from.
 
-    Raises:
-        RunError, ConfigError: as :func:`run_character`.
-        FileError: the run has no recording, or one that is damaged, does not fit its character, or
-            ends before its second frame.
+    Raises
+    ------
+    RunError, ConfigError
+        as :func:`run_character`.
+    FileError
+        the run has no recording, or one that is damaged, does not fit its character, or
+        ends before its second frame.
     """
     run = runs.open_run(path)
     file = run.path / "recording.npz"
@@ -99,8 +107,10 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
     """What stands around the character in the first recorded episode of the run folder `path`: each
     thing a motion of one joint, with the frames of :func:`recorded_clips`.
 
-    Raises:
-        RunError, ConfigError, FileError: as :func:`recorded_clips`.
+    Raises
+    ------
+    RunError, ConfigError, FileError
+        as :func:`recorded_clips`.
     """
     run = runs.open_run(path)
     scene = recorded_scene(run)
@@ -130,8 +140,10 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
 def recorded_scene(run: Run) -> Scene:
     """The scene of `run`, with what stands around its character, to show the recording in.
 
-    Raises:
-        ConfigError: the configuration is not valid here, as of :func:`run_character`.
+    Raises
+    ------
+    ConfigError
+        the configuration is not valid here, as of :func:`run_character`.
     """
     experiment = unsimulated(run)
     made, inputs = experiment.registry.sections, experiment.inputs
@@ -147,8 +159,10 @@ def recorded_fields(run: Run, scene: CharacterScene) -> dict[str, np.ndarray]:
     """What else than its motion and the reference the scene wants of the recording of `run`, as far as
     it is there: by field, each (T,) or (T, …), with all frames.
 
-    Raises:
-        FileError: one that is damaged, or has not the frames of ``qpos``.
+    Raises
+    ------
+    FileError
+        one that is damaged, or has not the frames of ``qpos``.
     """
     archive = Archive(run.path / "recording.npz")
     frames = len(archive.floats("qpos", None, None))
@@ -188,8 +202,10 @@ def _track(archive: Archive, name: str) -> np.ndarray:
 def unsimulated(run: Run) -> Experiment:
     """The experiment of `run` without its simulator, which may be on another machine only.
 
-    Raises:
-        ConfigError: the rest of its configuration is not valid here.
+    Raises
+    ------
+    ConfigError
+        the rest of its configuration is not valid here.
     """
     config = {key: value for key, value in run.config.items() if key != "simulator"}
     return run.experiment(config=config)

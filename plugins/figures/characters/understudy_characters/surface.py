@@ -103,9 +103,12 @@ def _directions() -> np.ndarray:
 def lowest_points(surface: Surface, height: Tensor, up: Tensor) -> Tensor:
     """(N, B) m: how high the lowest point of each link of `surface` is above z = 0.
 
-    Args:
-        height: (N, B) m, of these links' origins.
-        up: (N, B, 3), the world's z axis in their frames.
+    Parameters
+    ----------
+    height
+        (N, B) m, of these links' origins.
+    up
+        (N, B, 3), the world's z axis in their frames.
     """
     along = torch.einsum("nbi,bgij->nbgj", up, surface.axes)
     centre = torch.einsum("nbi,bgi->nbg", up, surface.centres)

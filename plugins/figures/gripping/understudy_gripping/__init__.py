@@ -6,14 +6,21 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("hand", "mujoco", "tensors")
 
-_HERE = "understudy_gripping"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "grip": {
+        "standard": ("grip:standard", "the style 11120"),
+    },
+    "command": {
+        "grip": ("command:FindGrip", "find how a hand holds two sticks"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.kind("grip", "how a hand holds two sticks: a function that gives the file's path")
-    register.section("grip", f"{_HERE}.grip:GripOptions", f"{_HERE}.grip:build_grip")
-    register.component("grip", "standard", f"{_HERE}.grip:standard", "the style 11120")
-    register.component(
-        "command", "grip", f"{_HERE}.command:FindGrip", "find how a hand holds two sticks"
+    register.parts(__name__, PARTS)
+    register.section(
+        "grip", "understudy_gripping.grip:GripOptions", "understudy_gripping.grip:build_grips"
     )

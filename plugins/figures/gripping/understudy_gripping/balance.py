@@ -30,6 +30,8 @@ _NEAR = 0.1
 
 @dataclass(frozen=True)
 class Balance:
+    """Where the servos aim so that the grip holds, and with what forces."""
+
     targets: np.ndarray  #: (U,) rad, of all servos, the arm's too
     forces: dict[str, float]  #: N, along the normal, by link
     error: float  #: N, or N m over 5 cm: the largest that is left on a stick
@@ -47,9 +49,15 @@ def balance(
 ) -> Balance:
     """Targets that hold the sticks in the pose of `data`, which is computed forward.
 
-    Args:
-        wanted: N, that each contact bears if nothing speaks for more or less.
-        least: N, that each bears in any case.
+    *Limits:* statics of this one pose; friction cones are pyramids, and what cannot be
+    balanced is left as the error.
+
+    Parameters
+    ----------
+    wanted
+        N, that each contact bears if nothing speaks for more or less.
+    least
+        N, that each bears in any case.
     """
     model = scene.model
     touching = contacts(style, scene)

@@ -35,14 +35,24 @@ def minimise(
     The direction is that of the variables that are free: not at a bound that the gradient pushes
     against. Steps are projected on the bounds and halved until the value falls enough.
 
-    Args:
-        cost: (B, n) to (B,), differentiable; a row's value depends on its point alone.
-        start: (B, n).
-        low, high: (B, n) or (n,), bounds; equal ones hold a variable fixed.
-        iterations: at most.
-        memory: pairs of steps and changes of gradient that are kept.
-        halvings: of a step, at most.
-        tolerance: all rows are done where none falls by more than this share of its value.
+    *Limits:* a local minimum, within bounds of each variable alone; no other constraints.
+
+    Parameters
+    ----------
+    cost
+        (B, n) to (B,), differentiable; a row's value depends on its point alone.
+    start
+        (B, n).
+    low, high
+        (B, n) or (n,), bounds; equal ones hold a variable fixed.
+    iterations
+        at most.
+    memory
+        pairs of steps and changes of gradient that are kept.
+    halvings
+        of a step, at most.
+    tolerance
+        all rows are done where none falls by more than this share of its value.
     """
     low, high = low.expand_as(start), high.expand_as(start)
     point = start.clamp(low, high)

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
+import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from understudy.errors import ConfigError, FileError, suggestion
+from understudy.errors import ConfigError, FileError, RunError, suggestion
+from understudy.folders import read
 from understudy.inputs import Inputs
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.registry import Registry
@@ -24,7 +30,7 @@ from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE, FEWEST, FINGERS, Measures
 from understudy_hand.tools import HALF_LENGTH, upper_pose
 
-__all__ = ["Grip"]
+__all__ = ["Grip", "Grips"]
 
 #: rad: angles at which a grip is solved. The sticks touch at 0.154.
 ANGLES = (0.0, 0.04, 0.08, 0.12, 0.15)
@@ -34,8 +40,10 @@ FORCES = (3.0, 1.0)
 WIDEST_GAP, LEAST_CLEARANCE = 2e-3, 0.0
 _VERSION = 1
 _LARGEST = 1 << 20
-#: In the folder of a run: a grip that was found for it.
-_KEPT = "grip.json"
+#: The name of a grip that has the job for itself.
+_ONLY = "grip"
+#: In the folder of a run, beside the grips that were found for it: what is against the others.
+_AGAINST = "against.txt"
 
 
 @dataclass(frozen=True)
@@ -114,8 +122,10 @@ def find_grip(
 ) -> Grip:
     """A grip from the T-pose: its poses at :data:`ANGLES`, targets that hold them, held for a second.
 
-    Raises:
-        ConfigError: fingers do not reach, or the sticks fall; the sentence says what.
+    Raises
+    ------
+    ConfigError
+        fingers do not reach, or the sticks fall; the sentence says what.
     """
     solver = PoseSolver(scene)
     candidate = Candidate(style, tuple(places))
@@ -210,6 +220,23 @@ def _numbers(values: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.nd
 
 
 @dataclass(frozen=True)
+class Grips:
+    """What the config section ``grip`` gives: one grip, or several that share one job."""
+
+    by_name: Mapping[str, Grip]
+    #: Those that are none, and what is against each.
+    against: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CandidateOptions:
+    #: by digits from the thumb on
+    style: str
+    #: m along the sticks from their middle, by finger that touches; null is a first guess
+    places: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
 class GripOptions:
     name: str = "standard"  #: a grip that comes with a plugin
     file: str | None = None  #: path of another one; wins over ``name``
@@ -217,32 +244,46 @@ class GripOptions:
     style: str | None = None
     #: m along the sticks from their middle, by finger that touches, of the grip that is found; null is a first guess.
     places: Mapping[str, float] | None = None
+    #: Several grips that share the job, by name, each in worlds of its own; those that cannot be have no world. Wins
+    #: over all others.
+    candidates: Mapping[str, CandidateOptions] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.places is not None and self.style is None:
             raise ValueError("places need a style: set style, such as 11120.")
+        for name in self.candidates:
+            if not name.isidentifier():
+                raise ValueError(f"candidates names '{name}', which is no name of a field.")
 
 
-def build_grip(options: GripOptions, registry: Registry, inputs: Inputs) -> Grip:
+def build_grips(options: GripOptions, registry: Registry, inputs: Inputs) -> Grips:
     """The config section ``grip``."""
+    if options.candidates:
+        return _found(options.candidates, inputs)
     if options.style is not None:
-        return _found(options.style, options.places, inputs)
+        return _found({_ONLY: CandidateOptions(options.style, options.places)}, inputs)
     if (given := options.file) is not None:
-        return load_grip(inputs.file(f"grip.file={given}", lambda: [Path(given)]))
-    known = registry.names("grip")
-    if options.name not in known:
-        raise ConfigError(f"There is no grip '{options.name}'.{suggestion(options.name, known)}")
-    return load_grip(registry.find("grip", options.name).factory())
+        path = inputs.file(f"grip.file={given}", lambda: [Path(given)])
+    else:
+        known = registry.names("grip")
+        if options.name not in known:
+            raise ConfigError(
+                f"There is no grip '{options.name}'.{suggestion(options.name, known)}"
+            )
+        path = registry.find("grip", options.name).factory()
+    return Grips({_ONLY: load_grip(path)})
 
 
-def _found(text: str, places: Mapping[str, float] | None, inputs: Inputs) -> Grip:
-    """The grip of a style of a human hand of as many fingers; a run keeps it."""
+def _candidate(options: CandidateOptions) -> Candidate:
+    """Of a human hand of as many fingers as its style has."""
+    text = options.style
     fingers = len(text) if text.isdigit() else len(FINGERS)
     if not FEWEST <= fingers <= len(FINGERS):
         read_style(text, len(FINGERS))  # which says why not
     style = read_style(text, fingers)
     touching = [f for f, stick in zip(FINGERS, style, strict=False) if stick]
-    chosen = dict(zip(touching, first_guess(style), strict=True)) if places is None else places
+    guess = dict(zip(touching, first_guess(style), strict=True))
+    chosen = guess if options.places is None else options.places
     if set(chosen) != set(touching):
         raise ConfigError(
             f"grip.places of the style {written(style)} are those of {', '.join(touching)}, and not of "
@@ -254,18 +295,97 @@ def _found(text: str, places: Mapping[str, float] | None, inputs: Inputs) -> Gri
                 f"grip.places.{finger}={place:g} is not on a stick: give m from its middle, at most "
                 f"{HALF_LENGTH:g}."
             )
-    ordered = [chosen[finger] for finger in touching]
-    made: list[Grip] = []
+    return Candidate(style, tuple(chosen[finger] for finger in touching))
+
+
+def _found(options: Mapping[str, CandidateOptions], inputs: Inputs) -> Grips:
+    """The grips of human hands; a run keeps them, and what was against others.
+
+    Raises
+    ------
+        ConfigError: they are of hands of different sizes, or none of them holds the sticks.
+    """
+    candidates = {name: _candidate(given) for name, given in options.items()}
+    fingers = {len(candidate.style) for candidate in candidates.values()}
+    if len(fingers) > 1:
+        raise ConfigError(
+            f"grip.candidates are styles of hands of {' and '.join(map(str, sorted(fingers)))} fingers. Give those "
+            "of one hand."
+        )
+    made: list[Grips] = []
 
     def keep(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        made[0].save(folder / _KEPT)
+        for name, grip in made[0].by_name.items():
+            grip.save(folder / f"{name}.json")
+        write_atomically(folder / _AGAINST, json.dumps(made[0].against).encode())
 
-    folder = inputs.folder_of(f"grip {written(style)} {ordered}", Path(), keep)
+    asked = f"grips {[(n, written(c.style), c.places) for n, c in candidates.items()]}"
+    folder = inputs.folder_of(asked, Path(), keep)
     if folder != Path():
-        return load_grip(folder / _KEPT)
-    made.append(find_grip(HandScene(HandScene.Options(fingers)), style, ordered))
-    return made[0]
+        return _kept(folder, list(candidates))
+    if len(candidates) == 1:
+        ((name, candidate),) = candidates.items()
+        scene = HandScene(HandScene.Options(fingers.pop()))
+        made.append(Grips({name: find_grip(scene, candidate.style, candidate.places)}))
+        return made[0]
+    made.append(found := _found_apart(candidates))
+    if not found.by_name:
+        raise ConfigError(f"No candidate holds the sticks. {next(iter(found.against.values()))}")
+    return found
+
+
+def _found_apart(candidates: Mapping[str, Candidate]) -> Grips:
+    """The grips of several, as many at once as there are cores: each takes seconds of one."""
+    by_name, against = dict[str, Grip](), dict[str, str]()
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as threads:
+        files = {name: Path(folder) / f"{name}.json" for name in candidates}
+        ended = threads.map(_find_apart, candidates.values(), files.values())
+        for (name, file), said in zip(files.items(), ended, strict=True):
+            if said is None:
+                by_name[name] = load_grip(file)
+            else:
+                against[name] = said
+    return Grips(by_name, against)
+
+
+def _find_apart(candidate: Candidate, file: Path) -> str | None:
+    """Find one in a process of its own, into `file`; or what is against it."""
+    words = [
+        sys.executable,
+        "-P",
+        "-m",
+        "understudy_gripping.apart",
+        str(file),
+        written(candidate.style),
+    ]
+    done = subprocess.run(
+        [*words, *map(str, candidate.places)],
+        capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    if done.returncode == 0:
+        return None
+    said = done.stderr.strip().splitlines()
+    if done.returncode != ConfigError.exit_status:
+        raise RunError(
+            f"Finding the grip {written(candidate.style)} broke off: {said[-1] if said else 'killed'}"
+        )
+    return said[-1]
+
+
+def _kept(folder: Path, names: Sequence[str]) -> Grips:
+    """Of a run's folder. Raises FileError if it is not what a run keeps."""
+    path = folder / _AGAINST
+    try:
+        against = json.loads(read(path, _LARGEST))
+        if not isinstance(against, dict) or not all(isinstance(v, str) for v in against.values()):
+            raise ValueError("it has no sentences")
+    except (OSError, ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not what a run keeps of its grips: {error}.") from error
+    return Grips(
+        {name: load_grip(folder / f"{name}.json") for name in names if name not in against},
+        {name: against[name] for name in names if name in against},
+    )
 
 
 def standard() -> Path:

@@ -13,20 +13,19 @@ import torch
 from torch import Tensor
 
 from understudy_gripping.descent import minimise
-from understudy_gripping.distances import (
-    at,
-    box_distance,
-    clamped_log,
-    nearest_places,
-    place_on_segment,
-    segment_distance,
-)
+from understudy_gripping.distances import box_distance, clamped_log
 from understudy_gripping.kinematics import HandKinematics, Placed, stick_ends
 from understudy_gripping.styles import LOWER, UPPER, Style, check_style
 from understudy_hand.scene import HandScene
 from understudy_hand.table import FINGERS
 from understudy_hand.tools import HALF_LENGTH, RADIUS, upper_pose
 from understudy_tensors import rotations
+from understudy_tensors.segments import (
+    at,
+    nearest_places,
+    place_on_segment,
+    segment_distance,
+)
 
 __all__ = ["first_guess", "sides"]
 
@@ -105,7 +104,12 @@ def sides(style: Style) -> tuple[tuple[float, float, float], ...]:
 
 
 class PoseSolver:
-    """Finds gripping poses of one hand."""
+    """Finds gripping poses of one hand.
+
+    *Limits:* a local search from straight fingers, so that a grip which there is may not be
+    found. Contact is of tips with round sticks; forces come after it
+    (:mod:`understudy_gripping.balance`).
+    """
 
     def __init__(self, scene: HandScene) -> None:
         self.scene = scene
@@ -142,14 +146,21 @@ class PoseSolver:
     ) -> Poses:
         """The poses of all `candidates`, side by side.
 
-        Args:
-            candidates: B of them.
-            iterations: of L-BFGS, at most.
-            start: where to begin (B rows); the T-pose without. The lower stick then stays as it is.
-            angles: B angles between the sticks to hold; free without.
+        Parameters
+        ----------
+        candidates
+            B of them.
+        iterations
+            of L-BFGS, at most.
+        start
+            where to begin (B rows); the T-pose without. The lower stick then stays as it is.
+        angles
+            B angles between the sticks to hold; free without.
 
-        Raises:
-            ConfigError: the hand has no such style.
+        Raises
+        ------
+        ConfigError
+            the hand has no such style.
         """
         for candidate in candidates:
             check_style(candidate.style, len(self.fingers))

@@ -41,8 +41,10 @@ def written(style: Style) -> str:
 def read_style(text: str, fingers: int) -> Style:
     """The style `text`, a name or digits from the thumb on, of a hand with so many `fingers`.
 
-    Raises:
-        ConfigError: it is none; the sentence says why, and which there are.
+    Raises
+    ------
+    ConfigError
+        it is none; the sentence says why, and which there are.
     """
     style = NAMED.get(text)
     if style is None:

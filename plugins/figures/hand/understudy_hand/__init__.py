@@ -8,12 +8,17 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("mujoco", "tensors")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "scene": {
+        "hand": ("scene:HandScene", "a hand on an arm, with a tool"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "scene", "hand", "understudy_hand.scene:HandScene", "a hand on an arm, with a tool"
-    )
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

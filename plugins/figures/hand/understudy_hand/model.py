@@ -24,8 +24,14 @@ _SKIN, _SLEEVE, _TOP = (0.87, 0.67, 0.53, 1.0), (0.36, 0.44, 0.56, 1.0), (0.75, 
 TABLE_SIZE, TABLE_CENTRE = (0.5, 0.315, 0.2), (-0.24, 0.0, -0.2)
 
 
-def build_spec(measures: Measures, tool: tools.Tool, friction: float = 1.0) -> mujoco.MjSpec:
-    """Arm, hand, tool and table. Arm and hand bear their own weight, the tool does not.
+def build_spec(
+    measures: Measures,
+    tool: tools.Tool,
+    friction: float = 1.0,
+    thing: tools.Thing | None = None,
+) -> mujoco.MjSpec:
+    """Arm, hand, tool and table, with a `thing` on it or without. Arm and hand bear their own weight, the others do
+    not.
 
     Every hinge of arm and hand has a position servo of its name, in the order of the joints. Hand links
     touch tools and the table, and not one another.
@@ -47,6 +53,8 @@ def build_spec(measures: Measures, tool: tools.Tool, friction: float = 1.0) -> m
         if link.shape is not None:
             _add_shape(body, link, link.shape, friction, link.name in arm)
     tools.add(spec, tool, friction, (_TOOL, _HAND | _TOOL))
+    if thing is not None:
+        tools.add_thing(spec, thing, friction, (_TOOL, _HAND | _TOOL))
     for name in (*(f"{finger}_distal" for finger in measures.names), *tools.tips(tool)):
         _add_touch(spec, name)
     return spec

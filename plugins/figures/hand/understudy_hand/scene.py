@@ -16,7 +16,7 @@ from understudy_hand import tools
 from understudy_hand.model import build_spec
 from understudy_hand.table import Measures, links
 from understudy_mujoco.contact import Contact
-from understudy_mujoco.drawing import open_renderer
+from understudy_mujoco.drawing import draw_motion
 from understudy_mujoco.scene import MujocoScene
 
 __all__ = ["HandScene"]
@@ -48,6 +48,7 @@ class HandScene(MujocoScene):
         finger_length: float = 1.0  #: of all fingers, in those of the human hand
         size: float = 1.0  #: of the hand, in that of the human hand; the arm stays as it is
         tool: tools.Tool = "sticks"  #: what it holds
+        object: tools.Thing | None = None  #: what lies on the table; null is nothing
         friction: float = 1.0  #: sliding, of everything (the release)
         contact: Contact = field(
             default_factory=Contact
@@ -67,7 +68,9 @@ class HandScene(MujocoScene):
         self.timestep = context.control_dt / context.substeps if context else 0.005
 
     def spec(self) -> mujoco.MjSpec:
-        spec = build_spec(self.measures, self.options.tool, self.options.friction)
+        spec = build_spec(
+            self.measures, self.options.tool, self.options.friction, self.options.object
+        )
         spec.option.timestep = self.timestep
         FIRM.apply(spec)
         self.contact.apply(spec)
@@ -119,27 +122,23 @@ class HandScene(MujocoScene):
     ) -> Iterator[np.ndarray]:
         """A close-up of the hand; what is planned, where it is, as a ghost."""
         model = self.shown().compile()
-        data = mujoco.MjData(model)
-        renderer = open_renderer(model, width, height)
         camera = mujoco.MjvCamera()
         camera.distance, camera.elevation = _DISTANCE * max(1.0, self.measures.size), _ELEVATION
         camera.azimuth = _AZIMUTH if self.azimuth is None else self.azimuth
         palm = model.body("palm").id
-        try:
-            for frame, qpos in enumerate(tracks["qpos"]):
-                data.qpos[:] = qpos
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_camlight(model, data)
+
+        def aim(frame: int, data: mujoco.MjData) -> None:
+            if frame == 0:  # it stands still: the hand's movement is what is to be seen
                 turn = data.xmat[palm].reshape(3, 3)
-                if frame == 0:  # it stands still: the hand's movement is what is to be seen
-                    camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)
-                renderer.update_scene(data, camera)
-                for name in ("planned_upper", "planned_lower"):
-                    if name in tracks:
-                        _add_ghost(renderer.scene, data.xpos[palm], turn, tracks[name][frame])
-                yield renderer.render()
-        finally:
-            renderer.close()
+                camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)
+
+        def ghosts(frame: int, data: mujoco.MjData, scene: mujoco.MjvScene) -> None:
+            for name in ("planned_upper", "planned_lower"):
+                if name in tracks:
+                    turn = data.xmat[palm].reshape(3, 3)
+                    _add_ghost(scene, data.xpos[palm], turn, tracks[name][frame])
+
+        yield from draw_motion(model, tracks["qpos"], (width, height), camera, aim, ghosts)
 
     def outlines(
         self, tracks: Mapping[str, np.ndarray]

@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.options import check_range
 from understudy_tensors import rotations
 
-__all__ = ["HALF_LENGTH", "RADIUS", "STICKS", "tips", "upper_pose"]
+__all__ = ["HALF_LENGTH", "RADIUS", "STICKS", "Thing", "tips", "upper_pose"]
 
 Tool = Literal["sticks", "tongs", "none"]
 
@@ -36,6 +37,7 @@ _DENSITY = 1000.0
 #: Of the upper and the lower part.
 _WOOD = ((0.80, 0.58, 0.30, 1.0), (0.55, 0.27, 0.15, 1.0))
 _STEEL = (0.62, 0.65, 0.70, 1.0)
+_FRUIT = (0.85, 0.25, 0.22, 1.0)
 #: Names of the bodies, the upper one first.
 BODIES: dict[Tool, tuple[str, ...]] = {
     "sticks": ("upper_stick", "lower_stick"),
@@ -66,12 +68,16 @@ def upper_pose(
 ) -> tuple[Tensor, Tensor]:
     """Where the upper part of a gripper is: its middle (…, 3) m and rotation (…, 4).
 
-    Args:
-        position, rotation: (…, 3) m and (…, 4) of the lower part, in any frame.
-        angle: (…) rad, between the two.
-        gripper: how they hang together.
+    Parameters
+    ----------
+    position, rotation
+        (…, 3) m and (…, 4) of the lower part, in any frame.
+    angle
+        (…) rad, between the two.
+    gripper
+        how they hang together.
     """
-    # From numbers, so that a step that is recorded makes no tensors of them.
+    # From numbers, so that a step that is captured makes no tensors of them.
     sine, cosine = (0.5 * angle).sin(), (0.5 * angle).cos()
     turn = torch.stack([cosine, *(part * sine for part in gripper.axis)], dim=-1)
     turned = rotations.multiply(rotation, turn)
@@ -104,6 +110,55 @@ def add(spec: mujoco.MjSpec, tool: Tool, friction: float, contact: tuple[int, in
             for geom in body.geoms:
                 geom.contype, geom.conaffinity = contact
                 geom.friction = [friction, 0.005, 0.0001]
+
+
+@dataclass(frozen=True)
+class Thing:
+    """An object on the table, free to move."""
+
+    kind: Literal["sphere", "capsule", "box"] = "sphere"  #: its form; a capsule lies along x
+    #: m: radius of a sphere; radius and length (of the cylinder) of a capsule; the three sides of a box
+    sizes: tuple[float, ...] = (0.01,)
+    density: float = 1000.0  #: kg/m³, of the sticks' wood and the hand alike
+
+    def __post_init__(self) -> None:
+        count = {"sphere": 1, "capsule": 2, "box": 3}[self.kind]
+        if len(self.sizes) != count:
+            raise ValueError(
+                f"sizes={list(self.sizes)} are not possible: a {self.kind} has {count} of them."
+            )
+        check_range(self, "sizes", above=0, most=1.0)
+        check_range(self, "density", above=0)
+
+    @property
+    def height(self) -> float:
+        """m: of the middle above what it lies on."""
+        return 0.5 * self.sizes[2] if self.kind == "box" else self.sizes[0]
+
+
+def add_thing(spec: mujoco.MjSpec, thing: Thing, friction: float, contact: tuple[int, int]) -> None:
+    """Add the body ``object``, on the table and out of the hand's way, with the contact masks (type, affinity)."""
+    body = spec.worldbody.add_body(name="object", pos=[-0.5, 0.25, thing.height])
+    body.add_freejoint(name="object")
+    kinds = {
+        "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+        "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+        "box": mujoco.mjtGeom.mjGEOM_BOX,
+    }
+    size = np.zeros(3)
+    size[: len(thing.sizes)] = thing.sizes
+    if thing.kind == "box":
+        size *= 0.5
+    elif thing.kind == "capsule":
+        size[1] *= 0.5
+    geom = body.add_geom(
+        name="object", type=kinds[thing.kind], size=size, density=thing.density, condim=4,
+        contype=contact[0], conaffinity=contact[1], friction=[friction, 0.005, 0.0001],
+        rgba=_FRUIT,
+    )  # fmt: skip
+    if thing.kind == "capsule":
+        half = float(np.sqrt(0.5))
+        geom.quat = [half, 0, half, 0]
 
 
 def _shape(

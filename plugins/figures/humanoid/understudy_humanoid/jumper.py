@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import mujoco
 
-from understudy_humanoid.character import BODIES, Body, Joint, Vector, add_trunk, build_spec
+from understudy_characters.table import Joint, Link, Vector
+from understudy_humanoid.character import BODIES, add_trunk, build_spec
 
 __all__ = ["build_jumper"]
 
@@ -30,18 +31,16 @@ TORQUES: dict[str, float | Vector] = {
 }
 
 
-def _stronger(row: Body) -> Body:
-    joint: Joint | None = row.joint and replace(
-        row.joint,
-        torque=TORQUES[row.name.rpartition("_")[2]],
-        kp=row.joint.kp * _INCREASE,
-        kd=row.joint.kd * _INCREASE,
-    )
-    return replace(row, mass=row.mass * _INCREASE, joint=joint)
+def _stronger(row: Link) -> Link:
+    def driven(joint: Joint) -> Joint:
+        torque = TORQUES[row.name.rpartition("_")[2]]
+        return replace(joint, torque=torque, kp=joint.kp * _INCREASE, kd=joint.kd * _INCREASE)
+
+    return replace(row, mass=row.mass * _INCREASE, joints=tuple(map(driven, row.joints)))
 
 
 #: The character, parents before children.
-JUMPER: tuple[Body, ...] = tuple(_stronger(row) for row in BODIES)
+JUMPER: tuple[Link, ...] = tuple(_stronger(row) for row in BODIES)
 
 
 def build_jumper() -> mujoco.MjSpec:

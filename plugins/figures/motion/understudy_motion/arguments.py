@@ -37,8 +37,10 @@ def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
 def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> Clip:
     """The clip that `source` names, a file or a clip's name, read as the `options` say.
 
-    Raises:
-        FileError: as :func:`library.find`.
+    Raises
+    ------
+    FileError
+        as :func:`library.find`.
     """
     reading = ReadOptions(
         unit=options.unit,

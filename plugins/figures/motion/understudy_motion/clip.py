@@ -65,8 +65,10 @@ class Skeleton:
 class Clip:
     """A checked motion clip. Construction normalises the quaternions and aligns their signs.
 
-    Raises:
-        FileError: naming ``source``, the frame and the field, when the content is not a motion.
+    Raises
+    ------
+    FileError
+        naming ``source``, the frame and the field, when the content is not a motion.
     """
 
     name: str
@@ -169,10 +171,14 @@ class CycleTransform:
     def power(self, cycles: Tensor) -> tuple[Tensor, Tensor]:
         """The motion of ``cycles`` whole cycles, negative ones undoing.
 
-        Args:
-            cycles: (N,) whole numbers, any floating dtype and device.
+        Parameters
+        ----------
+        cycles
+            (N,) whole numbers, any floating dtype and device.
 
-        Returns:
+        Returns
+        -------
+        tuple[Tensor, Tensor]
             The displacement (N, 2) and the heading change (N,), from the closed form of
             ``sum_k turn(k heading) displacement``; no loop, no branch on tensor values.
         """
@@ -212,11 +218,16 @@ def cycle_transform(clip: Clip) -> CycleTransform:
 def sample(clip: Clip, times: Tensor) -> tuple[Tensor, Tensor]:
     """Poses at any times: positions linear, rotations slerp.
 
-    Args:
-        clip: the clip; a looping one continues forever both ways, another is held at its ends.
-        times: (N,) s.
+    Parameters
+    ----------
+    clip
+        the clip; a looping one continues forever both ways, another is held at its ends.
+    times
+        (N,) s.
 
-    Returns:
+    Returns
+    -------
+    tuple[Tensor, Tensor]
         root_position (N, 3) and rotations (N, J, 4), float64.
     """
     times = times.to(torch.float64)
@@ -241,7 +252,9 @@ def resample(clip: Clip, rate: float) -> Clip:
 def velocities(clip: Clip) -> tuple[Tensor, Tensor]:
     """Velocities at the frames by central differences, across the seam for a looping clip.
 
-    Returns:
+    Returns
+    -------
+    tuple[Tensor, Tensor]
         The root's linear velocity (F, 3) m/s, world, and each joint's angular velocity (F, J, 3)
         rad/s in its parent's frame (the world for the root). At the ends of a clip that does not
         loop the differences are one-sided.

@@ -60,8 +60,10 @@ _ABOUT_AS_GOOD, _ABOUT_AS_GOOD_RAD = 1.25, 0.03
 def cut(clip: Clip, start: float, stop: float) -> Clip:
     """The part from `start` to `stop` s, which does not loop; its time begins at 0.
 
-    Raises:
-        ConfigError: the part is empty, or not within the clip.
+    Raises
+    ------
+    ConfigError
+        the part is empty, or not within the clip.
     """
     if not 0.0 <= start < stop <= clip.duration:
         raise ConfigError(
@@ -85,8 +87,10 @@ def shift(clip: Clip, offset: Tensor) -> Clip:
 def evenly_spaced(clip: Clip) -> Clip:
     """The clip at evenly spaced frames, as many a second as it mostly has; itself if they are that.
 
-    Raises:
-        ConfigError: these would be more than :data:`MAX_FRAMES`.
+    Raises
+    ------
+    ConfigError
+        these would be more than :data:`MAX_FRAMES`.
     """
     steps = clip.times.diff()
     usual = steps.median().item()
@@ -255,11 +259,16 @@ def find_loop(clip: Clip, contacts: Tensor | None = None) -> Loop | None:
     least half the variety of poses in the clip, so that standing still is none in a clip that walks;
     and where feet come down in the clip, each of them must within the loop, all equally often.
 
-    Args:
-        clip: not looping, at evenly spaced frames.
-        contacts: (F, K) bool, which of K feet are on the ground.
+    Parameters
+    ----------
+    clip
+        not looping, at evenly spaced frames.
+    contacts
+        (F, K) bool, which of K feet are on the ground.
 
-    Returns:
+    Returns
+    -------
+    Loop | None
         The frames and their mismatch; None if no two frames fit.
     """
     stride = max(
@@ -368,9 +377,12 @@ def reach(
     the upper one turns by the least that brings the end to its place. Where it is out of reach, the
     limb is stretched, or bent, as far as it goes.
 
-    Raises:
-        FileError: the clip has no skeleton.
-        ConfigError: fewer than two joints are above `end`.
+    Raises
+    ------
+    FileError
+        the clip has no skeleton.
+    ConfigError
+        fewer than two joints are above `end`.
     """
     skeleton = need_skeleton(clip)
     c = clip.joint_names.index(end)

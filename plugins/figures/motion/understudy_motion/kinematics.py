@@ -17,8 +17,10 @@ __all__ = ["forward_kinematics", "need_skeleton", "tip_positions"]
 def need_skeleton(clip: Clip) -> Skeleton:
     """The clip's skeleton, whose joints are the clip's in the clip's order.
 
-    Raises:
-        FileError: the clip has none, or one of other joints.
+    Raises
+    ------
+    FileError
+        the clip has none, or one of other joints.
     """
     skeleton = clip.skeleton
     if skeleton is None and any(name.startswith(ANGLE) for name in clip.joint_names):
@@ -38,11 +40,15 @@ def need_skeleton(clip: Clip) -> Skeleton:
 def forward_kinematics(clip: Clip) -> tuple[Tensor, Tensor]:
     """World positions and rotations of all joints in all frames, float64.
 
-    Returns:
+    Returns
+    -------
+    tuple[Tensor, Tensor]
         Positions (F, J, 3) m and rotations (F, J, 4).
 
-    Raises:
-        FileError: as :func:`need_skeleton`.
+    Raises
+    ------
+    FileError
+        as :func:`need_skeleton`.
     """
     skeleton = need_skeleton(clip)
     offsets = torch.as_tensor(skeleton.offsets, dtype=torch.float64)
@@ -56,13 +62,19 @@ def forward_kinematics(clip: Clip) -> tuple[Tensor, Tensor]:
 def tip_positions(clip: Clip, positions: Tensor, world: Tensor) -> Tensor:
     """World positions (F, T, 3) m of the skeleton's tips, in their order there.
 
-    Args:
-        clip: the clip, whose skeleton may have no tips (T = 0).
-        positions: (F, J, 3), of :func:`forward_kinematics`.
-        world: (F, J, 4), of :func:`forward_kinematics`.
+    Parameters
+    ----------
+    clip
+        the clip, whose skeleton may have no tips (T = 0).
+    positions
+        (F, J, 3), of :func:`forward_kinematics`.
+    world
+        (F, J, 4), of :func:`forward_kinematics`.
 
-    Raises:
-        FileError: as :func:`need_skeleton`.
+    Raises
+    ------
+    FileError
+        as :func:`need_skeleton`.
     """
     tips = need_skeleton(clip).tips
     joints = [clip.joint_names.index(name) for name in tips]

@@ -43,17 +43,26 @@ def load(
 ) -> Clip:
     """The clip of a file, or the clip of a name.
 
-    Args:
-        name: a generated clip, else the stem of a file in ``motions/*`` of the data folder, else of
-            the working folder.
-        file: path of a clip file; wins over ``name``.
-        registry: where generated clips and readers are found.
-        parameters: of a generated clip (its speed, say).
-        options: how a file is read.
+    Parameters
+    ----------
+    name
+        a generated clip, else the stem of a file in ``motions/*`` of the data folder, else of
+        the working folder.
+    file
+        path of a clip file; wins over ``name``.
+    registry
+        where generated clips and readers are found.
+    parameters
+        of a generated clip (its speed, say).
+    options
+        how a file is read.
 
-    Raises:
-        FileError: nothing is asked for, the name is not known, or the file is not a clip.
-        ConfigError: a parameter that the generated clip does not have, or parameters for a file.
+    Raises
+    ------
+    FileError
+        nothing is asked for, the name is not known, or the file is not a clip.
+    ConfigError
+        a parameter that the generated clip does not have, or parameters for a file.
     """
     if file is None and name in registry.names("clip"):
         component = registry.find("clip", name)
@@ -73,8 +82,10 @@ def files(
 ) -> list[Path]:
     """The file of a clip that is not generated, then those beside it that are read with it.
 
-    Raises:
-        FileError: as :func:`load`.
+    Raises
+    ------
+    FileError
+        as :func:`load`.
     """
     path = _file(name, file, registry)
     beside = (record_path(path), path.with_name(LICENCE))
@@ -102,8 +113,10 @@ def _file(name: str | None, file: str | None, registry: Registry) -> Path:
 def find(source: str, registry: Registry, options: ReadOptions = UNSAID) -> Clip:
     """The clip that `source` is the path or the name of.
 
-    Raises:
-        FileError: as :func:`load` and :func:`read_clip`.
+    Raises
+    ------
+    FileError
+        as :func:`load` and :func:`read_clip`.
     """
     if _is_path(source):
         return read_clip(Path(source), registry, options)
@@ -113,8 +126,10 @@ def find(source: str, registry: Registry, options: ReadOptions = UNSAID) -> Clip
 def kept(source: str, registry: Registry, inputs: Inputs) -> Clip:
     """As :func:`find`; the run keeps a copy of its file and reads that from then on.
 
-    Raises:
-        RunError: the copy is not what the run was made with.
+    Raises
+    ------
+    RunError
+        the copy is not what the run was made with.
     """
     name, file = (None, source) if _is_path(source) else (source, None)
     if name in registry.names("clip"):

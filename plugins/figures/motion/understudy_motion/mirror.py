@@ -26,8 +26,10 @@ def mirrored(clip: Clip) -> Clip:
     frames are taken to be parallel to the root's in the zero pose, as in clips with z up. Twice
     mirrored, a clip is itself.
 
-    Raises:
-        FileError: a joint of one side has no counterpart, or hangs on another part of the figure.
+    Raises
+    ------
+    FileError
+        a joint of one side has no counterpart, or hangs on another part of the figure.
     """
     pairs = _counterparts(clip)
     return replace(

@@ -47,8 +47,10 @@ MAX_ROTATIONS = 8_000_000
 class ReadOptions:
     """What a file may leave unsaid. None: taken from the file, or recognised, or an error that asks.
 
-    Raises:
-        ConfigError: a rate, or a unit in metres, that is not above zero.
+    Raises
+    ------
+    ConfigError
+        a rate, or a unit in metres, that is not above zero.
     """
 
     unit: Unit | None = None  #: of lengths
@@ -99,16 +101,20 @@ class ClipReader(ABC):
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         """Read and check the clip.
 
-        Raises:
-            FileError: missing, too large, damaged, or not a motion; the message names the file and,
-                where there is one, the line or frame (from 0) and the field.
+        Raises
+        ------
+        FileError
+            missing, too large, damaged, or not a motion; the message names the file and,
+            where there is one, the line or frame (from 0) and the field.
         """
 
     def needs(self, path: Path, options: ReadOptions) -> Sequence[Path]:
         """The files that reading `path` takes besides, other than those that `options` name.
 
-        Raises:
-            FileError: there is none of a kind that is needed.
+        Raises
+        ------
+        FileError
+            there is none of a kind that is needed.
         """
         return ()
 
@@ -123,9 +129,12 @@ def readers(registry: Registry) -> dict[str, ClipReader]:
 def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> Clip:
     """Read the clip file at `path`, whatever its format.
 
-    Raises:
-        UnknownFormatError: no reader recognises it.
-        FileError: as :meth:`ClipReader.read`.
+    Raises
+    ------
+    UnknownFormatError
+        no reader recognises it.
+    FileError
+        as :meth:`ClipReader.read`.
     """
     return reader_of(path, registry).read(path, options)
 
@@ -152,8 +161,10 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
 def read_bytes(path: Path, limit: int = MAX_BYTES, *, whole: bool = True) -> bytes:
     """The file's content, at most `limit` bytes; more is an error if the `whole` file is wanted.
 
-    Raises:
-        FileError: missing, unreadable, or larger than `limit`.
+    Raises
+    ------
+    FileError
+        missing, unreadable, or larger than `limit`.
     """
     try:
         if not path.is_file():
@@ -170,9 +181,11 @@ def read_bytes(path: Path, limit: int = MAX_BYTES, *, whole: bool = True) -> byt
 def check_size(path: Path, frames: int, joint_names: Sequence[str]) -> None:
     """Refuse a clip too large to be held, before it is.
 
-    Raises:
-        FileError: more than :data:`MAX_JOINTS` or :data:`MAX_ROTATIONS`, or a joint's name of more
-            than :data:`MAX_NAME` characters.
+    Raises
+    ------
+    FileError
+        more than :data:`MAX_JOINTS` or :data:`MAX_ROTATIONS`, or a joint's name of more
+        than :data:`MAX_NAME` characters.
     """
     joints = len(joint_names)
     if joints > MAX_JOINTS:
@@ -195,9 +208,11 @@ def checked_skeleton(
 ) -> Skeleton:
     """The :class:`Skeleton` of these fields, its root's offset set to zero.
 
-    Raises:
-        FileError: the parents are not a tree with joint 0 as its root, or a length is not finite
-            or beyond :data:`MAX_DISTANCE`; names the joint.
+    Raises
+    ------
+    FileError
+        the parents are not a tree with joint 0 as its root, or a length is not finite
+        or beyond :data:`MAX_DISTANCE`; names the joint.
     """
     for joint, (name, parent) in enumerate(zip(joint_names, parents, strict=True)):
         if not (parent == -1 if joint == 0 else 0 <= parent < joint):

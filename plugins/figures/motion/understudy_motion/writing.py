@@ -50,15 +50,19 @@ class ClipWriter(ABC):
     def write(self, clip: Clip, path: Path, shapes: Sequence[Shape] = ()) -> None:
         """Write `clip` to the new file `path`; `shapes` are shown where the format can.
 
-        Raises:
-            FileError: the format cannot hold this clip (it needs a skeleton, for instance).
+        Raises
+        ------
+        FileError
+            the format cannot hold this clip (it needs a skeleton, for instance).
         """
 
     def write_all(self, figures: Sequence[Shown], path: Path) -> None:
         """Write several motions to the new file `path`, the first of which says whence they are.
 
-        Raises:
-            FileError: the format holds one motion, or as :meth:`write`.
+        Raises
+        ------
+        FileError
+            the format holds one motion, or as :meth:`write`.
         """
         if len(figures) > 1:
             raise FileError(
@@ -75,9 +79,11 @@ def write_clip(clip: Clip, path: Path, registry: Registry, shapes: Sequence[Shap
 def write_figures(figures: Sequence[Shown], path: Path, registry: Registry) -> None:
     """Write motions to `path` by its ending, all or nothing; an existing file is replaced.
 
-    Raises:
-        FileError: no writer has this ending, or the folder cannot be written, or as
-            :meth:`ClipWriter.write_all`.
+    Raises
+    ------
+    FileError
+        no writer has this ending, or the folder cannot be written, or as
+        :meth:`ClipWriter.write_all`.
     """
     writers = [registry.find("clip_writer", n).factory() for n in registry.names("clip_writer")]
     writer = next((w for w in writers if w.suffix == path.suffix.lower()), None)

@@ -58,8 +58,13 @@ def swivel_of(pose: Tensor) -> Tensor:
 def solve(palm: Tensor, turn: Tensor, swivel: Tensor) -> Solved:
     """Arms whose palms are at `palm` (…, 3) m, turned by `turn` (…, 3, 3).
 
-    Args:
-        swivel: (…) rad, of the elbow about the line from shoulder to wrist; 0 has it hang straight down.
+    *Limits:* this arm's sizes alone, straight or bent one way. The hinges' ranges are not
+    kept; the result says by how much they are.
+
+    Parameters
+    ----------
+    swivel
+        (…) rad, of the elbow about the line from shoulder to wrist; 0 has it hang straight down.
     """
     wrist = palm - PALM * turn[..., 2]
     out = wrist - palm.new_tensor(SHOULDER)

@@ -93,14 +93,21 @@ def choose(
 ) -> Configurations:
     """The ways to take `shape` at `start` and put it down at `goal`.
 
-    Args:
-        start, goal: (3,) m, of its middle.
-        heading, goal_heading: () rad.
-        now: (4,) the lower stick's present rotation, for continuity.
-        others: what is not moved.
+    Parameters
+    ----------
+    start, goal
+        (3,) m, of its middle.
+    heading, goal_heading
+        () rad.
+    now
+        (4,) the lower stick's present rotation, for continuity.
+    others
+        what is not moved.
 
-    Raises:
-        NoPlan: there is none; the sentence says in which phase, and by how many millimetres.
+    Raises
+    ------
+    NoPlan
+        there is none; the sentence says in which phase, and by how many millimetres.
     """
     local = _ORIENTATIONS
     matrix = rotations.to_matrix(local)

@@ -84,7 +84,12 @@ class Plan:
 
 
 class Planner:
-    """Plans for one hand and grip. Deterministic."""
+    """Plans for one hand and grip. Deterministic.
+
+    *Limits:* it plans ways, not forces: objects stand still until they are taken, and are
+    spheres, capsules and boxes of the sizes of table 5.2. What is searched at random may
+    miss a way that there is.
+    """
 
     def __init__(self, grip: Grip, scene: HandScene) -> None:
         grip.need(scene)
@@ -119,12 +124,17 @@ class Planner:
     def plan(self, task: Task, now: Moment, others: Things) -> Plan:
         """The way to take the object and to put it at its goal.
 
-        Args:
-            now: where arm and sticks are.
-            others: objects that stay.
+        Parameters
+        ----------
+        now
+            where arm and sticks are.
+        others
+            objects that stay.
 
-        Raises:
-            NoPlan: none was found; the sentence says in which phase, and by how many millimetres.
+        Raises
+        ------
+        NoPlan
+            none was found; the sentence says in which phase, and by how many millimetres.
         """
         heading = torch.tensor(task.heading, dtype=torch.float64)
         last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)

@@ -8,14 +8,18 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "curriculum": {
+        "linear": ("curricula:Linear", "difficulty by samples"),
+        "adaptive": ("curricula:Adaptive", "difficulty by success"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    add = register.component
-    add("curriculum", "linear", "understudy_curricula.curricula:Linear", "difficulty by samples")
-    add(
-        "curriculum", "adaptive", "understudy_curricula.curricula:Adaptive", "difficulty by success"
-    )
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

@@ -148,7 +148,7 @@ class Adaptive(Curriculum):
 
     def __init__(self, options: Options, context: Context) -> None:
         self._options, self._target = options, context.difficulty
-        self.records = (options.counts,) if options.counts else ()
+        self.rollout_fields = (options.counts,) if options.counts else ()
         self._judged = Judged(options.episodes)
         first = context.difficulty if context.evaluating else min(options.start, self._target)
         self._stage = _Stage(first, options.knots, context)
@@ -168,7 +168,7 @@ class Adaptive(Curriculum):
         first = ended & (ended.cumsum(0) == 1)
         counted = ended & ~(first & self._older)
         if options.counts:
-            counted &= rollout.records[options.counts] != 0
+            counted &= rollout.fields[options.counts] != 0
         self._older &= ~ended.any(0)
         succeeded = (rollout.terminated & ~rollout.failed).float()
         score = succeeded if options.by == "success" else rollout.episode_returns

@@ -43,13 +43,19 @@ def register_envs() -> None:
 class UnderstudyEnv(gymnasium.Env):
     """One world of the task `task`.
 
-    Args:
-        task, overrides, settings: as :class:`~understudy_gym.worlds.Worlds` has them.
-        flat: observations side by side in one row, in the order of the configuration.
-        render_mode: ``rgb_array`` or None.
+    Parameters
+    ----------
+    task, overrides, settings
+        as :class:`~understudy_gym.worlds.Worlds` has them.
+    flat
+        observations side by side in one row, in the order of the configuration.
+    render_mode
+        ``rgb_array`` or None.
 
-    Raises:
-        ConfigError: for a task, an override or a value that is not possible.
+    Raises
+    ------
+    ConfigError
+        for a task, an override or a value that is not possible.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}
@@ -114,18 +120,25 @@ class UnderstudyEnv(gymnasium.Env):
 class UnderstudyVectorEnv(VectorEnv):
     """`num_envs` worlds of the task `task`, stepped together.
 
-    Args:
-        task, overrides, settings: as :class:`~understudy_gym.worlds.Worlds` has them.
-        flat: observations side by side in one row, in the order of the configuration.
-        render_mode: ``rgb_array`` or None.
-        autoreset_mode: when an ended world begins its next episode, Gymnasium's. ``NEXT_STEP``, its
-            default: in the step after, whose action it ignores and whose reward is 0. ``SAME_STEP``:
-            at once, with the last observation under ``info["final_obs"]``, an array of one object a
-            world; the fastest on a GPU, where only this step is replayed as a recording.
-            ``DISABLED``: when ``reset(options={"reset_mask": mask})`` says so.
+    Parameters
+    ----------
+    task, overrides, settings
+        as :class:`~understudy_gym.worlds.Worlds` has them.
+    flat
+        observations side by side in one row, in the order of the configuration.
+    render_mode
+        ``rgb_array`` or None.
+    autoreset_mode
+        when an ended world begins its next episode, Gymnasium's. ``NEXT_STEP``, its
+        default: in the step after, whose action it ignores and whose reward is 0. ``SAME_STEP``:
+        at once, with the last observation under ``info["final_obs"]``, an array of one object a
+        world; the fastest on a GPU, where only this step is captured and replayed.
+        ``DISABLED``: when ``reset(options={"reset_mask": mask})`` says so.
 
-    Raises:
-        ConfigError: for a task, an override or a value that is not possible.
+    Raises
+    ------
+    ConfigError
+        for a task, an override or a value that is not possible.
     """
 
     def __init__(
@@ -157,9 +170,11 @@ class UnderstudyVectorEnv(VectorEnv):
         A seed makes what follows repeat exactly; without one, ever, the episodes are other ones in
         every process.
 
-        Raises:
-            ValueError: for a mask of the wrong shape or type, one before any whole reset, or one with
-                a seed, since a seed begins the random numbers of all worlds anew.
+        Raises
+        ------
+        ValueError
+            for a mask of the wrong shape or type, one before any whole reset, or one with
+            a seed, since a seed begins the random numbers of all worlds anew.
         """
         super().reset(seed=seed)
         mask = (options or {}).get("reset_mask")

@@ -32,12 +32,16 @@ class UnderstudyVecEnv(VecEnv):
     worlds whose episode was only cut, to whose reward rsl_rl adds a value, that of the observation
     before: it has no place for the last one. It clips no actions by itself, nor does this.
 
-    Args:
-        task, overrides, settings: as :class:`~understudy_gym.worlds.Worlds` has them.
+    Parameters
+    ----------
+    task, overrides, settings
+        as :class:`~understudy_gym.worlds.Worlds` has them.
 
-    Raises:
-        ConfigError: for a task, an override or a value that is not possible, and for tasks with
-            choices among their actions, which rsl_rl does not learn.
+    Raises
+    ------
+    ConfigError
+        for a task, an override or a value that is not possible, and for tasks with
+        choices among their actions, which rsl_rl does not learn.
     """
 
     def __init__(

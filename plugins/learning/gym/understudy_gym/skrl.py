@@ -34,12 +34,16 @@ class UnderstudyWrapper(Wrapper):
     An ended world begins its next episode in the same step. ``infos["final_observations"]`` (N, D) are
     the observations reached, before that: pass the agent through :func:`use_final_observations`.
 
-    Args:
-        task, overrides, settings: as :class:`~understudy_gym.worlds.Worlds` has them.
+    Parameters
+    ----------
+    task, overrides, settings
+        as :class:`~understudy_gym.worlds.Worlds` has them.
 
-    Raises:
-        ConfigError: for a task, an override or a value that is not possible, and for tasks whose
-            actions are numbers and choices at once, which skrl does not learn.
+    Raises
+    ------
+    ConfigError
+        for a task, an override or a value that is not possible, and for tasks whose
+        actions are numbers and choices at once, which skrl does not learn.
     """
 
     def __init__(

@@ -25,12 +25,17 @@ class UnderstudyVecEnv(VecEnv):
     ``terminal_observation``, and ``TimeLimit.truncated`` says whether the episode was only cut, so that
     Stable-Baselines3 adds the value of that observation.
 
-    Args:
-        task, overrides, settings: as :class:`~understudy_gym.worlds.Worlds` has them.
-        render_mode: ``rgb_array`` or None.
+    Parameters
+    ----------
+    task, overrides, settings
+        as :class:`~understudy_gym.worlds.Worlds` has them.
+    render_mode
+        ``rgb_array`` or None.
 
-    Raises:
-        ConfigError: for a task, an override or a value that is not possible.
+    Raises
+    ------
+    ConfigError
+        for a task, an override or a value that is not possible.
     """
 
     def __init__(

@@ -27,8 +27,10 @@ RENDER_MODES = ("rgb_array",)
 def known_render_mode(mode: str | None) -> str | None:
     """`mode`, one of :data:`RENDER_MODES` or None.
 
-    Raises:
-        ConfigError: if it is another one.
+    Raises
+    ------
+    ConfigError
+        if it is another one.
     """
     if mode is not None and mode not in RENDER_MODES:
         raise ConfigError(
@@ -44,9 +46,11 @@ class ActionScale:
     (:class:`~understudy.task.actions.Box`). Numbers beyond ±1 go as far beyond the reach: nothing is
     clipped here. Columns that hold a choice stay as they are.
 
-    Raises:
-        ConfigError: if an actuation declares a field that the task does not have, or `reach` has
-            neither one number nor one for each column.
+    Raises
+    ------
+    ConfigError
+        if an actuation declares a field that the task does not have, or `reach` has
+        neither one number nor one for each column.
     """
 
     def __init__(
@@ -105,18 +109,27 @@ class ActionScale:
 class Worlds:
     """`num_worlds` worlds of the task `task`.
 
-    Args:
-        task: as it is typed, for example ``spacetime/walk``.
-        num_worlds: N.
-        overrides: Hydra's, as on the command line (``device=cuda``, ``episode.seconds=5``).
-        actions: ``scaled`` takes actions in [-1, 1] by :class:`ActionScale`; ``raw`` takes the task's,
-            unbounded and in its units.
-        action_scale: replaces the reach that the actuation declares: one number or one for each
-            column, in the action's units. Only with ``scaled``.
-        width, height: of :meth:`draw`, pixels.
+    Parameters
+    ----------
+    task
+        as it is typed, for example ``spacetime/walk``.
+    num_worlds
+        N.
+    overrides
+        Hydra's, as on the command line (``device=cuda``, ``episode.seconds=5``).
+    actions
+        ``scaled`` takes actions in [-1, 1] by :class:`ActionScale`; ``raw`` takes the task's,
+        unbounded and in its units.
+    action_scale
+        replaces the reach that the actuation declares: one number or one for each
+        column, in the action's units. Only with ``scaled``.
+    width, height
+        of :meth:`draw`, pixels.
 
-    Raises:
-        ConfigError: for a task, an override or a scale that is not possible.
+    Raises
+    ------
+    ConfigError
+        for a task, an override or a scale that is not possible.
     """
 
     def __init__(
@@ -230,9 +243,12 @@ class Worlds:
     ) -> tuple[Tensor, Tensor]:
         """Lengths (N,) in steps and returns (N,) of one episode in each world.
 
-        Args:
-            act: from observations by name, each (N, …), to a learner's actions (N, A).
-            seed: where they begin. Whatever went on before in these worlds ends.
+        Parameters
+        ----------
+        act
+            from observations by name, each (N, …), to a learner's actions (N, A).
+        seed
+            where they begin. Whatever went on before in these worlds ends.
         """
         observations = self.environment.reset(seed, "trial")  # where no training began
         length = torch.zeros(self.num_worlds, device=self.device)
@@ -248,8 +264,10 @@ class Worlds:
     def draw(self, world: int) -> np.ndarray:
         """(height, width, 3) uint8: the world of this number, now.
 
-        Raises:
-            UnderstudyError: if its scene cannot be drawn.
+        Raises
+        ------
+        UnderstudyError
+            if its scene cannot be drawn.
         """
         table, width, height = self.environment.table, *self._size
         names = [name for name in self._scene.recorded if name in table.shapes]

@@ -8,15 +8,17 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("networks", "tensors", "mujoco")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "learner": {
+        "imagination": ("learner:Imagination", "gradients through a learned model, at real states"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "learner",
-        "imagination",
-        "understudy_imagination.learner:Imagination",
-        "gradients of the task through a learned model, at real states",
-    )
+    register.parts(__name__, PARTS)
     register.citation(
         "heess2015",
         "Heess et al. 2015. Learning continuous control policies by stochastic value gradients. "

@@ -31,6 +31,8 @@ class Weights:
     margins: float
     actions: float
     rewards: float
+    norm: float  #: over the things of a margin
+    power: float  #: of that
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ class Adjoint:
         action = window.actions.flatten(0, 1).clone().requires_grad_()
         posed = self._posed(state, step.requires_grad_())
         fields = imagined.fields(posed, imagined.constants(state), action)
-        cost = weights.margins * imagined.used(fields)
+        cost = weights.margins * imagined.used(fields, weights.norm, weights.power)
         reward = imagined.reward(fields)
         if reward is not None:
             cost = cost - weights.rewards * reward

@@ -19,6 +19,8 @@ from understudy_networks.policies import action_space
 
 #: The environment's own fields that no derivative goes through: they are taken as they were.
 _TAKEN = frozenset(OWN_FIELDS) - {"reward"}
+#: Least share of a margin, for the derivative of a power.
+_LEAST = 1e-3
 _WHO = "learner 'imagination'"
 
 
@@ -29,9 +31,11 @@ class Imagined:
     compute from the clock and an episode's constants alone, once for many states; and these
     themselves, which a rollout brings.
 
-    Raises:
-        ConfigError: an encoder, the actuation, a reward or a termination reads a field that positions
-            and velocities do not decide; names it.
+    Raises
+    ------
+    ConfigError
+        an encoder, the actuation, a reward or a termination reads a field that positions
+        and velocities do not decide; names it.
     """
 
     def __init__(self, parts: Parts, context: Context, rigid: Rigid) -> None:
@@ -171,14 +175,16 @@ class Imagined:
             return functools.reduce(operator.add, [v * weight for v, weight in values])
         return functools.reduce(operator.mul, [v if w == 1.0 else v**w for v, w in values])
 
-    def used(self, fields: Mapping[str, Tensor]) -> Tensor:
-        """(B,): of each margin, the mean square of what is used of it; their sum."""
+    def used(self, fields: Mapping[str, Tensor], norm: float, power: float) -> Tensor:
+        """(B,): of each margin, the `norm` over its things of what is used of it, to the `power`;
+        their sum."""
         total = torch.zeros(len(fields["action"]), device=self.reach.device)
         for term in self.margins:
             margin = term.function
             assert isinstance(margin, Margin)
             share = margin.used(**_picked(term.reads, fields), **term.options)
-            total = total + share.square().mean(1)
+            most = share.abs().clamp(min=_LEAST).pow(norm).sum(1).pow(1.0 / norm)
+            total = total + most.pow(power)
         return total
 
 

@@ -110,7 +110,10 @@ class Imagination(Learner):
         learning_rate: float = 1e-3  #: of the actor, by Adam
         updates: int = 16  #: optimiser steps of the actor an iteration
         batch_size: int = 256  #: decisions of one of them
-        margin_weight: float = 1.0  #: of each margin: the mean square of what is used of it
+        margin_weight: float = 1.0  #: of what is used of each margin
+        #: Which norm over what has a share of a margin (joints, say) counts as what is used of it.
+        margin_norm: float = 8.0
+        margin_power: float = 2.0  #: of what is used of a margin, in the cost
         #: Of the mean square of actions, from the middle of their space in units of their reach.
         action_weight: float = 0.012
         reward_weight: float = 1.0  #: of rewards that have a derivative
@@ -124,6 +127,7 @@ class Imagination(Learner):
             check_range(self, "rollout_steps", "tail", "updates", "batch_size", "patience", least=1)
             check_range(self, "decay", "gamma", "td_lambda", least=0, most=1)
             check_range(self, "clip", "step", "learning_rate", "critic_learning_rate", above=0)
+            check_range(self, "margin_norm", "margin_power", least=1.0)
             check_range(self, "margin_weight", "action_weight", "reward_weight", least=0)
 
     def __init__(self, options: Options, context: Context, policy: Policy) -> None:
@@ -164,7 +168,7 @@ class Imagination(Learner):
             if compiled.body_weldid[body] != 0
         }
         self._imagined = imagined = Imagined(parts, context, rigid)
-        self.records = self.reaches = (*_STATE, *imagined.taken)
+        self.rollout_fields = self.next_fields = (*_STATE, *imagined.taken)
         own, seed = options.model, context.seed
         with private_rng(seed, "imagination/model"):
             model = WorldModel(
@@ -174,7 +178,13 @@ class Imagination(Learner):
                 dt=context.control_dt * context.decision,
             )
         self.model = model.to(device)
-        weights = Weights(options.margin_weight, options.action_weight, options.reward_weight)
+        weights = Weights(
+            options.margin_weight,
+            options.action_weight,
+            options.reward_weight,
+            options.margin_norm,
+            options.margin_power,
+        )
         self.adjoint = Adjoint(
             rigid, imagined, self.model, policy, weights, decay=options.decay, clip=options.clip
         )
@@ -214,8 +224,8 @@ class Imagination(Learner):
         metrics = {"value_loss": self._fit_critic(batch)}
         metrics["explained_variance"] = explained_variance(rollout)
         newest = Window(
-            {name: rollout.records[name] for name in self.records},
-            rollout.reached,
+            {name: rollout.fields[name] for name in self.rollout_fields},
+            rollout.next_fields,
             rollout.actions,
             rollout.terminated | rollout.truncated,
         )
@@ -337,8 +347,8 @@ class Imagination(Learner):
         return float(total) / len(parts)
 
     def _capture(self) -> None:
-        """Forget recorded steps: they hold the addresses of the optimisers' state. Averages over
-        processes are not recorded."""
+        """Forget captured steps: they hold the addresses of the optimisers' state. Averages over
+        processes are not captured."""
         device = self._bad.device
         self.adjoint.forget_graphs()
         losses = {"model": self._model_loss, "actor": self._actor_loss}
@@ -381,7 +391,7 @@ class Imagination(Learner):
         device, steps = self._bad.device, min(self.options.tail, len(kept["actions"]))
 
         def fields(prefix: str) -> dict[str, Tensor]:
-            return {name: kept[f"{prefix}/{name}"].to(device) for name in self.records}
+            return {name: kept[f"{prefix}/{name}"].to(device) for name in self.rollout_fields}
 
         ended = kept["ended"].to(device)
         window = Window(fields("before"), fields("reached"), kept["actions"].to(device), ended)

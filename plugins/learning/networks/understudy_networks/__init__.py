@@ -8,12 +8,18 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "policy": {
+        "mlp": ("policies:MLPPolicy", "MLP actor and critic"),
+        "cnn": ("policies:CNNPolicy", "image and flat observation"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    add = register.component
-    add("policy", "mlp", "understudy_networks.policies:MLPPolicy", "MLP actor and critic")
-    add("policy", "cnn", "understudy_networks.policies:CNNPolicy", "image and flat observation")
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

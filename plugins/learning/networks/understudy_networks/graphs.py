@@ -1,4 +1,4 @@
-"""Work on the GPU that is recorded once and replayed: a launch costs more than many a kernel."""
+"""Work on the GPU that is captured once and replayed: a launch costs more than many a kernel."""
 
 from __future__ import annotations
 

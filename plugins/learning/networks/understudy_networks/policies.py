@@ -232,6 +232,7 @@ def _eye(options: CNNPolicy.Options, shape: tuple[int, int, int]) -> Network:
 
 
 def action_space(context: Context, who: str) -> ActionSpace:
+    """What the policy decides; an error names `who` needs it."""
     if context.action_space is None:
         raise ConfigError(f"{who} needs an action space, and the task's actuation gives none.")
     return context.action_space
@@ -306,6 +307,7 @@ def check_names(options: object, *names: str) -> None:
 
 
 def check_units(name: str, units: tuple[int, ...]) -> None:
+    """Raise a ValueError where hidden layers of so many `units` are none, or too large."""
     if any(count < 1 for count in units):
         raise ValueError(f"{name}={units} is not possible: every layer needs a unit.")
     sizes = [1, *units, 1]

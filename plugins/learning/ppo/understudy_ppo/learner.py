@@ -26,7 +26,7 @@ from understudy_ppo.threads import SideBySide
 RATE_STEP, RATE_RANGE = 1.5, (1e-6, 1e-2)
 #: Limits of the KL penalty's coefficient, so that a long stay on one side can be undone.
 COEFFICIENT_RANGE = (1e-4, 1e4)
-#: Most optimiser steps that one CUDA graph holds: beyond, recording costs more than launching saves.
+#: Most optimiser steps that one CUDA graph holds: beyond, capturing costs more than launching saves.
 STEPS_A_GRAPH = 32
 
 #: The row of a minibatch: entropy, KL divergence, clipped share, the losses of actor and critic, the
@@ -148,7 +148,7 @@ class PPO(Learner):
         self._capture()
 
     def _capture(self) -> None:
-        """Forget recorded steps: they hold the addresses of the optimisers' state.
+        """Forget captured steps: they hold the addresses of the optimisers' state.
 
         A graph holds as much as lies between two averages over processes: half a step, or, in one
         process, a run of whole steps.

@@ -11,7 +11,7 @@ import torch
 
 class SideBySide:
     """Runs two pieces of work at once: on a CPU on half of torch's threads each, while
-    :meth:`sharing`; on a GPU on two streams, which become branches of a graph that is recorded.
+    :meth:`sharing`; on a GPU on two streams, which become branches of a graph that is captured.
 
     The matrices of a minibatch are too small for several threads, or for a whole GPU, to share each
     of them well; two networks of equal size are not. What the pieces write must be apart. On one

@@ -8,19 +8,26 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "initial_states": {
+        "bank": ("banks:Bank", "where other episodes ended"),
+    },
+    "job": {
+        "harvest": ("harvest:Harvest", "keeps states of ended episodes"),
+        "settle": ("settle:Settle", "keeps starts that came to rest"),
+        "judge": ("judge:Judge", "judges what another run learned"),
+    },
+    "actuation": {
+        "controllers": ("controllers:Controllers", "switches between other runs' controllers"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.kind("skill", "a trained policy that comes with a plugin")
-    add = register.component
-    add("initial_states", "bank", "understudy_skills.banks:Bank", "where other episodes ended")
-    add("job", "harvest", "understudy_skills.harvest:Harvest", "keeps states of ended episodes")
-    add("job", "settle", "understudy_skills.settle:Settle", "keeps starts that came to rest")
-    add("job", "judge", "understudy_skills.judge:Judge", "judges what another run learned")
-    add(
-        "actuation", "controllers", "understudy_skills.controllers:Controllers",
-        "switches between other runs' controllers and gives them a goal",
-    )  # fmt: skip
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

@@ -71,13 +71,13 @@ class Controller(nn.Module):
             context, sections=build_sections(experiment), inputs=experiment.inputs, _shared={}
         )
 
-        def bound(chosen: Chosen) -> Wired[Any]:
+        def wired(chosen: Chosen) -> Wired[Any]:
             part = chosen.build(own)
             where = f"{chosen.where} of {source}"
             return Wired(where, part, renamed(where, "reads", part.reads, chosen.extras["reads"]))
 
-        encoders = {c.name: bound(c) for c in experiment.many("encoder")}
-        actuation = bound(experiment.need("actuation"))
+        encoders = {c.name: wired(c) for c in experiment.many("encoder")}
+        actuation = wired(experiment.need("actuation"))
         if actuation.part.keeps:
             raise ConfigError(
                 f"{source} cannot be a controller inside another task: its actuation keeps a state."

@@ -22,8 +22,7 @@ from understudy.running.warm_start import load_part, newest_state
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Policy, State
-from understudy_skills import bank
-from understudy_skills.gathered import count_of, evaluation_of, stage_of
+from understudy_skills.gathered import Gathered
 
 
 class Harvest(Job):
@@ -79,8 +78,7 @@ class Harvest(Job):
         chosen = {**found.choices, "simulator": simulator or found.choices["simulator"]}
         self._experiment = replace(found, choices=chosen)
         self._built: Built | None = None
-        self._found: dict[str, Tensor] = {}
-        self._barren = 0  #: iterations in a row that found nothing
+        self._gathered = Gathered(options.count)
 
     def prepare(self) -> None:
         judged = self._experiment.root.evaluation.seconds if self.options.evaluating else None
@@ -170,32 +168,26 @@ class Harvest(Job):
     def iterate(self, samples: int) -> dict[str, Any]:
         environment, steps = self.environment, self.options.decisions
         seen: dict[str, list[Tensor]] = {name: [] for name in self._names}
-        counted_any = False
         for _ in range(steps):
             distribution = self.policy.distribution(environment.observations)
             mode = self.options.deterministic
             action = distribution.mode() if mode else distribution.sample(self._streams)
             reached, counted, ended = self._decide(action)
             rows = counted.nonzero().squeeze(1)  # few: all worlds' garments would be gigabytes
-            counted_any |= len(rows) > 0
             for name, value in self._chosen(reached, ended).items():
                 seen[name].append(value[rows].cpu())
         new = {name: torch.cat(values) for name, values in seen.items()}
-        self._found = {
-            name: torch.cat([self._found[name], value]) if self._found else value
-            for name, value in new.items()
-        }
-        self._barren = 0 if counted_any else self._barren + 1
-        if self._barren >= self.options.patience:
+        self._gathered.add(new)
+        if self._gathered.barren >= self.options.patience:
             raise TrainingError(
                 f"No episode of {self.options.run} {self._wanted()} in "
-                f"{self._barren * steps} decisions of {environment.num_worlds} worlds. Train it "
+                f"{self._gathered.barren * steps} decisions of {environment.num_worlds} worlds. Train it "
                 "longer, or choose another."
             )
         episodes = environment.statistics.collect()
         return {
             "consumed": steps * environment.num_worlds,
-            "states": self._count,
+            "states": self._gathered.count,
             **{f"episode/{name}": value for name, value in episodes.items()},
         }
 
@@ -205,28 +197,21 @@ class Harvest(Job):
             return f"changed job.field={options.field} to job.value={options.value:g}"
         return f"ended by job.ending={options.ending}"
 
-    @property
-    def _count(self) -> int:
-        return count_of(self._found)
-
     def finished(self) -> bool:
-        return self._count >= self.options.count
+        return self._gathered.enough
 
     def stage(self) -> str:
-        return stage_of(self._count, self.options.count)
+        return self._gathered.stage()
 
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
     ) -> Evaluation:
-        return evaluation_of(self._count, self.options.count)
+        return self._gathered.evaluation()
 
     def products(self, run: Run) -> None:
-        if not self._count:
-            return
-        states = {name: value[: self.options.count] for name, value in self._found.items()}
         options = self.options
         about = {"run": options.run, "moment": options.moment, "kept": self._wanted()}
-        bank.save(run.path / bank.NAME, states, about)
+        self._gathered.save(run, about)
 
     def sources(self) -> Mapping[str, Any]:
         return {**self._source.info["sources"], "bank": {"run": self.options.run}}
@@ -238,8 +223,7 @@ class Harvest(Job):
         return {
             "environment": self.environment.state_dict(),
             "streams": self._streams.state_dict(),
-            "found": dict(self._found),
-            "barren": self._barren,
+            **self._gathered.state_dict(),
             "age": self._age,
             "begun": self._begun.clone(),
             "kept": dict(self._kept),
@@ -254,7 +238,7 @@ class Harvest(Job):
         self.load_learned(state, 0)
 
     def load_learned(self, state: State, samples: int) -> None:
-        self._found, self._barren = dict(state["found"]), state["barren"]
+        self._gathered.load_state_dict(state)
 
     def forget_worlds(self) -> None:
         self.environment.reset()

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from understudy.errors import ConfigError, TrainingError, suggestion
 from understudy.options import check_range
@@ -19,8 +18,7 @@ from understudy.running.jobs import Job
 from understudy.setup.building import Built, build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
-from understudy_skills import bank
-from understudy_skills.gathered import count_of, evaluation_of, stage_of
+from understudy_skills.gathered import Gathered
 
 
 class Settle(Job):
@@ -46,8 +44,7 @@ class Settle(Job):
         self.options, self._experiment = options, experiment
         self.device = device_of(experiment.root.device)
         self._built: Built | None = None
-        self._found: dict[str, Tensor] = {}
-        self._barren = 0  #: iterations in a row that found nothing
+        self._gathered = Gathered(options.count)
 
     def prepare(self) -> None:
         seconds = self.options.seconds
@@ -74,59 +71,44 @@ class Settle(Job):
         for _ in range(self._decisions):
             gone |= environment.advance(still).ended  # which go on, and count no more
         new = {name: environment.table[name][~gone].cpu() for name in self._names}
-        self._found = {
-            name: torch.cat([self._found[name], value]) if self._found else value
-            for name, value in new.items()
-        }
-        self._barren = self._barren + 1 if bool(gone.all()) else 0
-        if self._barren >= self.options.patience:
+        self._gathered.add(new)
+        if self._gathered.barren >= self.options.patience:
             raise TrainingError(
-                f"No start of this task stays {self.options.seconds:g} s without an end, in {self._barren} times "
+                f"No start of this task stays {self.options.seconds:g} s without an end, in {self._gathered.barren} times "
                 f"{count} worlds. Shorten job.seconds, or choose other initial states or terminations."
             )
         return {
             "consumed": self._decisions * count,
-            "states": self._count,
+            "states": self._gathered.count,
             "discarded": float(gone.float().mean()),
         }
 
-    @property
-    def _count(self) -> int:
-        return count_of(self._found)
-
     def finished(self) -> bool:
-        return self._count >= self.options.count
+        return self._gathered.enough
 
     def stage(self) -> str:
-        return stage_of(self._count, self.options.count)
+        return self._gathered.stage()
 
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
     ) -> Evaluation:
-        return evaluation_of(self._count, self.options.count)
+        return self._gathered.evaluation()
 
     def products(self, run: Run) -> None:
-        if self._count:
-            states = {name: value[: self.options.count] for name, value in self._found.items()}
-            about = {"settled": f"{self.options.seconds:g} s"}
-            bank.save(run.path / bank.NAME, states, about)
+        self._gathered.save(run, {"settled": f"{self.options.seconds:g} s"})
 
     def report(self) -> Mapping[str, int]:
         return self._built.environment.parts.simulator.report() if self._built else {}
 
     def state_dict(self) -> State:
-        return {
-            "environment": self.environment.state_dict(),
-            "found": dict(self._found),
-            "barren": self._barren,
-        }
+        return {"environment": self.environment.state_dict(), **self._gathered.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
         self.environment.load_state_dict(state["environment"])
         self.load_learned(state, 0)
 
     def load_learned(self, state: State, samples: int) -> None:
-        self._found, self._barren = dict(state["found"]), state["barren"]
+        self._gathered.load_state_dict(state)
 
     def forget_worlds(self) -> None:
         self.environment.reset()

@@ -59,7 +59,10 @@ class Skill:
         for name in sorted(needed | self.policy.keys()):
             given = self.policy.get(name)
             if given is None or name not in own or given.shape != own[name].shape:
-                raise RunError(f"{self.name} does not fit its own configuration: {name} differs.")
+                raise RunError(
+                    f"{self.name} does not fit this configuration: {name} differs. Use the policy and "
+                    "the skills that it was trained with."
+                )
             if not bool(given.isfinite().all()):
                 raise RunError(f"{self.name} is damaged: {name} is not finite.")
         policy.load_state_dict({**own, **self.policy})

@@ -21,61 +21,64 @@ REQUIRES = (
     "warp_torch",
 )
 
-#: By module and kind: the component's name less ``amorphous.``, its class or function, and what it is.
-_PARTS = {
-    ("scene", "scene"): {"table": ("AmorphousScene", "blocks of a material, and a tool")},
-    ("initial_states", "initial_states"): {
-        "clusters": ("AroundGoal", "blocks around a goal"),
-        "pile": ("Pile", "a block in the middle of the table"),
-        "on_tool": ("OnTool", "a block on the tool"),
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "scene": {
+        "amorphous/table": ("scene:AmorphousScene", "blocks of a material, and a tool"),
     },
-    ("maps", "encoder"): {"maps": ("MaterialMaps", "density, height and goal as images")},
-    ("maps", "fields"): {"table_map": ("TableMap", "how many cells have material")},
-    ("tool", "encoder"): {"tool": ("ToolState", "the tool's pose and velocity")},
-    ("tool", "actuation"): {"tool": ("ToolTarget", "a target in the tool's own frame")},
-    ("gathering", "fields"): {"farthest": ("Farthest", "the particle farthest from the goal")},
-    ("gathering", "reward"): {"gathering": ("gathering", "eq. 6: to the goal, or to the material")},
-    ("gathering", "measure"): {
-        "gathered_share": ("gathered_share", "the share of the material that is near the goal"),
-        "share_distance": ("share_distance", "how far from the goal most of the material is"),
+    "initial_states": {
+        "amorphous/clusters": ("initial_states:AroundGoal", "blocks around a goal"),
+        "amorphous/pile": ("initial_states:Pile", "a block in the middle of the table"),
+        "amorphous/on_tool": ("initial_states:OnTool", "a block on the tool"),
     },
-    ("spreading", "reward"): {
-        "occupied": ("newly_occupied", "eq. 7: more cells have material"),
-        "lowered": ("lowered", "eq. 8: the material is lower"),
-        "movement": ("movement", "eq. 9: what is high moves"),
-        "outliers": ("outliers", "eq. 10: nothing leaves the table"),
+    "encoder": {
+        "amorphous/maps": ("maps:MaterialMaps", "density, height and goal as images"),
+        "amorphous/tool": ("tool:ToolState", "the tool's pose and velocity"),
     },
-    ("flipping", "fields"): {"toss": ("Toss", "how high and how fast the material turns")},
-    ("flipping", "memory"): {"turned": ("Turned", "how far the material has turned")},
-    ("flipping", "reward"): {
-        "height": ("height", "eq. 11: high above the pan"),
-        "spin": ("spin", "eq. 12: turning in the air"),
+    "fields": {
+        "amorphous/table_map": ("maps:TableMap", "how many cells have material"),
+        "amorphous/farthest": ("gathering:Farthest", "the particle farthest from the goal"),
+        "amorphous/toss": ("flipping:Toss", "how high and how fast the material turns"),
     },
-    ("flipping", "measure"): {"flipped": ("flipped", "turned over, and caught")},
-    ("curricula", "curriculum"): {
-        "clusters": ("Clusters", "a cluster more whenever all are gathered"),
-        "lengths": ("Lengths", "episodes of different lengths"),
+    "actuation": {
+        "amorphous/tool": ("tool:ToolTarget", "a target in the tool's own frame"),
     },
-    ("report", "report_section"): {"maps": ("MapsSection", "the material as the policy sees it")},
+    "reward": {
+        "amorphous/gathering": ("gathering:gathering", "eq. 6: to the goal, or to the material"),
+        "amorphous/occupied": ("spreading:newly_occupied", "eq. 7: more cells have material"),
+        "amorphous/lowered": ("spreading:lowered", "eq. 8: the material is lower"),
+        "amorphous/movement": ("spreading:movement", "eq. 9: what is high moves"),
+        "amorphous/outliers": ("spreading:outliers", "eq. 10: nothing leaves the table"),
+        "amorphous/height": ("flipping:height", "eq. 11: high above the pan"),
+        "amorphous/spin": ("flipping:spin", "eq. 12: turning in the air"),
+    },
+    "measure": {
+        "amorphous/gathered_share": ("gathering:gathered_share", "how much is near the goal"),
+        "amorphous/share_distance": ("gathering:share_distance", "how far most is from it"),
+        "amorphous/flipped": ("flipping:flipped", "turned over, and caught"),
+    },
+    "memory": {
+        "amorphous/turned": ("flipping:Turned", "how far the material has turned"),
+    },
+    "curriculum": {
+        "amorphous/clusters": ("curricula:Clusters", "a cluster more whenever all are gathered"),
+        "amorphous/lengths": ("curricula:Lengths", "episodes of different lengths"),
+    },
+    "report_section": {
+        "amorphous/maps": ("report:MapsSection", "the material as the policy sees it"),
+    },
+    "character": {
+        "amorphous/cook": ("character:build_cook", "a cook, standing"),
+    },
+    "command": {
+        "amorphous character": ("character_command:HoldTool", "a figure that moves a run's tool"),
+    },
 }
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    for (module, kind), parts in _PARTS.items():
-        for name, (target, summary) in parts.items():
-            where = f"understudy_amorphous.{module}:{target}"
-            register.component(kind, f"amorphous/{name}", where, summary)
-    here = "understudy_amorphous"
-    register.component(
-        "character", "amorphous/cook", f"{here}.character:build_cook", "a cook, standing"
-    )
-    register.component(
-        "command",
-        "amorphous character",
-        f"{here}.character_command:HoldTool",
-        "a figure whose hand moves the tool of a finished run",
-    )
+    register.parts(__name__, PARTS)
     for name, summary in {
         "gather": "a scraper gathers clusters of a material at a goal",
         "spread": "a scraper spreads a pile over a table",

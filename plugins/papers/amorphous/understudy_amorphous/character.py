@@ -101,13 +101,19 @@ def figure(
 ) -> Figure:
     """The character (a registered name or an MJCF file) with `tool` in its `hand`, at a table.
 
-    Args:
-        hand: a site of the character, or a body of it.
-        turning: whether the tool turns in the hand, about the hand's z axis.
+    Parameters
+    ----------
+    hand
+        a site of the character, or a body of it.
+    turning
+        whether the tool turns in the hand, about the hand's z axis.
 
-    Raises:
-        ConfigError: no such character or hand, a hand that no joint moves, or a tool that cannot be shown.
-        FileError: the model does not compile.
+    Raises
+    ------
+    ConfigError
+        no such character or hand, a hand that no joint moves, or a tool that cannot be shown.
+    FileError
+        the model does not compile.
     """
     name, spec = character_spec(named, registry)
     bare = _compiled(name, spec)

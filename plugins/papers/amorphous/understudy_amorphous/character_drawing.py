@@ -28,8 +28,10 @@ def draw(
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8 of ``qpos`` (T, nq) and of what the run recorded beside it.
 
-    Raises:
-        UnderstudyError: there is no OpenGL to draw with.
+    Raises
+    ------
+    UnderstudyError
+        there is no OpenGL to draw with.
     """
     model, count = figure.model, len(particles.positions)
     data = mujoco.MjData(model)

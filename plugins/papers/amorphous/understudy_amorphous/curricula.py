@@ -73,7 +73,7 @@ class Clusters(Curriculum):
     """
 
     provides: Mapping[str, Shape] = {"clusters": (), "episode_limit": ()}
-    records = ("farthest_distance", "clusters")
+    rollout_fields = ("farthest_distance", "clusters")
 
     @dataclass(frozen=True)
     class Options:
@@ -115,9 +115,9 @@ class Clusters(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self.options
-        of_this_stage = rollout.records["clusters"] == self.clusters
+        of_this_stage = rollout.fields["clusters"] == self.clusters
         ended = rollout.ended & of_this_stage
-        near = (rollout.records["farthest_distance"] <= options.within).float()
+        near = (rollout.fields["farthest_distance"] <= options.within).float()
         score = near if options.by == "distance" else rollout.episode_returns
         found: dict[str, float] = {"clusters": self.clusters}
         mean = self._judged.digest(ended, score)

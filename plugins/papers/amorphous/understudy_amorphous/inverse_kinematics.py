@@ -49,6 +49,8 @@ TRIES, ASTRAY = 12, 0.7
 
 @dataclass(frozen=True)
 class Options:
+    """How the joints follow."""
+
     speed: float = 10.0  #: rad/s, the most of any joint from frame to frame
     #: What a turn of a joint costs in eq. 13: the same for all, or as much as the mass that it moves (root of
     #: its share), so that the arm moves rather than the trunk.
@@ -85,10 +87,17 @@ def follow(
 ) -> Motion:
     """The motion whose `body` is at `positions` (T, 3) m with `orientations` (T, 4), every `dt` s.
 
-    Args:
-        start: (nq,) the pose before the first frame, in which every joint is within its range.
-        still: degrees of freedom that do not move.
-        apart: pairs of groups of geoms that do not touch.
+    *Limits:* frame after frame, each from the one before, so that a joint at its range may
+    lead to where later frames cannot be met.
+
+    Parameters
+    ----------
+    start
+        (nq,) the pose before the first frame, in which every joint is within its range.
+    still
+        degrees of freedom that do not move.
+    apart
+        pairs of groups of geoms that do not touch.
 
     Frames that cannot be met are as near as they can be; the errors say how near.
     """

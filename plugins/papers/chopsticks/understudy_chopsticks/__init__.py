@@ -18,35 +18,52 @@ REQUIRES = (
     "sweeps",
     "tensors",
     "terms",
+    "tool_planner",
 )
 
-_HERE = "understudy_chopsticks"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "initial_states": {
+        "chopsticks/open_and_close": ("plan:OpenAndClose", "a grip, and a motion to follow"),
+        "chopsticks/relocations": ("relocate:Relocations", "an object, and a plan to follow"),
+    },
+    "fields": {
+        "chopsticks/plan": ("plan:Plan", "where arm, hand and sticks shall be"),
+        "chopsticks/tracking": ("tracking:Tracking", "the sticks in the palm, and errors"),
+        "chopsticks/follow": ("relocate:Follow", "where everything shall be, by a plan of its own"),
+        "chopsticks/object": ("relocate:Object", "the object in the palm, and errors"),
+    },
+    "encoder": {
+        "chopsticks/state": ("control:State", "table 5.1"),
+    },
+    "actuation": {
+        "chopsticks/offsets": ("control:Offsets", "offsets from the grip"),
+    },
+    "reward": {
+        "chopsticks/hand": ("tracking:Hand", "eq. 5.2: arm and hand as planned"),
+        "chopsticks/sticks": ("tracking:sticks", "eq. 5.3: both sticks as planned"),
+        "chopsticks/contact": ("tracking:contact", "eq. 5.5: fingertips at their places"),
+        "chopsticks/object": ("relocate:thing", "eq. 5.4: the object as planned"),
+    },
+    "termination": {
+        "chopsticks/dropped": ("tracking:dropped", "a stick is far from where it is planned"),
+        "chopsticks/contact_lost": ("tracking:contact_lost", "fingertips left their places"),
+        "chopsticks/lost": ("relocate:lost", "the object is far from where it is planned"),
+        "chopsticks/missed": ("relocate:missed", "the plan is over, the object elsewhere"),
+        "chopsticks/placed": ("relocate:placed", "the object is where it shall be"),
+    },
+    "outer_loop": {
+        "chopsticks/grips": ("search:GripSearch", "places of fingers, by style"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register_skills(register, Path(__file__).parent / "skills")
-
-    def add(kind: str, name: str, where: str, summary: str) -> None:
-        register.component(kind, f"chopsticks/{name}", f"{_HERE}.{where}", summary)
-
-    add("initial_states", "open_and_close", "plan:OpenAndClose", "a grip, and a motion to follow")
-    add("fields", "plan", "plan:Plan", "where arm, hand and sticks shall be")
-    add("fields", "tracking", "tracking:Tracking", "the sticks in the palm, and errors")
-    add("encoder", "state", "control:State", "table 5.1")
-    add("actuation", "offsets", "control:Offsets", "offsets from the grip")
-    add("reward", "hand", "tracking:Hand", "eq. 5.2: arm and hand as planned")
-    add("reward", "sticks", "tracking:sticks", "eq. 5.3: both sticks as planned")
-    add("reward", "contact", "tracking:contact", "eq. 5.5: fingertips at their places")
-    add("termination", "dropped", "tracking:dropped", "a stick is far from where it is planned")
-    add("termination", "contact_lost", "tracking:contact_lost", "fingertips left their places")
-    register.component(
-        "outer_loop",
-        "chopsticks/grips",
-        f"{_HERE}.search:GripSearch",
-        "places of fingers, by style",
-    )
+    register.parts(__name__, PARTS)
     register.task("chopsticks/open_close", "hold two sticks, and open and close them as planned")
+    register.task("chopsticks/relocate", "take an object with two sticks and put it elsewhere")
     register.citation(
         "yang2022chopsticks",
         "Yang, Yin, Liu. Learning to use chopsticks in diverse gripping styles. ACM Transactions on "

@@ -14,29 +14,39 @@ from understudy_chopsticks.plan import AHEAD, GRIPPER, gripping
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import tips
 
+#: The object as it is, and as it is planned.
+_OBJECT = ("object_state", "object_ahead")
+
 
 class State(Encoder):
     """Table 5.1 without an object: arm and hand, sticks, fingertips' distances, normal forces, the plan ahead.
 
-    Sticks are in the palm's frame. Forces f N are those of the last sub-step, as log(1 + f).
+    Sticks are in the palm's frame. Forces f N are those of the last sub-step, as log(1 + f). Where several grips
+    share the job, the last numbers say whose a world is.
     """
 
     @dataclass(frozen=True)
     class Options:
         forces: bool = True  #: normal forces on fingertips and on the sticks' tips
         planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
+        object: bool = False  #: the object as it is and as it is planned, in the palm's frame
 
     def __init__(self, options: Options, context: Context) -> None:
-        scene = gripping(context, "encoder 'chopsticks/state'").scene
+        made = gripping(context, "encoder 'chopsticks/state'")
+        scene, touching = made.scene, len(made.touching)
         self._options, self._hinges = options, scene.hinges
-        names = (*(f"{finger}_distal" for finger in scene.measures.names), *tips("sticks"))
+        places = (*(f"{finger}_distal" for finger in scene.measures.names), *tips("sticks"))
         self._touch = (
-            tuple(f"recent_sensor_touch_{name}" for name in names) if options.forces else ()
+            tuple(f"recent_sensor_touch_{name}" for name in places) if options.forces else ()
         )
-        self.reads = ("qpos", "qvel", "stick_state", "tip_distance", "plan_ahead", *self._touch)
-        touching = len(gripping(context, "encoder").grip.touching)
+        self._from = tuple(f"from_{name}" for name in made.names) if made.several else ()
+        self.reads = (
+            "qpos", "qvel", "stick_state", "tip_distance", "plan_ahead", *self._touch, *self._from,
+            *(_OBJECT if options.object else ()),
+        )  # fmt: skip
         planned = GRIPPER + (2 * scene.hinges if options.planned_hand else 0)
-        self.shape = (2 * scene.hinges + 26 + touching + len(self._touch) + len(AHEAD) * planned,)
+        size = 2 * scene.hinges + 26 + touching + len(self._touch) + len(AHEAD) * planned
+        self.shape = (size + len(self._from) + (13 + 7 * len(AHEAD) if options.object else 0),)
 
     def encode(
         self,
@@ -45,7 +55,7 @@ class State(Encoder):
         stick_state: Tensor,
         tip_distance: Tensor,
         plan_ahead: Tensor,
-        **touch: Tensor,
+        **more: Tensor,
     ) -> Tensor:
         ahead = plan_ahead if self._options.planned_hand else plan_ahead[..., -GRIPPER:]
         count = self._hinges
@@ -55,8 +65,10 @@ class State(Encoder):
                 qvel[:, :count],
                 stick_state.flatten(1),
                 tip_distance,
-                *(torch.log1p(touch[name]) for name in self._touch),
+                *(torch.log1p(more[name]) for name in self._touch),
                 ahead.flatten(1),
+                *(more[name][:, None] for name in self._from),
+                *(more[name].flatten(1) for name in _OBJECT if self._options.object),
             ],
             dim=1,
         )
@@ -84,7 +96,7 @@ class Offsets(Actuation):
         arm, hand = len(ARM_POSE), made.scene.hinges - len(ARM_POSE)
         self._scale = torch.tensor([options.arm] * arm + [options.hand] * hand)
         self._scale = self._scale.to(context.device)
-        self._grip = made.targets[0]
+        self._grip = made.parallel
         self.action_space = box(made.scene.hinges)
 
     def control(self, action: Tensor, planned_targets: Tensor, planned_arm: Tensor) -> Tensor:

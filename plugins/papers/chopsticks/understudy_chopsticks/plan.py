@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,12 +20,13 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Shape
-from understudy_gripping.grip import Grip
+from understudy_gripping.grip import Grip, Grips
 from understudy_gripping.hold import hold, placed
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import upper_pose
 from understudy_tensors import rotations
+from understudy_tensors.groups import Groups
 
 #: How far ahead a policy sees the plan, s: six frames every 0.05 s (section 5.4.2).
 AHEAD = tuple(0.05 * k for k in range(1, 7))
@@ -35,59 +37,95 @@ _SETTLE = 0.5
 
 
 class Gripping:
-    """The task's grip in its scene: what plans, starts and targets share. Built once a task."""
+    """The task's grips in their scene: what plans, starts and targets share. Built once a task.
 
-    def __init__(self, grip: Grip, scene: HandScene, device: torch.device) -> None:
-        grip.need(scene)
-        self.grip, self.scene = grip, scene
+    C candidates; world i has the grip of number i mod C.
+    """
+
+    def __init__(self, grips: Grips, scene: HandScene, context: Context) -> None:
+        self.names, self.scene = tuple(grips.by_name), scene
+        self.grips = list(grips.by_name.values())
+        self.groups = Groups(self.names, context, tuple(grips.against))
+        #: Whether the job is shared, so that a world has to say whose it is.
+        self.several = len(self.names) + len(grips.against) > 1
+        first, device = self.grips[0], context.device
+        for name, grip in grips.by_name.items():
+            grip.need(scene)
+            if not np.array_equal(grip.angles, first.angles):
+                raise ConfigError(
+                    f"grip.candidates.{name} is solved at other angles than the first one. Find both by style."
+                )
         # Pressed against the sticks a hand is not quite where it just touches them.
-        settled = [self._settled(ARM_POSE, row) for row in range(len(grip.angles))]
-        poses = np.array([qpos[len(ARM_POSE) : scene.hinges] for qpos, _ in settled])
-        self.angles = torch.tensor(grip.angles, dtype=torch.float32, device=device)
-        #: (K, H) rad: the hand's poses, and targets of its servos, at the angles.
+        settled = [
+            [_settled(grip, scene, ARM_POSE, row) for row in range(len(grip.angles))]
+            for grip in self.grips
+        ]
+        poses = np.array([[q[len(ARM_POSE) : scene.hinges] for q, _ in rows] for rows in settled])
+        self.angles = torch.tensor(first.angles, dtype=torch.float32, device=device)
+        #: (C, K, H) rad: the hand's poses, and targets of its servos, at the angles.
         self.poses = torch.tensor(poses, dtype=torch.float32, device=device)
-        self.targets = torch.tensor(grip.targets, dtype=torch.float32, device=device)
-        #: (7,) the lower stick in the palm's frame.
-        self.lower = torch.tensor(settled[0][1], dtype=torch.float32, device=device)
+        targets = np.array([grip.targets for grip in self.grips])
+        self.targets = torch.tensor(targets, dtype=torch.float32, device=device)
+        #: (N, 7) the lower stick in the palm's frame, and (N, H) the targets that hold the sticks in parallel.
+        self.lower = self.of_worlds(np.array([rows[0][1] for rows in settled]))
+        self.parallel = self.of_worlds(targets[:, 0])
+
+    def of_worlds(self, rows: Any) -> Tensor:
+        """(N, …) float32 of `rows` (C, …); of one grip (1, …), which is that of all worlds."""
+        if len(self.grips) > 1:
+            return self.groups.of_worlds(rows)
+        return torch.as_tensor(rows, dtype=torch.float32).to(self.angles.device)
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """The fingers that touch a stick in any of the grips."""
+        names = self.scene.measures.names
+        return tuple(n for n in names if any(n in grip.touching for grip in self.grips))
 
     def begin(self, arm: np.ndarray) -> np.ndarray:
-        """(nq,) with the arm at `arm` (7,) rad and the sticks at the first of the angles."""
-        return self._settled(arm, 0)[0]
-
-    def _settled(
-        self, arm: np.ndarray | tuple[float, ...], row: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        grip, scene = self.grip, self.scene
-        data = placed(scene, np.asarray(arm), grip.poses[row], grip.upper[row], grip.lower)
-        held = hold(scene, data, np.array([*arm, *grip.targets[row]]), _SETTLE, 0.5 * _SETTLE)
-        if held.fell is not None:
-            raise ConfigError(
-                f"The grip does not hold the sticks with the arm at {np.round(arm, 3).tolist()} rad at an "
-                f"angle of {grip.angles[row]:g} rad: one falls after {held.fell:.2f} s. Choose another "
-                "grip (grip.file), arm (initial_states.arms) or contact (scene.contact)."
-            )
-        palm, stick = data.body("palm"), data.body(scene.tool_bodies[1])
-        turn = torch.tensor(palm.xmat.reshape(3, 3))
-        place = turn.T @ torch.tensor(stick.xpos - palm.xpos)
-        rotation = rotations.multiply(
-            rotations.conjugate(torch.tensor(palm.xquat)), torch.tensor(stick.xquat)
-        )
-        return held.qpos, torch.cat([place, rotation]).numpy()
+        """(C, nq) with the arm at `arm` (7,) rad and the sticks at the first of the angles."""
+        return np.array([_settled(grip, self.scene, arm, 0)[0] for grip in self.grips])
 
     def at(self, table: Tensor, angle: Tensor) -> tuple[Tensor, Tensor]:
-        """Of `table` (K, H) by angle: the values at `angle` (…), (…, H), and their slopes there."""
-        row = torch.bucketize(angle, self.angles[1:-1])
+        """Of `table` (C, K, H): the values at `angle` (N, …) of each world's own, (N, …, H), and their slopes
+        there."""
+        row = torch.bucketize(angle.contiguous(), self.angles[1:-1])
         low, high = self.angles[row], self.angles[row + 1]
-        first, second = table[row], table[row + 1]
+        if len(self.grips) == 1:
+            first, second = table[0, row], table[0, row + 1]
+        else:
+            own = self.groups.number.view(-1, *[1] * (angle.dim() - 1)).expand_as(angle)
+            first, second = table[own, row], table[own, row + 1]
         slope = (second - first) / (high - low)[..., None]
         return first + slope * (angle - low)[..., None], slope
+
+
+def _settled(
+    grip: Grip, scene: HandScene, arm: np.ndarray | tuple[float, ...], row: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(nq,) after some holding at the angle number `row`; (7,) the lower stick in the palm's frame."""
+    data = placed(scene, np.asarray(arm), grip.poses[row], grip.upper[row], grip.lower)
+    held = hold(scene, data, np.array([*arm, *grip.targets[row]]), _SETTLE, 0.5 * _SETTLE)
+    if held.fell is not None:
+        raise ConfigError(
+            f"The grip does not hold the sticks with the arm at {np.round(arm, 3).tolist()} rad at an "
+            f"angle of {grip.angles[row]:g} rad: one falls after {held.fell:.2f} s. Choose another "
+            "grip (grip.file), arm (initial_states.arms) or contact (scene.contact)."
+        )
+    palm, stick = data.body("palm"), data.body(scene.tool_bodies[1])
+    turn = torch.tensor(palm.xmat.reshape(3, 3))
+    place = turn.T @ torch.tensor(stick.xpos - palm.xpos)
+    rotation = rotations.multiply(
+        rotations.conjugate(torch.tensor(palm.xquat)), torch.tensor(stick.xquat)
+    )
+    return held.qpos, torch.cat([place, rotation]).numpy()
 
 
 def gripping(context: Context, who: str) -> Gripping:
     """The task's, from the config section ``grip``."""
     scene = context.need_scene(HandScene, who)
-    grip = context.need_section("grip", Grip, who)
-    return context.once("gripping", lambda: Gripping(grip, scene, context.device))
+    grips = context.need_section("grip", Grips, who)
+    return context.once("gripping", lambda: Gripping(grips, scene, context))
 
 
 def angle_at(amplitude: Tensor, rate: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
@@ -168,7 +206,7 @@ class Plan(Fields):
         made = self._gripping
         angle, turning = angle_at(amplitude, rate, time)
         hand, slope = made.at(made.poses, angle)
-        lower = made.lower.expand(*angle.shape, 7)
+        lower = made.lower.view(-1, *[1] * (angle.dim() - 1), 7).expand(*angle.shape, 7)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
         return (
@@ -182,7 +220,7 @@ class OpenAndClose(InitialStates):
     """Holding the sticks in parallel; each episode has a motion, and a direction in which they point.
 
     ``motion_amplitude`` () rad and ``motion_rate`` () Hz are drawn uniformly, ``planned_arm`` (7,) rad is one of
-    `arms`.
+    `arms`. Where several grips share the job, ``from_NAME`` () is 1 in the worlds of that one.
     """
 
     varies = ()
@@ -213,7 +251,7 @@ class OpenAndClose(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "initial_states 'chopsticks/open_and_close'")
         self._options, model = options, made.scene.model
-        most = float(made.grip.angles[-1])
+        most = float(made.angles[-1])
         if options.amplitude[1] > most:
             raise ConfigError(
                 f"initial_states.amplitude={list(options.amplitude)} is not possible: the grip closes to "
@@ -228,22 +266,27 @@ class OpenAndClose(InitialStates):
         device = context.device
         self._arms = torch.tensor(arms, dtype=torch.float32, device=device)
         starts = np.array([made.begin(arm) for arm in arms])
+        #: (A, C, nq)
         self._starts = torch.tensor(starts, dtype=torch.float32, device=device)
         self._velocity = torch.zeros(model.nv, device=device)
+        self._groups = made.groups
         self.episode_fields = {
             "motion_amplitude": (),
             "motion_rate": (),
             "planned_arm": (len(ARM_POSE),),
+            **(made.groups.fields if made.several else {}),
         }
+        self._flags = made.groups.flags() if made.several else {}
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         drawn = streams.uniform(3)
         row = (drawn[:, 0] * len(self._arms)).long()
         (a, b), (c, d) = self._options.amplitude, self._options.rate
         return {
-            "qpos": self._starts[row],
+            "qpos": self._starts[row, self._groups.number],
             "qvel": self._velocity.expand(len(drawn), -1),
             "motion_amplitude": a + (b - a) * drawn[:, 1],
             "motion_rate": c + (d - c) * drawn[:, 2],
             "planned_arm": self._arms[row],
+            **self._flags,
         }

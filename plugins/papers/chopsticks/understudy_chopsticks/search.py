@@ -11,18 +11,20 @@ from typing import Any, Literal
 from understudy import random
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.gp_ucb import GPUCB
+from understudy_bayes.side_by_side import CANDIDATE, reports, together
 from understudy_bayes.space import Parameter
 from understudy_bayes.surrogate import SurrogateOptions
 from understudy_gripping.pose import first_guess
 from understudy_gripping.styles import Style, read_style, styles, written
 from understudy_hand.table import FEWEST, FINGERS
 from understudy_hand.tools import HALF_LENGTH
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 
 class GripSearch(OuterLoop):
-    """A search of its own for each style, asked in turn. A trial is a training of one candidate.
+    """A search of its own for each style, asked in turn. A trial trains one candidate, or, with `together`, one of
+    each of several styles in one job.
 
     A candidate whose fingers do not reach, or that lets the sticks fall within a second, costs no sample; it
     counts as an evaluation that failed.
@@ -39,58 +41,80 @@ class GripSearch(OuterLoop):
         initial: int = 4  #: of them, at points that no model chose
         #: m: how far each finger's place may be from a first guess, either way
         spread: float = 0.025
+        together: int = 1  #: styles whose candidates share one job, each in worlds of its own
         #: how a style's scores are modelled
         surrogate: SurrogateOptions = field(default_factory=SurrogateOptions)
 
         def __post_init__(self) -> None:
             check_range(self, "fingers", least=FEWEST, most=len(FINGERS))
-            check_range(self, "evaluations", "initial", least=1)
+            check_range(self, "evaluations", "initial", "together", least=1)
             check_range(self, "spread", above=0, most=HALF_LENGTH)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
         chosen: Sequence[Style] = [read_style(text, options.fingers) for text in options.styles]
         chosen = list(dict.fromkeys(chosen)) or styles(options.fingers)
-        self._evaluations = options.evaluations
+        self._evaluations, self._shared = options.evaluations, options.together > 1
         self._searches = {written(style): _search(style, options, seed) for style in chosen}
-        self._infeasible = 0
+        names = list(self._searches)
+        #: The styles of each of a round's trials.
+        self._jobs = [
+            names[k : k + options.together] for k in range(0, len(names), options.together)
+        ]
+        self._begun: set[str] = set()  #: styles with a candidate that could begin
         self._told = 0
 
     def ask(self, number: int) -> Trial | None:
-        names = list(self._searches)
-        turn, row = divmod(number, len(names))
+        turn, row = divmod(number, len(self._jobs))
         if turn >= self._evaluations:
             return None
-        trial = self._searches[names[row]].ask(turn)
-        if trial is None:
+        asked = {style: self._searches[style].ask(turn) for style in self._jobs[row]}
+        trials = {style: trial for style, trial in asked.items() if trial is not None}
+        if len(trials) < len(asked):
             return None
-        return dataclasses.replace(
-            trial, key=f"{names[row]}-{turn}", overrides=(f"grip.style='{names[row]}'",)
-        )
+        if self._shared:
+            shared = {_NAME + style: _of(style, trial, _SHARED) for style, trial in trials.items()}
+            return together(f"round{turn}-{row}", shared, (_MEASURE,))
+        ((style, trial),) = trials.items()
+        return dataclasses.replace(_of(style, trial, "grip."), key=f"{style}-{turn}")
 
     def recall(self, trial: Trial) -> bool:
-        style, own = self._own(trial.key)
-        if style not in self._searches:
-            raise ConfigError(
-                f"Trial '{trial.key}' is of a style that this search has not got. Give run.dir another folder."
-            )
-        return self._searches[style].recall(dataclasses.replace(trial, key=own, overrides=()))
+        wanted = []
+        for style, key in self._own(trial.key).items():
+            if style not in self._searches:
+                raise ConfigError(
+                    f"Trial '{trial.key}' is of a style that this search has not got. Give run.dir another folder."
+                )
+            search = self._searches[style]
+            front = _SHARED.replace(CANDIDATE, _NAME + style) if self._shared else "grip."
+            point = {
+                "grip." + path.removeprefix(front): value
+                for path, value in trial.point.items()
+                if path.startswith(front)
+            }
+            wanted.append(search.recall(Trial(key, point=point)))
+        return all(wanted)
 
     def tell(self, report: Report) -> Literal["stop"] | None:
-        style, own = self._own(report.key)
-        if style not in self._searches:
-            return None
-        # Of a style without a feasible candidate the others know nothing.
-        with contextlib.suppress(ConfigError):
-            self._searches[style].tell(dataclasses.replace(report, key=own))
-        if report.final:
-            self._told += 1
-            self._infeasible += report.status != "ok" and report.cost == 0
-            self.share = self._told / (self._evaluations * len(self._searches))
-            if self._infeasible == self._told == len(self._searches) > 1:
-                raise ConfigError(
-                    f"No style's first candidate could begin; of '{report.key}', {report.status} Correct "
-                    "the experiment, and give run.dir another folder."
-                )
+        own = {s: key for s, key in self._own(report.key).items() if s in self._searches}
+        if self._shared and report.final:
+            named = {_NAME + style: key for style, key in own.items()}
+            found = reports(report, named, _OBJECTIVE)
+            told = {style: found[_NAME + style] for style in own}
+        else:
+            told = {style: dataclasses.replace(report, key=key) for style, key in own.items()}
+        for style, one in told.items():
+            # Of a style without a feasible candidate the others know nothing.
+            with contextlib.suppress(ConfigError):
+                self._searches[style].tell(one)
+            if report.final:
+                self._told += 1
+                self._begun |= {style} if one.status == "ok" or one.cost > 0 else set()
+                self.share = self._told / (self._evaluations * len(self._searches))
+        if report.final and not self._begun and self._told == len(self._searches) > 1:
+            raise ConfigError(
+                f"No style's first candidate could begin; of '{report.key}', {report.status} Correct "
+                "the experiment, and give run.dir another folder."
+            )
         return None
 
     def summary(self) -> list[dict[str, Any]]:
@@ -101,10 +125,35 @@ class GripSearch(OuterLoop):
             for row in search.summary()
         ]
 
-    @staticmethod
-    def _own(key: str) -> tuple[str, str]:
-        style, _, number = key.rpartition("-")
-        return style, f"trial{number}"
+    def _own(self, key: str) -> dict[str, str]:
+        """By style of the trial `key`: its name in that style's search."""
+        if not self._shared:
+            style, _, number = key.rpartition("-")
+            return {style: f"trial{number}"}
+        turn, _, row = key.removeprefix("round").partition("-")
+        numbers = key.startswith("round") and turn.isdecimal() and row.isdecimal()
+        if not (numbers and int(row) < len(self._jobs)):
+            raise ConfigError(
+                f"Trial '{key}' is of a search with other jobs (outer_loop.together). Give run.dir another folder."
+            )
+        return dict.fromkeys(self._jobs[int(row)], f"trial{turn}")
+
+
+#: A candidate's name is a style's digits after this: a number is no name of a field.
+_NAME = "s"
+#: Where a candidate of several stands, and by which measure it is judged.
+_SHARED = f"grip.candidates.{CANDIDATE}."
+_OBJECTIVE = f"score_{CANDIDATE}"
+_MEASURE = (
+    f"measure.{_OBJECTIVE}={{name: value_where, reads: {{value: reward, where: from_{CANDIDATE}}}, "
+    "reduce: mean}"
+)
+
+
+def _of(style: str, trial: Trial, front: str) -> Trial:
+    """A style's `trial` as one whose options stand behind `front` in the configuration."""
+    point = {front + path.removeprefix("grip."): value for path, value in trial.point.items()}
+    return dataclasses.replace(trial, overrides=(f"{front}style='{style}'",), point=point)
 
 
 def _search(style: Style, options: GripSearch.Options, seed: int) -> GPUCB:

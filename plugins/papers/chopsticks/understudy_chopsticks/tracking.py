@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,10 +16,10 @@ from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
 from understudy.task.terms import ranges
 from understudy_chopsticks.plan import gripping
-from understudy_gripping.distances import at, place_on_segment
 from understudy_gripping.pose import sides
 from understudy_hand.tools import RADIUS
 from understudy_tensors import rotations
+from understudy_tensors.segments import at, place_on_segment
 
 
 class Tracking(Fields):
@@ -29,7 +30,8 @@ class Tracking(Fields):
       sticks' axes and the planned ones; ``stick_rotation`` (2,) rad, the same with the spin about the axis
     - ``angle`` () rad, between the sticks as the plan means it: about the lower one's z axis
     - ``angle_error`` () rad, of that, without sign
-    - ``tip_distance`` (F,) m, of fingertips from their places on the sticks
+    - ``tip_distance`` (F,) m, of fingertips from their places on the sticks; where several grips share the job, of
+      all fingers that touch in any, 0 of one that does not in its own
     """
 
     reads = (
@@ -48,19 +50,27 @@ class Tracking(Fields):
 
     def __init__(self, options: None, context: Context) -> None:
         made = gripping(context, "fields 'chopsticks/tracking'")
-        model, grip, device = made.scene.model, made.grip, context.device
+        model, device = made.scene.model, context.device
         bodies = [model.body(name).id for name in ("palm", *made.scene.tool_bodies)]
         self._bodies = torch.tensor(bodies, device=device)
         self._roots = torch.tensor(model.body_rootid[bodies], dtype=torch.long, device=device)
-        tips = [model.geom(f"{finger}_distal").id for finger in grip.touching]
+        tips = [model.geom(f"{finger}_distal").id for finger in made.touching]
         self._tips = torch.tensor(tips, device=device)
         self._half = torch.tensor(model.geom_size[tips, 1], dtype=torch.float32, device=device)
         self._radii = torch.tensor(model.geom_size[tips, 0], dtype=torch.float32, device=device)
-        touching = [k for k, stick in enumerate(grip.style) if stick]
-        self._sticks = torch.tensor([grip.style[k] - 1 for k in touching], device=device)
-        side = torch.tensor([sides(grip.style)[k] for k in touching])
-        places = torch.tensor(grip.places)[:, None] * torch.tensor([1.0, 0.0, 0.0])
-        self._goals = (places + RADIUS * side).float().to(device)
+        #: By world: the stick that a finger touches, its place on it, and 0 for one that touches none.
+        sticks, goals, touches = [], [], []
+        for grip in made.grips:
+            places = dict(zip(grip.touching, grip.places, strict=True))
+            rows = [made.scene.measures.names.index(name) for name in made.touching]
+            side = [sides(grip.style)[row] for row in rows]
+            along = [(places.get(name, 0.0), 0.0, 0.0) for name in made.touching]
+            sticks.append([max(grip.style[row] - 1, 0) for row in rows])
+            goals.append((np.array(along) + RADIUS * np.array(side)).tolist())
+            touches.append([float(name in places) for name in made.touching])
+        self._sticks = made.of_worlds(sticks).long()
+        self._goals = made.of_worlds(goals)
+        self._touches = made.of_worlds(touches)
         self._x = torch.tensor([1.0, 0.0, 0.0], device=device)
         self._z = torch.tensor([0.0, 0.0, 1.0], device=device)
         self.provides = {**self.provides, "tip_distance": (len(tips),)}
@@ -97,8 +107,9 @@ class Tracking(Fields):
         wanted = rotations.rotate(planned[..., 3:], self._x)
         upper = rotations.inverse_rotate(rotation[:, 1], axes[:, 0])
         angle = torch.atan2(upper[:, 1], upper[:, 0])
-        goals = places[:, 1:][:, self._sticks] + rotations.rotate(
-            turns[:, 1:][:, self._sticks], self._goals
+        touched = self._sticks.expand(len(xpos), -1)[..., None]
+        goals = places[:, 1:].gather(1, touched.expand(-1, -1, 3)) + rotations.rotate(
+            turns[:, 1:].gather(1, touched.expand(-1, -1, 4)), self._goals
         )
         return {
             "stick_state": torch.cat(state, dim=-1),
@@ -117,7 +128,7 @@ class Tracking(Fields):
         ends = torch.stack([middle - reach, middle + reach], dim=-2)
         nearest = at(ends, place_on_segment(goals, ends))
         away = torch.linalg.vector_norm(nearest - goals, dim=-1) - self._radii
-        return away.clamp(min=0.0)
+        return away.clamp(min=0.0) * self._touches
 
 
 def _between(one: Tensor, other: Tensor) -> Tensor:

@@ -8,37 +8,34 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("curricula", "networks", "tensors", "characters", "humanoid", "motion", "mujoco", "ppo")
 
-_HERE = "understudy_deepmimic"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "reward": {
+        "deepmimic/pose": ("rewards:pose", "joint orientations"),
+        "deepmimic/velocity": ("rewards:Velocity", "joint angular velocities"),
+        "deepmimic/end_effectors": ("rewards:end_effectors", "hands and feet"),
+        "deepmimic/com": ("rewards:com", "centre of mass"),
+        "deepmimic/imitation": ("rewards:Imitation", "all four, weighted"),
+    },
+    "encoder": {
+        "deepmimic/state": ("encoders:StateEncoder", "links and phase"),
+    },
+    "curriculum": {
+        "deepmimic/adaptive": ("curricula:Adaptive", "episodes get longer while few fail"),
+        "deepmimic/annealed": ("curricula:Annealed", "episodes get longer by samples"),
+    },
+    "termination": {
+        "deepmimic/horizon": ("horizon:Horizon", "T(z) is over"),
+    },
+    "measure": {
+        "deepmimic/normalised_return": ("horizon:NormalisedReturn", "the episode's return by T(z)"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    add = register.component
-    add("reward", "deepmimic/pose", f"{_HERE}.rewards:pose", "joint orientations")
-    add("reward", "deepmimic/velocity", f"{_HERE}.rewards:Velocity", "joint angular velocities")
-    add("reward", "deepmimic/end_effectors", f"{_HERE}.rewards:end_effectors", "hands and feet")
-    add("reward", "deepmimic/com", f"{_HERE}.rewards:com", "centre of mass")
-    add("reward", "deepmimic/imitation", f"{_HERE}.rewards:Imitation", "all four, weighted")
-    add("encoder", "deepmimic/state", f"{_HERE}.encoders:StateEncoder", "links and phase")
-    add(
-        "curriculum",
-        "deepmimic/adaptive",
-        f"{_HERE}.curricula:Adaptive",
-        "episodes get longer while few fail",
-    )
-    add(
-        "curriculum",
-        "deepmimic/annealed",
-        f"{_HERE}.curricula:Annealed",
-        "episodes get longer by samples",
-    )
-    add("termination", "deepmimic/horizon", f"{_HERE}.horizon:Horizon", "T(z) is over")
-    add(
-        "measure",
-        "deepmimic/normalised_return",
-        f"{_HERE}.horizon:NormalisedReturn",
-        "the episode's return over T(z)",
-    )
+    register.parts(__name__, PARTS)
     register.task("deepmimic/walk", "imitate a clip: pose, velocity, end-effectors, centre of mass")
     register.citation(
         "deepmimic",

@@ -8,44 +8,52 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("networks", "tensors", "terms", "bayes", "ppo", "report", "sweeps")
 
-#: By module and kind: the component's name, its class or function, and what it is.
-_PARTS = {
-    ("search", "outer_loop"): {
-        "diversity/bayesian": ("DiversitySearch", "Bayesian diversity search"),
-        "diversity/random": ("RandomDiversity", "strategies at points drawn uniformly"),
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "outer_loop": {
+        "diversity/bayesian": ("search:DiversitySearch", "Bayesian diversity search"),
+        "diversity/random": ("search:RandomDiversity", "strategies at points drawn uniformly"),
+        "diversity/map_elites": ("map_elites:MapElites", "MAP-Elites, through pyribs"),
+        "diversity/novel_policies": ("novel_policies:NovelPolicies", "other ways of strategies"),
     },
-    ("map_elites", "outer_loop"): {
-        "diversity/map_elites": ("MapElites", "MAP-Elites, through pyribs"),
+    "reward": {
+        "diversity/novelty": ("novelty:Novelty", "unlike the strategies known"),
+        "diversity/passing": ("vault:passing", "passed the bar, the higher the better"),
     },
-    ("novel_policies", "outer_loop"): {
-        "diversity/novel_policies": ("NovelPolicies", "other policies from strategies found"),
+    "command": {
+        "diversity count": ("count:Count", "how many different strategies searches found"),
     },
-    ("novelty", "reward"): {"diversity/novelty": ("Novelty", "unlike the strategies known")},
-    ("count", "command"): {
-        "diversity count": ("Count", "how many different strategies searches found")
+    "sweep_page": {
+        "diversity/gallery": ("gallery:Gallery", "the strategies of a search"),
     },
-    ("gallery", "sweep_page"): {"diversity/gallery": ("Gallery", "the strategies of a search")},
-    ("vault", "scene"): {"diversity/vault": ("VaultScene", "a jumper and a bar, in the plane")},
-    ("vault", "simulator"): {"diversity/vault": ("Vault", "a body that tucks and turns in flight")},
-    ("vault", "initial_states"): {"diversity/take_off": ("TakeOff", "spin, climb and lean")},
-    ("vault", "fields"): {"diversity/bar": ("Bar", "how high above the bar the body is")},
-    ("vault", "encoder"): {"diversity/body_state": ("BodyState", "the body in flight")},
-    ("vault", "actuation"): {"diversity/limbs": ("Limbs", "how tucked to be, how hard to turn")},
-    ("vault", "reward"): {
-        "diversity/passing": ("passing", "passed the bar, the higher the better")
+    "scene": {
+        "diversity/vault": ("vault:VaultScene", "a jumper and a bar, in the plane"),
     },
-    ("vault", "termination"): {
-        "diversity/knocked": ("knocked", "passed the bar too low"),
-        "diversity/landed": ("landed", "on the mat behind the bar"),
+    "simulator": {
+        "diversity/vault": ("vault:Vault", "a body that tucks and turns in flight"),
+    },
+    "initial_states": {
+        "diversity/take_off": ("vault:TakeOff", "spin, climb and lean"),
+    },
+    "fields": {
+        "diversity/bar": ("vault:Bar", "how high above the bar the body is"),
+    },
+    "encoder": {
+        "diversity/body_state": ("vault:BodyState", "the body in flight"),
+    },
+    "actuation": {
+        "diversity/limbs": ("vault:Limbs", "how tucked to be, how hard to turn"),
+    },
+    "termination": {
+        "diversity/knocked": ("vault:knocked", "passed the bar too low"),
+        "diversity/landed": ("vault:landed", "on the mat behind the bar"),
     },
 }
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    for (module, kind), parts in _PARTS.items():
-        for name, (target, summary) in parts.items():
-            register.component(kind, name, f"understudy_diversity.{module}:{target}", summary)
+    register.parts(__name__, PARTS)
     register.task("diversity/vault", "a body passes over a bar in one way or another")
     register.citation(
         "diversity",

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_diversity.strategies import (
     SUCCESS,
     Feature,
@@ -24,6 +23,7 @@ from understudy_diversity.strategies import (
     kinds,
 )
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 
 class NovelPolicies(OuterLoop):

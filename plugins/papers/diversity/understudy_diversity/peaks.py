@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -50,7 +51,8 @@ def take_of(run: Path, folder: Path, name: str, options: GalleryOptions) -> Take
         return Take(None, None, None, str(error))
     except Exception as error:  # a scene may come from any plugin
         return Take(None, None, None, f"It cannot be drawn: {error}")
-    if film.exists() and still.exists() and film.stat().st_mtime > _made(run):
+    made = (run / "recording.npz").stat().st_mtime_ns
+    if film.exists() and still.exists() and film.stat().st_mtime_ns == made:
         return Take(film, still, outline)
     every = round(np.clip(1.0 / (30.0 * _SLOWER * dt), 1, length))
     shown = np.arange(0, length, every)
@@ -66,13 +68,10 @@ def take_of(run: Path, folder: Path, name: str, options: GalleryOptions) -> Take
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_video(film, frames(), 1.0 / (every * dt * _SLOWER))
+        os.utime(film, ns=(made, made))  # of which recording it is, whatever clocks say
     except Exception as error:  # a scene may come from any plugin
         return Take(None, None, outline, f"It cannot be drawn: {error}")
     return Take(film, still if still.exists() else None, outline)
-
-
-def _made(run: Path) -> float:
-    return (run / "recording.npz").stat().st_mtime
 
 
 def peak_of(tracks: dict[str, np.ndarray], options: GalleryOptions) -> int:

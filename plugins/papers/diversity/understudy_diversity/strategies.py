@@ -17,10 +17,10 @@ from torch.nn.functional import normalize
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.space import Parameter, check_paths
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 SUCCESS = "success_rate"
 #: Of a feature: larger ones are a simulation's that blew up, and their distances no numbers.

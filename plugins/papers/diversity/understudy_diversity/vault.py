@@ -70,7 +70,11 @@ class VaultScene(Scene):
 
 class Vault(TensorSimulator):
     """A body in flight, semi-implicit Euler; a control is (N, 2): how tucked to be, in [0, 1], and the
-    angular acceleration in rad/s² while the foot is on the floor."""
+    angular acceleration in rad/s² while the foot is on the floor.
+
+    *Limits:* two dimensions; nothing stops it but the floor, which its middle does not
+    pass.
+    """
 
     state_fields = ("position", "velocity", "pitch", "spin", "tuck")
     control_size = 2

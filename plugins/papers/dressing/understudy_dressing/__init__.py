@@ -10,36 +10,37 @@ REQUIRES = (
     "cloth", "composite", "mujoco", "networks", "ppo", "report", "tensors", "terms", "warp_torch",
 )  # fmt: skip
 
-_HERE = "understudy_dressing"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "scene": {
+        "dressing/person": ("person:PersonScene", "a torso with arms, and a gripper"),
+        "dressing/sleeve": ("sleeve:SleeveScene", "a sleeve that a gripper holds"),
+    },
+    "fields": {
+        "dressing/sleeve_state": ("state:SleeveState", "touch and limb in a sleeve"),
+    },
+    "encoder": {
+        "dressing/sleeve": ("parts:SleeveObservation", "equations 2 to 7"),
+    },
+    "actuation": {
+        "dressing/torques": ("parts:Torques", "the joints' torques"),
+    },
+    "initial_states": {
+        "dressing/track": ("initial_states:Track", "a sleeve on its way"),
+    },
+    "reward": {
+        "dressing/deformation": ("terms:deformation", "equation 13: stretched cloth"),
+        "dressing/geodesic": ("terms:geodesic", "equation 15: touched near the sleeve's opening"),
+        "dressing/along_task_vector": ("terms:along_task_vector", "eq. 16: the fingertip's way"),
+        "dressing/target_pose": ("terms:TargetPose", "equation 17: distance from a pose"),
+        "dressing/upright": ("terms:Upright", "the torso's and the head's lean"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    add = register.component
-    add(
-        "scene",
-        "dressing/person",
-        f"{_HERE}.person:PersonScene",
-        "a torso with arms, and a gripper",
-    )
-    add("scene", "dressing/sleeve", f"{_HERE}.sleeve:SleeveScene", "a sleeve that a gripper holds")
-    add(
-        "fields",
-        "dressing/sleeve_state",
-        f"{_HERE}.state:SleeveState",
-        "touch and limb in a sleeve",
-    )
-    add("encoder", "dressing/sleeve", f"{_HERE}.parts:SleeveObservation", "equations 2 to 7")
-    add("actuation", "dressing/torques", f"{_HERE}.parts:Torques", "the joints' torques")
-    add("initial_states", "dressing/track", f"{_HERE}.initial_states:Track", "a sleeve on its way")
-    for name, function, summary in (
-        ("deformation", "deformation", "equation 13: stretched cloth"),
-        ("geodesic", "geodesic", "equation 15: touched near the opening, along the cloth"),
-        ("along_task_vector", "along_task_vector", "equation 16: the fingertip's way"),
-        ("target_pose", "TargetPose", "equation 17: distance from a pose"),
-        ("upright", "Upright", "the torso's and the head's lean"),
-    ):
-        add("reward", f"dressing/{name}", f"{_HERE}.terms:{function}", summary)
+    register.parts(__name__, PARTS)
     register.citation(
         "dressing",
         "Clegg, Yu, Tan, Liu, Turk 2018. Learning to dress: synthesizing human dressing motion via deep "

@@ -29,6 +29,8 @@ _SKIN, _STEEL = (0.85, 0.62, 0.45, 1.0), (0.45, 0.50, 0.56, 1.0)
 
 @dataclass(frozen=True)
 class Hinge:
+    """A hinge with a motor."""
+
     name: str
     axis: Vector
     low: float  #: rad

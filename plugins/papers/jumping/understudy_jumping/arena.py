@@ -30,6 +30,8 @@ _OBSTACLE, _GAP, _THICK = "obstacle", 0.02, 0.8
 
 @dataclass(frozen=True)
 class ArenaOptions:
+    """The obstacle and the mat behind it."""
+
     height: tuple[float, float] = (
         0.5,
         2.0,

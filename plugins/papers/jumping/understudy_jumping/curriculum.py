@@ -13,6 +13,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Curriculum, Rollout, Shape, State
+from understudy_tensors.groups import Groups
 
 
 class Accumulated(Curriculum):
@@ -56,7 +57,7 @@ class Accumulated(Curriculum):
         first = self._target if context.evaluating else min(options.start, self._target)
         self._difficulty = [first] * options.groups
         self._sums = [0.0] * options.groups
-        self._group = torch.arange(context.num_worlds, device=context.device) % options.groups
+        self._groups = Groups([str(row) for row in range(options.groups)], context)
         self._on_device = torch.full((context.num_worlds,), first, device=context.device)
         self.provides: Mapping[str, Shape] = {"difficulty": ()}
 
@@ -70,15 +71,13 @@ class Accumulated(Curriculum):
 
     def _set(self) -> None:
         values = torch.tensor(self._difficulty, device=self._on_device.device)
-        self._on_device.copy_(values[self._group])
+        self._on_device.copy_(self._groups.of_worlds(values))
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options, before = self._options, self.decision()
         ended = rollout.ended.double()
         returns = (ended * rollout.episode_returns).sum(dim=0)
-        sums = torch.zeros(2, options.groups, dtype=torch.float64, device=returns.device)
-        sums[0].index_add_(0, self._group, ended.sum(dim=0))
-        sums[1].index_add_(0, self._group, returns)
+        sums = self._groups.sums(torch.stack([ended.sum(dim=0), returns]))
         counts, totals = distributed.total(sums).tolist()
         share = rollout.rewards.numel() * distributed.size() / options.batch
         rose = False

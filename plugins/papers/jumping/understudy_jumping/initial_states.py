@@ -19,6 +19,7 @@ from understudy_jumping.run_up import takeoff_features
 from understudy_jumping.takeoff import POSES, Takeoff, takeoff_states
 from understudy_skills import bank
 from understudy_tensors import rotations
+from understudy_tensors.groups import Groups
 
 EPISODE_FIELDS: Mapping[str, Shape] = {
     "obstacle_height": (), "obstacle_width": (), "mat_height": (),
@@ -83,18 +84,10 @@ class Takeoffs(InitialStates):
         names = sorted(options.others)
         takeoffs = [options.takeoff, *(options.others[name] for name in names)]
         states = takeoff_states(scene.character, POSES[options.pose], takeoffs)
-        number = torch.arange(context.num_worlds, device=context.device) % len(takeoffs)
-
-        def of_worlds(rows: object) -> Tensor:
-            return torch.as_tensor(rows, dtype=torch.float32).to(context.device)[number]
-
-        self._qpos, self._qvel = (of_worlds(rows) for rows in states)
-        self._features = of_worlds([takeoff.features for takeoff in takeoffs])
-        self._from = {
-            f"from_{name}": (number == place).float()
-            for place, name in enumerate(["takeoff", *names])
-        }
-        self.episode_fields = {**EPISODE_FIELDS, **dict.fromkeys(self._from, ())}
+        self._groups = Groups(["takeoff", *names], context)
+        self._qpos, self._qvel = (self._groups.of_worlds(rows) for rows in states)
+        self._features = self._groups.of_worlds([takeoff.features for takeoff in takeoffs])
+        self.episode_fields = {**EPISODE_FIELDS, **self._groups.fields}
         self._at = layout.root_address
         self._hinges = layout.hinge_qpos[layout.hinge_used.bool()].to(context.device)
         self._balls = layout.ball_qpos.to(context.device)
@@ -116,7 +109,7 @@ class Takeoffs(InitialStates):
             "qpos": qpos,
             "qvel": self._qvel + velocities,
             "takeoff_features": self._features,
-            **self._from,
+            **self._groups.flags(),
             **obstacle_at(self._arena, difficulty),
         }
 

@@ -8,56 +8,71 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sweeps")
 
-#: By module and kind: the component's name less ``miniature.``, its class or function, and what it is.
-_PARTS = {
-    ("plane", "scene"): {"plane": ("PlaneScene", "points on a plane")},
-    ("plane", "simulator"): {"plane": ("Plane", "points with drag, gravity, springs")},
-    ("plane", "initial_states"): {"somewhere": ("Somewhere", "points around a place")},
-    ("plane", "fields"): {
-        "body": ("Body", "one point's position and velocity"),
-        "place": ("Place", "a place that never moves"),
-        "offset": ("Offset", "the way to a target"),
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "scene": {
+        "miniature/plane": ("plane:PlaneScene", "points on a plane"),
+        "miniature/grains": ("amorphous:GrainsScene", "grains and a tool"),
+        "miniature/arm": ("styles:ArmScene", "an arm of many joints"),
     },
-    ("plane", "encoder"): {
-        "reach": ("Reach", "the way to go and the velocity"),
-        "motion": ("Motion", "the velocity"),
+    "simulator": {
+        "miniature/plane": ("plane:Plane", "points with drag, gravity, springs"),
+        "miniature/grains": ("amorphous:Grains", "a tool pushes grains"),
+        "miniature/arm": ("styles:Arm", "joints that follow targets"),
     },
-    ("plane", "actuation"): {"force": ("Force", "the action is a force")},
-    ("plane", "measure"): {"slow": ("slow", "at rest")},
-    ("plane", "reward"): {"near": ("near", "near a target"), "slow": ("slow", "at rest")},
-    ("sitting", "fields"): {"contact": ("Contact", "at rest on the seat")},
-    ("amorphous", "scene"): {"grains": ("GrainsScene", "grains and a tool")},
-    ("amorphous", "simulator"): {"grains": ("Grains", "a tool pushes grains")},
-    ("amorphous", "initial_states"): {"clusters": ("Clusters", "grains around some centres")},
-    ("amorphous", "fields"): {"heap": ("Heap", "how far grains are spread")},
-    ("amorphous", "encoder"): {
-        "density_map": ("DensityMap", "grains as an image"),
-        "tool": ("ToolState", "the tool's state"),
+    "initial_states": {
+        "miniature/somewhere": ("plane:Somewhere", "points around a place"),
+        "miniature/clusters": ("amorphous:Clusters", "grains around some centres"),
+        "miniature/straight": ("styles:Straight", "the arm nearly straight"),
     },
-    ("amorphous", "actuation"): {"tool_target": ("ToolTarget", "where the tool should go")},
-    ("amorphous", "reward"): {"gathered": ("gathered", "grains came nearer")},
-    ("jumping", "fields"): {"bar": ("Bar", "a bar, and how it is crossed")},
-    ("jumping", "encoder"): {"run": ("Run", "position, velocity, the bar's height")},
-    ("jumping", "actuation"): {"legs": ("Legs", "pushes against the floor")},
-    ("jumping", "termination"): {
-        "cleared": ("cleared", "passed above the bar"),
-        "knocked": ("knocked", "ran into the bar"),
+    "fields": {
+        "miniature/body": ("plane:Body", "one point's position and velocity"),
+        "miniature/place": ("plane:Place", "a place that never moves"),
+        "miniature/offset": ("plane:Offset", "the way to a target"),
+        "miniature/contact": ("sitting:Contact", "at rest on the seat"),
+        "miniature/heap": ("amorphous:Heap", "how far grains are spread"),
+        "miniature/bar": ("jumping:Bar", "a bar, and how it is crossed"),
+        "miniature/tip": ("styles:Tip", "where the arm ends"),
     },
-    ("jumping", "measure"): {"height": ("height", "clearance at the bar")},
-    ("jumping", "reward"): {
-        "completion": ("completion", "nearly cleared, with little effort"),
-        "forward": ("forward", "runs forward"),
+    "encoder": {
+        "miniature/reach": ("plane:Reach", "the way to go and the velocity"),
+        "miniature/motion": ("plane:Motion", "the velocity"),
+        "miniature/density_map": ("amorphous:DensityMap", "grains as an image"),
+        "miniature/tool": ("amorphous:ToolState", "the tool's state"),
+        "miniature/run": ("jumping:Run", "position, velocity, the bar's height"),
+        "miniature/posture": ("styles:Posture", "joint angles and the target"),
     },
-    ("cmfbo", "outer_loop"): {"random": ("RandomFidelity", "random points, rising fidelity")},
-    ("poses", "poses"): {"arcs": ("Arcs", "arcs and waves of an arm")},
-    ("poses", "job"): {"autoencoder": ("LearnPoses", "an auto-encoder of poses")},
-    ("styles", "scene"): {"arm": ("ArmScene", "an arm of many joints")},
-    ("styles", "simulator"): {"arm": ("Arm", "joints that follow targets")},
-    ("styles", "initial_states"): {"straight": ("Straight", "the arm nearly straight")},
-    ("styles", "fields"): {"tip": ("Tip", "where the arm ends")},
-    ("styles", "encoder"): {"posture": ("Posture", "joint angles and the target")},
-    ("styles", "actuation"): {"decoded_pose": ("DecodedPose", "a decoder's pose and an offset")},
-    ("styles", "reward"): {"sparse": ("sparse", "without offsets")},
+    "actuation": {
+        "miniature/force": ("plane:Force", "the action is a force"),
+        "miniature/tool_target": ("amorphous:ToolTarget", "where the tool should go"),
+        "miniature/legs": ("jumping:Legs", "pushes against the floor"),
+        "miniature/decoded_pose": ("styles:DecodedPose", "a decoder's pose and an offset"),
+    },
+    "measure": {
+        "miniature/slow": ("plane:slow", "at rest"),
+        "miniature/height": ("jumping:height", "clearance at the bar"),
+    },
+    "reward": {
+        "miniature/near": ("plane:near", "near a target"),
+        "miniature/slow": ("plane:slow", "at rest"),
+        "miniature/gathered": ("amorphous:gathered", "grains came nearer"),
+        "miniature/completion": ("jumping:completion", "nearly cleared, with little effort"),
+        "miniature/forward": ("jumping:forward", "runs forward"),
+        "miniature/sparse": ("styles:sparse", "without offsets"),
+    },
+    "termination": {
+        "miniature/cleared": ("jumping:cleared", "passed above the bar"),
+        "miniature/knocked": ("jumping:knocked", "ran into the bar"),
+    },
+    "outer_loop": {
+        "miniature/random": ("cmfbo:RandomFidelity", "random points, rising fidelity"),
+    },
+    "poses": {
+        "miniature/arcs": ("poses:Arcs", "arcs and waves of an arm"),
+    },
+    "job": {
+        "miniature/autoencoder": ("poses:LearnPoses", "an auto-encoder of poses"),
+    },
 }
 
 
@@ -65,10 +80,7 @@ _PARTS = {
 def understudy_register(register: Registrar) -> None:
     register.kind("poses", "poses to learn from")
     register.slot("poses", "poses", "what an auto-encoder of poses learns from")
-    for (module, kind), parts in _PARTS.items():
-        for name, (target, summary) in parts.items():
-            where = f"understudy_miniature.{module}:{target}"
-            register.component(kind, f"miniature/{name}", where, summary)
+    register.parts(__name__, PARTS)
     for name, summary in {
         "go": "a point goes to a target that is drawn anew",
         "stop": "a point comes to rest",

@@ -47,7 +47,10 @@ class GrainsScene(Scene):
 
 class Grains(Simulator):
     """The tool moves at the control's velocity (N, 2), m/s, and grains that it covers on the way are
-    pushed to its edge."""
+    pushed to its edge.
+
+    *Limits:* grains do not meet one another.
+    """
 
     state_fields = ("grains", "tool")
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.running.trials import OuterLoop, Report, Trial
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 
 class RandomFidelity(OuterLoop):

@@ -67,6 +67,8 @@ class Plane(TensorSimulator):
     """Semi-implicit Euler of the points; a control is the force on each pushed one, (N, 2·pushed) N.
 
     Worlds may differ in ``drag``.
+
+    *Limits:* points without extent: nothing collides.
     """
 
     state_fields = ("positions", "velocities")

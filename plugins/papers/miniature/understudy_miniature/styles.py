@@ -49,7 +49,10 @@ class ArmScene(Scene):
 
 
 class Arm(Simulator):
-    """Each joint follows its target (N, J), rad, with a first-order lag, exactly."""
+    """Each joint follows its target (N, J), rad, with a first-order lag, exactly.
+
+    *Limits:* joints have no inertia and no ranges, and feel no weight.
+    """
 
     state_fields = ("angles",)
 

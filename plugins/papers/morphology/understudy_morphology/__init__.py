@@ -8,25 +8,43 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("curricula", "networks", "tensors", "terms", "mujoco", "motion", "characters", "ppo")
 
-_HERE = "understudy_morphology"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "scene": {
+        "morphology/walker": ("scene:WalkerScene", "a walker of twelve scales"),
+    },
+    "fields": {
+        "morphology/guidance": ("assistance:Guidance", "how stiff the help is, the target speed"),
+        "morphology/gait": ("walking:Gait", "how the walker moves"),
+        "morphology/worth": ("walking:Worth", "the reward of a step"),
+    },
+    "actuation": {
+        "morphology/helped_torques": ("assistance:HelpedTorques", "torques, and the hand of God"),
+    },
+    "memory": {
+        "morphology/speed": ("walking:Speed", "how much too slow it has been"),
+    },
+    "measure": {
+        "morphology/normalised": ("walking:normalised", "eq. 6.4, to be summed"),
+    },
+    "termination": {
+        "morphology/fallen": ("walking:fallen", "low, leaning or turned away"),
+    },
+    "encoder": {
+        "morphology/body": ("walking:Body", "what the walker feels"),
+    },
+    "initial_states": {
+        "morphology/standing": ("walking:Standing", "standing, a little disturbed"),
+    },
+    "curriculum": {
+        "morphology/lessons": ("lessons:Lessons", "less help when the return allows it"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    def add(kind: str, name: str, where: str, summary: str) -> None:
-        register.component(kind, f"morphology/{name}", f"{_HERE}.{where}", summary)
-
-    add("scene", "walker", "scene:WalkerScene", "a walker of twelve scales")
-    add("fields", "guidance", "assistance:Guidance", "how stiff the help is, and the target speed")
-    add("actuation", "helped_torques", "assistance:HelpedTorques", "torques, and the hand of God")
-    add("fields", "gait", "walking:Gait", "how the walker moves")
-    add("fields", "worth", "walking:Worth", "the reward of a step")
-    add("memory", "speed", "walking:Speed", "how much too slow it has been")
-    add("measure", "normalised", "walking:normalised", "eq. 6.4, to be summed")
-    add("termination", "fallen", "walking:fallen", "low, leaning or turned away")
-    add("encoder", "body", "walking:Body", "what the walker feels")
-    add("initial_states", "standing", "walking:Standing", "standing, a little disturbed")
-    add("curriculum", "lessons", "lessons:Lessons", "less help when the return allows it")
+    register.parts(__name__, PARTS)
     register.task("morphology/walk", "walk fast with little torque, whatever the limbs")
     register.citation(
         "yu2018symmetric",

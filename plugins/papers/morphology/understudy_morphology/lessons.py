@@ -31,7 +31,7 @@ class Lessons(Curriculum):
     the last one's, or that of one which is not learned.
     """
 
-    records = ("episode_time", "forward_velocity", "target_velocity")
+    rollout_fields = ("episode_time", "forward_velocity", "target_velocity")
 
     @dataclass(frozen=True)
     class Options:
@@ -78,13 +78,13 @@ class Lessons(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options, ended = self._options, rollout.ended
-        seconds = rollout.records["episode_time"] + self._dt
+        seconds = rollout.fields["episode_time"] + self._dt
         sums = totals(
             ended,
             torch.where(ended, rollout.episode_returns, 0.0),
             torch.where(ended, seconds, 0.0),
-            rollout.records["forward_velocity"],
-            rollout.records["target_velocity"],
+            rollout.fields["forward_velocity"],
+            rollout.fields["target_velocity"],
         )
         self._sums += torch.tensor(sums, dtype=torch.float64)
         self._since += 1

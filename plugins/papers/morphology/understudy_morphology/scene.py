@@ -11,7 +11,7 @@ import numpy as np
 from understudy.task import Context
 from understudy_characters.staging import add_sky, add_sun
 from understudy_morphology.figure import ROOT, TIMESTEP, Scales, build_spec, standing_height
-from understudy_mujoco.drawing import open_renderer
+from understudy_mujoco.drawing import draw_motion
 from understudy_mujoco.scene import MujocoScene
 
 #: Of the qpos and qvel of the free root, which come first.
@@ -52,22 +52,15 @@ class WalkerScene(MujocoScene):
         self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
     ) -> Iterator[np.ndarray]:
         """The recorded motion from the side, with a camera that goes along."""
-        model = self.shown().compile()
-        data = mujoco.MjData(model)
-        renderer = open_renderer(model, width, height)
         camera = mujoco.MjvCamera()
-        camera.distance, camera.elevation, camera.azimuth = 2.9 * self.standing_height, -8.0, 115.0
-        camera.azimuth = camera.azimuth if self.azimuth is None else self.azimuth
-        try:
-            for qpos in tracks["qpos"]:
-                data.qpos[:] = qpos
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_camlight(model, data)
-                camera.lookat = [qpos[0], qpos[1], 0.85 * self.standing_height]
-                renderer.update_scene(data, camera)
-                yield renderer.render()
-        finally:
-            renderer.close()
+        camera.distance, camera.elevation = 2.9 * self.standing_height, -8.0
+        camera.azimuth = 115.0 if self.azimuth is None else self.azimuth
+
+        def follow(frame: int, data: mujoco.MjData) -> None:
+            camera.lookat = [data.qpos[0], data.qpos[1], 0.85 * self.standing_height]
+
+        model = self.shown().compile()
+        yield from draw_motion(model, tracks["qpos"], (width, height), camera, follow)
 
     def outlines(
         self, tracks: Mapping[str, np.ndarray]

@@ -45,8 +45,10 @@ def read_poses(
     """Every frame of the clips `named`, and their mirror images; which clips are held out, the share
     `held_out` of them but at least one, depends on `seed`. Of a single clip it is its end.
 
-    Raises:
-        FileError: there is no clip of a name, one cannot be read, or it lacks a joint of the character.
+    Raises
+    ------
+    FileError
+        there is no clip of a name, one cannot be read, or it lacks a joint of the character.
     """
     clips = [worn(clip, features.character) for clip in _clips(named, registry, reading)]
     images = [[clip, *([mirrored(clip)] if mirror else [])] for clip in clips]

@@ -163,6 +163,8 @@ class Chair(Surroundings):
 
 @dataclass(frozen=True)
 class SolesOptions:
+    """Which links are the figure's feet."""
+
     feet: tuple[str, str] = ("left_ankle", "right_ankle")  #: the figure's links, left and right
 
 

@@ -25,11 +25,15 @@ def generated_step_back(
 
     "Fig. 6 (row 5) shows a failure case where the humanoid needs a 'back up' move" (section 7).
 
-    Args:
-        speed, cycle, frame_rate: as of the generated walk.
+    Parameters
+    ----------
+    speed, cycle, frame_rate
+        as of the generated walk.
 
-    Raises:
-        ConfigError: as the generated walk does.
+    Raises
+    ------
+    ConfigError
+        as the generated walk does.
     """
     walk = generated_walk(speed=speed, cycle=cycle, frame_rate=frame_rate)
     place = walk.root_position.flip(0)
@@ -53,8 +57,10 @@ def generated_whole(
     """Two steps ahead, half a turn to the left, and sitting down: the reference of the baselines that have
     no skills (section 7). Where one part passes into the next the pose is blended over 0.3 s.
 
-    Raises:
-        ConfigError: the seat's height or the frame rate is outside its range.
+    Raises
+    ------
+    ConfigError
+        the seat's height or the frame rate is outside its range.
     """
     parts = (
         generated_walk(frame_rate=frame_rate),

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from understudy.records.runs import Run
-from understudy.setup.building import Built, build_environment
-from understudy.setup.config import Experiment
+from understudy.running.environment import Step
+from understudy.setup.building import Built
 from understudy_report.video import write_video
-from understudy_sitting.trials import SEATED, learned, skills_of
+from understudy_sitting.trials import SEATED, built_for, skills_of
+from understudy_skills.episodes import act_out, policy_of
+from understudy_skills.skill import Skill
 
 #: Of a video, in pixels; and about so many frames a second.
 _WIDTH, _HEIGHT, _RATE = 480, 270, 30
@@ -28,23 +30,21 @@ class Example:
     tracks: dict[str, np.ndarray]  #: (T, …), a row each control period, by field
 
 
-def film(experiment: Experiment, run: Run, trials: int) -> list[dict[str, str]]:
-    """Write ``trials_1.mp4`` and so on of `trials` trials of their own draw into the folder of `run`;
-    returns what each shows (``title``) and its name (``file``)."""
-    built = build_environment(
-        experiment, num_worlds=trials, episode_seconds=experiment.root.evaluation.seconds, evaluating=True
-    )  # fmt: skip
+def film(skill: Skill, folder: Path, trials: int) -> list[dict[str, str]]:
+    """Write ``trials_1.mp4`` and so on of `trials` trials of their own draw into `folder`; returns what each
+    shows (``title``) and its name (``file``)."""
+    built = built_for(skill, trials)
     try:
-        chosen = choose(watch(built, run, experiment, "examples"), skills_of(experiment))
+        chosen = choose(watch(built, skill, "examples"), skills_of(skill.experiment))
     finally:
         built.environment.close()
-    for old in run.path.glob("trials_*.mp4"):
+    for old in folder.glob("trials_*.mp4"):
         old.unlink()
     dt = built.environment.control_dt
     every = max(1, round(1.0 / (_RATE * dt)))
     made = []
     for number, example in enumerate(chosen, start=1):
-        path = run.path / f"trials_{number}.mp4"
+        path = folder / f"trials_{number}.mp4"
         tracks = {name: track[::every] for name, track in example.tracks.items()}
         write_video(path, built.scene.draw(tracks, _WIDTH, _HEIGHT), 1.0 / (every * dt))
         made.append({"title": example.title, "file": path.name})
@@ -73,36 +73,35 @@ class Watched:
         return {name: torch.stack([row[name][world] for row in own]).numpy() for name in own[0]}
 
 
-@torch.no_grad()
-def watch(built: Built, run: Run, experiment: Experiment, draw: str) -> Watched:
-    """Carry out as many trials as there are worlds, from the starts of the random stream `draw`, by the
-    newest policy of `run`, acting by its mode."""
+def watch(built: Built, skill: Skill, draw: str) -> Watched:
+    """Carry out as many trials as there are worlds in what was `built` of `skill`, from the starts of the
+    random stream `draw`."""
     environment, table = built.environment, built.environment.table
-    policy, _ = learned(experiment, built.context, run)
-    environment.reset(experiment.root.seed, draw)
+    policy = policy_of(skill, built)
+    root = skill.experiment.root
+    environment.reset(root.seed, draw)
     n, zone = environment.num_worlds, table["zone"].cpu().clone()
     seated, end = torch.zeros(n), torch.zeros(n, dtype=torch.long)
     fell, at_work = torch.zeros(n, dtype=torch.bool), torch.zeros(n, dtype=torch.long)
-    running = torch.ones(n, dtype=torch.bool)
     names = [name for name in built.scene.recorded if name in table.shapes]
     tracks: list[dict[str, Tensor]] = []
 
-    def see() -> None:
-        tracks.append({name: table[name].cpu().clone() for name in names})
+    def sit(running: Tensor) -> None:
         longest = seated.maximum(table["seated_seconds"].cpu())
-        seated.copy_(torch.where(running, longest, seated))
+        seated.copy_(torch.where(running.cpu(), longest, seated))
 
-    environment.on_period = see
-    seconds = environment.decision * environment.control_dt
-    for _ in range(max(1, round(experiment.root.evaluation.seconds / seconds))):
-        action = policy.distribution(environment.observations).mode()
-        step = environment.advance(action)
-        see()
-        tracks.pop()  # the next decision begins in it
-        at_work[running] = table["switch"].cpu().long()[running]
-        fell |= running & step.failed.cpu()
-        end[running] = len(tracks)
-        running &= ~step.ended.cpu()
+    def see(running: Tensor) -> None:
+        tracks.append({name: table[name].cpu().clone() for name in names})
+        sit(running)
+
+    def decided(running: Tensor, step: Step) -> None:
+        sit(running)
+        counted = running.cpu()
+        at_work[counted] = table["switch"].cpu().long()[counted]
+        fell.logical_or_(counted & step.failed.cpu())
+        end[counted] = len(tracks)
+
+    act_out(environment, policy, root.evaluation.seconds, see=see, decided=decided)
     return Watched(tracks, end, seated, fell, zone, at_work)
 
 

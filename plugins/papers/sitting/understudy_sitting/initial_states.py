@@ -13,29 +13,14 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
-from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_sitting.chair import BODY, Chair
-from understudy_sitting.state import flat_turn
 from understudy_skills import bank
 from understudy_tensors import rotations
 
 PLACE, TURN = f"mocap_pos/{BODY}", f"mocap_quat/{BODY}"
 #: m: the seat's front edge is so far ahead of the seated hips (as in the generated clip ``sit``).
 OVERLAP = 0.08
-
-
-def moved(
-    layout: Layout, qpos: Tensor, qvel: Tensor, turn: Tensor, place: Tensor
-) -> tuple[Tensor, Tensor]:
-    """States (N, nq), (N, nv) turned by `turn` (N,) rad about the root and put at `place` (N, 2) m."""
-    at, dof = layout.root_address, layout.root_dof
-    rotation = rotations.multiply(rotations.from_heading(turn), qpos[:, at + 3 : at + 7])
-    linear = flat_turn(turn, qvel[:, dof : dof + 2])  # the rotation's velocity is the body's own
-    qpos = torch.cat(
-        [qpos[:, :at], place, qpos[:, at + 2 : at + 3], rotation, qpos[:, at + 7 :]], 1
-    )
-    return qpos, torch.cat([qvel[:, :dof], linear, qvel[:, dof + 2 :]], dim=1)
 
 
 Range = tuple[float, float]
@@ -166,8 +151,10 @@ def _banked(
 ) -> dict[str, Tensor]:
     """The states of all `banks`: qpos (M, nq), qvel (M, nv), and where the `chair` stood (M, 3), (M, 4).
 
-    Raises:
-        ConfigError: if one is of another figure, or has no chair.
+    Raises
+    ------
+    ConfigError
+        if one is of another figure, or has no chair.
     """
 
     def load(given: str) -> dict[str, Tensor]:
@@ -232,9 +219,9 @@ class WhereOthersEnded(InitialStates):
         self._stands = None
         if options.chair_too:
             was = self._qpos[:, layout.root_address : layout.root_address + 2]
-            away = flat_turn(heading - own, states[PLACE][:, :2] - was)
+            away = rotations.turned_flat(states[PLACE][:, :2] - was, heading - own)
             self._stands = place + away, rotations.heading(states[TURN]) + heading - own
-        self._qpos, self._qvel = moved(layout, self._qpos, self._qvel, heading - own, place)
+        self._qpos, self._qvel = layout.moved(self._qpos, self._qvel, heading - own, place)
         self._first = start["reference_qpos"], start["reference_qvel"]
         self._share, self._speed = options.share, options.speed
         self._chair = _ChairBehind(context, options.metres, options.degrees, options.chairs)
@@ -378,7 +365,7 @@ class AroundChair(InitialStates):
         place = away[:, None] * torch.stack([angle.cos(), angle.sin()], dim=1)
         off = math.radians(options.degrees) * (2 * drawn[:, 3] - 1)
         qpos, qvel = (value.expand(len(zone), -1) for value in (self._qpos, self._qvel))
-        qpos, qvel = moved(self._layout, qpos, qvel, angle + math.pi + off - self._heading, place)
+        qpos, qvel = self._layout.moved(qpos, qvel, angle + math.pi + off - self._heading, place)
         if self._at_chair is not None:
             there = (streams.uniform(1) < options.at_chair.share).expand(-1, 1)
             near_qpos, near_qvel = self._before_chair(streams, *self._at_chair)
@@ -410,4 +397,4 @@ class AroundChair(InitialStates):
         heading = math.radians(options.degrees) * (2 * drawn[:, 3] - 1)
         at = self._layout.root_address
         own = rotations.heading(qpos[:, at + 3 : at + 7])
-        return moved(self._layout, qpos, qvel, heading - own, torch.stack([ahead, aside], dim=1))
+        return self._layout.moved(qpos, qvel, heading - own, torch.stack([ahead, aside], dim=1))

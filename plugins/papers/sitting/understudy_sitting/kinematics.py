@@ -18,7 +18,7 @@ from understudy.errors import ConfigError
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy_characters.scene import reference_motion
-from understudy_sitting.state import flat_turn
+from understudy_tensors import rotations
 
 _FRAMES = 400  #: of the clip that are looked at
 _ZONE = ("experiment=sitting/whole", "initial_states=sitting/around_chair", "initial_states.zone=1")
@@ -57,7 +57,7 @@ def minimum_distances(built: Built) -> Tensor:
     turn = table["root_heading"] - played["reference_root_heading"][0]
     nearest = torch.full_like(turn, torch.inf)
     for place in path:  # frames, not worlds
-        ahead = flat_turn(turn, (place - path[0])[:2].expand(len(turn), 2))
+        ahead = rotations.turned_flat((place - path[0])[:2].expand(len(turn), 2), turn)
         flat = table["root_position"][:, :2] + ahead
         pelvis = torch.cat([flat, place[2].expand(len(turn), 1)], dim=1)
         nearest = nearest.minimum((pelvis - table["seat_position"]).norm(dim=1))

@@ -48,23 +48,6 @@ class Joints:
         return qvel[:, self._dofs]
 
 
-def pitch_yaw_roll(rotation: Tensor) -> Tensor:
-    """(…, 3) rad of `rotation` (…, 4): yaw about z, then pitch about the turned y, then roll about the
-    turned x."""
-    matrix = rotations.to_matrix(rotation)
-    pitch = torch.asin((-matrix[..., 2, 0]).clamp(-1.0, 1.0))
-    yaw = torch.atan2(matrix[..., 1, 0], matrix[..., 0, 0])
-    roll = torch.atan2(matrix[..., 2, 1], matrix[..., 2, 2])
-    return torch.stack([pitch, yaw, roll], dim=-1)
-
-
-def flat_turn(angle: Tensor, vectors: Tensor) -> Tensor:
-    """`vectors` (N, 2) turned by `angle` (N,) rad."""
-    sine, cosine = angle.sin(), angle.cos()
-    x, y = vectors.unbind(-1)
-    return torch.stack([cosine * x - sine * y, sine * x + cosine * y], dim=-1)
-
-
 def torso_link(context: Context, name: str, who: str) -> tuple[CharacterScene, int]:
     """The scene, and the model's id of the torso, which must be the root or hang on it directly."""
     scene = context.need_scene(CharacterScene, who)
@@ -128,9 +111,9 @@ class Body(Fields):
         position = xpos[:, self._torso]
         angular, linear = cvel[:, self._torso].split(3, dim=-1)  # at the figure's centre of mass
         velocity = linear + torch.linalg.cross(angular, position - subtree_com[:, self._root])
-        angles = pitch_yaw_roll(xquat[:, self._torso])
+        angles = rotations.pitch_yaw_roll(xquat[:, self._torso])
         pitch, yaw, roll = angles.unbind(-1)
-        ahead = flat_turn(-yaw, velocity[:, :2])
+        ahead = rotations.turned_flat(velocity[:, :2], -yaw)
         joints = self._joints.coordinates(qpos, joint_rotations)
         speeds = self._joints.velocities(qvel)
         contacts = torch.cat([touching[f"sensor_{foot}"] for foot in FEET], dim=1) > 0
@@ -203,7 +186,7 @@ class Reference(Fields):
             torso = rotations.multiply(root, reference_joint_rotations[:, self._torso])
         return {
             "reference_torso_velocity": velocity,
-            "reference_torso_angles": pitch_yaw_roll(torso),
+            "reference_torso_angles": rotations.pitch_yaw_roll(torso),
             "reference_joint_coordinates": self._joints.coordinates(
                 reference_qpos, reference_joint_rotations
             ),

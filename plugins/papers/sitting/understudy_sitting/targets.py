@@ -11,7 +11,6 @@ from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory, Shape
-from understudy_sitting.state import flat_turn
 from understudy_tensors import rotations
 
 
@@ -86,4 +85,4 @@ class TargetByChair(Fields):
         self, goal: Tensor, chair_position: Tensor, chair_rotation: Tensor
     ) -> dict[str, Tensor]:
         yaw = rotations.heading(chair_rotation)
-        return {"target": chair_position[:, :2] + flat_turn(yaw, self._origin + goal)}
+        return {"target": chair_position[:, :2] + rotations.turned_flat(self._origin + goal, yaw)}

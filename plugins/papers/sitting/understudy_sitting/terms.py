@@ -11,11 +11,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Context
 from understudy.task.terms import ranges
-
-
-def wrapped(angle: Tensor) -> Tensor:
-    """The angle in [-π, π)."""
-    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+from understudy_tensors.rotations import wrapped
 
 
 def pose(

@@ -14,32 +14,34 @@ import base64
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError, RunError
+from understudy.errors import ConfigError
 from understudy.folders import read
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.running.environment import Environment
+from understudy.running.environment import Environment, Step
 from understudy.running.evaluation import wilson_interval
-from understudy.running.warm_start import misshapen, newest_state
-from understudy.setup.building import build_environment, build_policy
-from understudy.setup.composition import compose_raw
+from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Experiment
-from understudy.task import Context, Policy
+from understudy.task import Policy
 from understudy_report.section import ReportSection
+from understudy_skills.episodes import act_out, policy_of
+from understudy_skills.skill import Skill, open_skill
 
 #: s of uninterrupted sitting, or contact.
 SEATED = 3.0
 #: Trials of which some are filmed.
 _FILMED = 64
 FILE = "trials.json"
+#: Fields of a task in which one sits down.
+_READ = ("zone", "side", "seated_seconds", "contact_seconds", "seat_distance", "switch")
 SIDES = ("right", "left")
 
 
@@ -51,7 +53,7 @@ class Trials(Command):
     takes_overrides = True
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("run", help="a finished run's folder")
+        parser.add_argument("run", help="a finished run's folder, or a skill")
         parser.add_argument("--trials", type=int, default=10_000, help="how many; all at once")
         parser.add_argument(
             "--film", action="store_true",
@@ -61,69 +63,56 @@ class Trials(Command):
     def run(self, options: argparse.Namespace) -> int:
         if options.trials < 1:
             raise ConfigError(f"--trials={options.trials} is not possible: at least one.")
-        run = runs.open_run(options.run)
-        config: Mapping[str, Any] = run.config
-        if options.overrides:
-            config = compose_raw(run.words(options.overrides))
-        experiment = run.experiment(config=config)
-        found, samples = judge(experiment, run, options.trials)
+        run = runs.open_run(options.run) if Path(options.run).is_dir() else None
+        if options.film and run is None:
+            raise ConfigError(
+                f"--film keeps its videos in a run's folder, and {options.run} is none. Unpack a skill "
+                "(understudy play SKILL --unpack FOLDER) and give that folder."
+            )
+        skill = open_skill(options.run, options.overrides)
         judged = {
             "overrides": options.overrides,
-            "seed": experiment.root.seed,
-            "samples": samples,
+            "seed": skill.experiment.root.seed,
+            "samples": skill.samples,
         }
-        found = {"judged": judged, **found}
-        if options.film:
-            from understudy_sitting.examples import film
+        found = {"judged": judged, **judge(skill, options.trials)}
+        if run is not None:
+            if options.film:
+                from understudy_sitting.examples import film
 
-            found["films"] = film(experiment, run, _FILMED)
-        run.write_json(FILE, found)
+                found["films"] = film(skill, run.path, _FILMED)
+            run.write_json(FILE, found)
         print(json.dumps(found, indent=1))
         return 0
 
 
-def learned(experiment: Experiment, context: Context, run: Run) -> tuple[Policy, int]:
-    """The newest policy of `run`, as `experiment` builds it, and from how many samples it learned.
+def judge(skill: Skill, trials: int) -> dict[str, Any]:
+    """The figures of `trials` trials of `skill`, acting by its mode."""
+    built = built_for(skill, trials)
+    try:
+        policy = policy_of(skill, built)
+        return _figures(*_carry_out(built.environment, policy, skill.experiment))
+    finally:
+        built.environment.close()
+
+
+def built_for(skill: Skill, trials: int) -> Built:
+    """A world for each of as many `trials` of `skill`.
 
     Raises
     ------
-    RunError
-        if the run has none, or it has another shape here.
+    ConfigError
+        if it does not sit down.
     """
-    state = newest_state(str(run.path))
-    policy = build_policy(experiment, context)
-    own = dict(policy.state_dict())
-    misfits = [*misshapen(own, state.get("policy"), "policy")]
-    misfits = misfits or [f"'policy/{name}' is only there" for name in state["policy"].keys() - own]
-    if misfits:
-        raise RunError(
-            f"The checkpoint of {run.path} does not fit this configuration: {min(misfits)}. Use the "
-            "policy and the skills that it was trained with."
-        )
-    policy.load_state_dict(state["policy"])
-    return policy, int(state["progress"]["samples"])
-
-
-@torch.no_grad()
-def judge(experiment: Experiment, run: Run, trials: int) -> tuple[dict[str, Any], int]:
-    """The figures of `trials` trials by the newest policy of `run`, acting by its mode, and from how
-    many samples that learned."""
+    experiment = skill.experiment
     built = build_environment(
         experiment, num_worlds=trials, episode_seconds=experiment.root.evaluation.seconds, evaluating=True
     )  # fmt: skip
-    environment = built.environment
-    try:
-        names = ("zone", "side", "seated_seconds", "contact_seconds", "seat_distance", "switch")
-        missing = [name for name in names if name not in environment.table.shapes]
-        if missing:
-            raise ConfigError(
-                f"{run.path} is no controller that sits down: it has no {missing[0]}."
-            )
-        context = replace(built.context, num_worlds=trials)
-        policy, samples = learned(experiment, context, run)
-        return _figures(*_carry_out(environment, policy, experiment)), samples
-    finally:
-        environment.close()
+    missing = [name for name in _READ if name not in built.environment.table.shapes]
+    if missing:
+        built.environment.close()
+        raise ConfigError(f"{skill.name} is no controller that sits down: it has no {missing[0]}.")
+    return built
 
 
 def _carry_out(
@@ -143,9 +132,9 @@ def _carry_out(
         "distance": torch.full((n,), torch.inf, device=device),
     }
     counts = torch.zeros(2 * skills * skills, device=device)
-    running = torch.ones(n, dtype=torch.bool, device=device)
+    before: list[Tensor] = []  # the skill at work at the last decision
 
-    def see() -> None:
+    def see(running: Tensor) -> None:
         """Of each control period: sitting may begin and end between decisions."""
         for name in ("seated", "contact"):
             longest = found[name].maximum(table[f"{name}_seconds"])
@@ -154,19 +143,16 @@ def _carry_out(
         nearer = running & (distance < found["distance"])  # never NaN, of a world that went wrong
         found["distance"] = torch.where(nearer, distance, found["distance"])
 
-    environment.on_period = see
-    before = None
-    seconds = environment.decision * environment.control_dt
-    for _ in range(max(1, round(experiment.root.evaluation.seconds / seconds))):
-        action = policy.distribution(environment.observations).mode()
-        step = environment.advance(action)
+    def decided(running: Tensor, step: Step) -> None:
         switch = table["switch"].long()
-        if before is not None:
-            place = (side * skills + before) * skills + switch
+        for last in before:
+            place = (side * skills + last) * skills + switch
             counts.index_add_(0, place, running.float())
-        before = switch.clone()
-        see()
-        running &= ~step.ended
+        before[:] = [switch.clone()]
+        see(running)
+
+    seconds = experiment.root.evaluation.seconds
+    act_out(environment, policy, seconds, see=see, decided=decided)
     return found, counts.view(2, skills, skills).cpu()
 
 

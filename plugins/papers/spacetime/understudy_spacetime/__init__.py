@@ -21,126 +21,63 @@ REQUIRES = (
     "report",
 )
 
-_HERE = "understudy_spacetime"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "termination": {
+        "spacetime/com_bound": ("bounds:ComBound", "centre of mass, per axis"),
+        "spacetime/root_bound": ("bounds:RootBound", "root orientation"),
+        "spacetime/joint_bound": ("bounds:JointBound", "joint orientations"),
+        "spacetime/end_effector_bound": ("bounds:EndEffectorBound", "hands and feet"),
+    },
+    "fields": {
+        "spacetime/alignment": ("alignment:Alignment", "the frame in which the two are compared"),
+    },
+    "reward": {
+        "spacetime/survival": ("rewards:survival", "1 within the bounds, else 0"),
+    },
+    "measure": {
+        "spacetime/within_all_bounds": ("rewards:within_all_bounds", "1 inside all bounds, else 0"),
+        "spacetime/com_deviation": ("rewards:com_deviation", "from the reference's centre of mass"),
+        "spacetime/joint_deviation": ("rewards:joint_deviation", "the farthest joint's, in rad"),
+    },
+    "encoder": {
+        "spacetime/state": ("encoders:StateEncoder", "character, phase, root error"),
+        "spacetime/feedforward": ("encoders:FeedforwardEncoder", "reference pose"),
+    },
+    "policy": {
+        "spacetime/feedforward_feedback": ("policy:FeedforwardFeedback", "reference and offset"),
+    },
+    "initial_states": {
+        "spacetime/importance": ("initial_states:Importance", "more where returns are low"),
+        "spacetime/evolution": ("initial_states:Evolution", "elite states of past rollouts"),
+        "spacetime/clip_start": ("initial_states:ClipStart", "the clip's beginning"),
+        "spacetime/phases": ("initial_states:Phases", "a part of the clip"),
+        "spacetime/flyable": ("initial_states:Flyable", "any time from which it can be flown"),
+        "spacetime/evolved": ("initial_states:Evolved", "another run's evolved initial states"),
+    },
+    "curriculum": {
+        "spacetime/adaptive_bounds": ("adaptive:AdaptiveBounds", "tighter where it is mastered"),
+    },
+    "character": {
+        "revolute": ("revolute:build_revolute", "a robot of hinges, 58 kg"),
+    },
+    "report_section": {
+        "spacetime/evolved_states": ("section:EvolvedSection", "where initial states evolved to"),
+        "spacetime/by_phase": ("by_phase:ByPhaseSection", "success by where episodes begin"),
+    },
+    "command": {
+        "motion learned": ("learned:Learned", "write the motion that a run learned as a clip"),
+    },
+    "overlay": {
+        "spacetime/bounds": ("overlay:BoundsOverlay", "a run's bounds"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register_skills(register, Path(__file__).parent / "skills")
-    add = register.component
-    add(
-        "termination",
-        "spacetime/com_bound",
-        f"{_HERE}.bounds:ComBound",
-        "centre of mass, per axis",
-    )
-    add("termination", "spacetime/root_bound", f"{_HERE}.bounds:RootBound", "root orientation")
-    add("termination", "spacetime/joint_bound", f"{_HERE}.bounds:JointBound", "joint orientations")
-    add(
-        "termination",
-        "spacetime/end_effector_bound",
-        f"{_HERE}.bounds:EndEffectorBound",
-        "hands and feet",
-    )
-    add(
-        "fields",
-        "spacetime/alignment",
-        f"{_HERE}.alignment:Alignment",
-        "the frame in which character and reference are compared",
-    )
-    add("reward", "spacetime/survival", f"{_HERE}.rewards:survival", "1 within the bounds, else 0")
-    add(
-        "measure",
-        "spacetime/within_all_bounds",
-        f"{_HERE}.rewards:within_all_bounds",
-        "1 inside all bounds and without a fall, else 0",
-    )
-    add(
-        "measure",
-        "spacetime/com_deviation",
-        f"{_HERE}.rewards:com_deviation",
-        "how far the centre of mass is from its reference",
-    )
-    add(
-        "measure",
-        "spacetime/joint_deviation",
-        f"{_HERE}.rewards:joint_deviation",
-        "how far the farthest joint is from its reference",
-    )
-    add(
-        "encoder",
-        "spacetime/state",
-        f"{_HERE}.encoders:StateEncoder",
-        "character, phase, root error",
-    )
-    add(
-        "encoder", "spacetime/feedforward", f"{_HERE}.encoders:FeedforwardEncoder", "reference pose"
-    )
-    add(
-        "policy",
-        "spacetime/feedforward_feedback",
-        f"{_HERE}.policy:FeedforwardFeedback",
-        "reference pose plus learned offset",
-    )
-    add(
-        "initial_states",
-        "spacetime/importance",
-        f"{_HERE}.initial_states:Importance",
-        "reference states, more where returns are low",
-    )
-    add(
-        "initial_states",
-        "spacetime/evolution",
-        f"{_HERE}.initial_states:Evolution",
-        "elite states of past rollouts",
-    )
-    add(
-        "initial_states",
-        "spacetime/clip_start",
-        f"{_HERE}.initial_states:ClipStart",
-        "the clip's beginning",
-    )
-    add(
-        "initial_states", "spacetime/phases", f"{_HERE}.initial_states:Phases", "a part of the clip"
-    )
-    add(
-        "initial_states",
-        "spacetime/flyable",
-        f"{_HERE}.initial_states:Flyable",
-        "any time of the clip from which it can be flown",
-    )
-    add(
-        "initial_states",
-        "spacetime/evolved",
-        f"{_HERE}.initial_states:Evolved",
-        "the evolved initial states of another run",
-    )
-    add(
-        "curriculum",
-        "spacetime/adaptive_bounds",
-        f"{_HERE}.adaptive:AdaptiveBounds",
-        "bounds that tighten where the motion is mastered",
-    )
-    add("character", "revolute", f"{_HERE}.revolute:build_revolute", "a robot of hinges, 58 kg")
-    add(
-        "report_section",
-        "spacetime/evolved_states",
-        f"{_HERE}.section:EvolvedSection",
-        "where initial states have evolved to",
-    )
-    add(
-        "report_section",
-        "spacetime/by_phase",
-        f"{_HERE}.by_phase:ByPhaseSection",
-        "success by where episodes begin, beside where that cannot be",
-    )
-    add(
-        "command",
-        "motion learned",
-        f"{_HERE}.learned:Learned",
-        "write the motion that a run learned as a clip, in place of its reference",
-    )
-    add("overlay", "spacetime/bounds", f"{_HERE}.overlay:BoundsOverlay", "a run's bounds")
+    register.parts(__name__, PARTS)
     register.task("spacetime/walk", "walk within spacetime bounds of a clip, survival reward only")
     register.citation(
         "spacetime",

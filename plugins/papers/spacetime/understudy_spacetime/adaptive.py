@@ -24,7 +24,7 @@ class AdaptiveBounds(Curriculum):
     Evaluations have the bounds as they are meant to be.
     """
 
-    records = ("phase",)
+    rollout_fields = ("phase",)
 
     @dataclass(frozen=True)
     class Options:
@@ -51,7 +51,7 @@ class AdaptiveBounds(Curriculum):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         options = self._options
-        of_segment = of_segments(rollout.records["phase"].flatten(), options.segments)
+        of_segment = of_segments(rollout.fields["phase"].flatten(), options.segments)
         failed = (of_segment & rollout.failed.flatten()).sum(1).float()
         failed, visits = distributed.total(torch.stack([failed, of_segment.sum(1).float()]))
         share = failed / visits.clamp(min=1.0)

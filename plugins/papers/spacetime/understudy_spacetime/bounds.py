@@ -25,8 +25,10 @@ Size = float | list[list[float]]
 class BoundSize:
     """The size sigma of a bound, a function of phase.
 
-    Raises:
-        ConfigError: it is negative, or no knots with phases in [0, 1]; names the term `who`.
+    Raises
+    ------
+    ConfigError
+        it is negative, or no knots with phases in [0, 1]; names the term `who`.
     """
 
     def __init__(

@@ -48,12 +48,12 @@ def counted(rollout: Rollout, of_segment: Tensor, by: By) -> Tensor:
     """`of_segment` (n, T N), less the states that do not count for eq. 3.9."""
     if by == "visits":
         return of_segment
-    return of_segment & (rollout.records["episode_step"].flatten() == 0)
+    return of_segment & (rollout.fields["episode_step"].flatten() == 0)
 
 
 class _Segments:
     """The running average of the estimated return of states by motion segment, and the distribution
-    of eq. 3.9 over segments. Tensors stay the same objects, since recorded steps read them."""
+    of eq. 3.9 over segments. Tensors stay the same objects, since captured steps read them."""
 
     def __init__(
         self, segments: int, *, uniform: float, decay: float, device: torch.device
@@ -103,7 +103,7 @@ class Importance(InitialStates):
     """Reference states, drawn more often from segments whose states have low returns (eq. 3.9)."""
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase", "episode_step")
+    rollout_fields = ("phase", "episode_step")
 
     @dataclass(frozen=True)
     class Options:
@@ -132,7 +132,7 @@ class Importance(InitialStates):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
-        of_segment = self._segments.of(rollout.records["phase"].flatten())
+        of_segment = self._segments.of(rollout.fields["phase"].flatten())
         of_segment = counted(rollout, of_segment, self._options.by)
         probabilities = self._segments.update(of_segment, rollout.returns.flatten())
         return {"hardest_segment": float(probabilities.argmax())}
@@ -153,13 +153,20 @@ def boltzmann_draws(
     Weights are whole numbers (32 bits), so that their sums do not depend on the order of summation and
     draws repeat exactly.
 
-    Args:
-        of_segment: (n, B) bool, the states of each segment.
-        returns: (B,) of the states.
-        bits: (n, m) int64 random bits, one for each draw.
-        sign: -1 prefers low returns, 1 high ones.
+    Parameters
+    ----------
+    of_segment
+        (n, B) bool, the states of each segment.
+    returns
+        (B,) of the states.
+    bits
+        (n, m) int64 random bits, one for each draw.
+    sign
+        -1 prefers low returns, 1 high ones.
 
-    Returns:
+    Returns
+    -------
+    tuple[Tensor, Tensor]
         The rows (n, m) of the states drawn, and how many each segment has, (n,); where it has none
         the rows mean nothing.
     """
@@ -183,7 +190,7 @@ class Evolution(InitialStates):
     """
 
     episode_fields = EPISODE_FIELDS
-    records = ("phase", "episode_step", "motion_time", "qpos", "qvel")
+    rollout_fields = ("phase", "episode_step", "motion_time", "qpos", "qvel")
 
     @dataclass(frozen=True)
     class Options:
@@ -229,14 +236,14 @@ class Evolution(InitialStates):
 
     def update(self, rollout: Rollout) -> dict[str, float]:
         assert rollout.returns is not None
-        options, records = self._options, rollout.records
+        options, fields = self._options, rollout.fields
         returns = rollout.returns.flatten()
-        of_segment = self._segments.of(records["phase"].flatten())
+        of_segment = self._segments.of(fields["phase"].flatten())
         self._segments.update(counted(rollout, of_segment, options.by), returns)
         qpos, qvel, start = self._reference.to_first_cycle(
-            records["qpos"].flatten(0, 1),
-            records["qvel"].flatten(0, 1),
-            records["motion_time"].flatten(),
+            fields["qpos"].flatten(0, 1),
+            fields["qvel"].flatten(0, 1),
+            fields["motion_time"].flatten(),
         )
         sign = -1.0 if options.prefer == "low" else 1.0
         rows, counts = boltzmann_draws(
@@ -374,8 +381,10 @@ class Evolved(InitialStates):
 def evolved_states(run: str) -> dict[str, Tensor]:
     """The buffers (n, m, …) of the newest checkpoint of the folder `run`: qpos, qvel, motion_start.
 
-    Raises:
-        RunError: it is no run whose initial states evolve.
+    Raises
+    ------
+    RunError
+        it is no run whose initial states evolve.
     """
     buffer = newest_state(run).get("environment", {}).get("initial_states", {}).get("buffer", {})
     if not {"qpos", "qvel", "motion_start"} <= buffer.keys():

@@ -50,9 +50,12 @@ def learned_clip(path: str) -> Clip:
     Of a reference that loops it is one whole cycle, the one whose last pose is nearest to its first,
     closed; of another, all of the episode.
 
-    Raises:
-        RunError: it is no run folder.
-        FileError: it has no recording of a motion with a phase, or one that ends before a whole cycle.
+    Raises
+    ------
+    RunError
+        it is no run folder.
+    FileError
+        it has no recording of a motion with a phase, or one that ends before a whole cycle.
     """
     learned, reference = recorded_clips(path)
     archive = Archive(runs.open_run(path).path / "recording.npz")

@@ -166,8 +166,10 @@ def new_network(
 def trained_network(run: str, scene: CharacterScene, registry: Registry) -> MotionAutoEncoder:
     """The frozen auto-encoder of the run folder `run`.
 
-    Raises:
-        RunError: it is no run of the job 'styles/autoencoder', or one of another character.
+    Raises
+    ------
+    RunError
+        it is no run of the job 'styles/autoencoder', or one of another character.
     """
     job = runs.open_run(run).experiment(registry).one("job")
     if job is None or job.component.factory is not LearnFeatures:

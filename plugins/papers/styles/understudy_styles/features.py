@@ -58,8 +58,10 @@ def clip_features(clip: Clip, scene: CharacterScene, dt: float, least: int) -> T
     """(F, 3 L + 5) of the character in `scene` moving as `clip`, every `dt` s; a looping clip goes on
     for `least` frames, so that windows of so many begin at each of its phases.
 
-    Raises:
-        RunError: a clip that does not loop has fewer.
+    Raises
+    ------
+    RunError
+        a clip that does not loop has fewer.
     """
     frames = math.floor(clip.duration / dt)
     if clip.loop:

@@ -8,21 +8,20 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on: pictures are drawn with the renderer that `mujoco` has chosen.
 REQUIRES = ("mujoco", "warp_torch")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "simulator": {
+        "cloth": ("simulator:ClothSimulator", "a garment and bodies, by XPBD in small steps"),
+    },
+    "command": {
+        "garment check": ("garment_command:Check", "whether a garment's files can be used"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "simulator",
-        "cloth",
-        "understudy_cloth.simulator:ClothSimulator",
-        "a garment, bodies that it touches and grips, by XPBD in small steps",
-    )
-    register.component(
-        "command",
-        "garment check",
-        "understudy_cloth.garment_command:Check",
-        "whether a garment's files can be used, and what they hold",
-    )
+    register.parts(__name__, PARTS)
     register.citation(
         "cloth",
         "Macklin, Storey, Lu, Terdiman, Chentanez, Jeschke, Müller 2019. Small steps in physics simulation. "

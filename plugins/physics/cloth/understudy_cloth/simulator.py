@@ -64,6 +64,10 @@ class ClothSimulator(Simulator):
 
     Worlds may differ in ``gravity`` (3,), ``friction`` (), ``density`` () kg/m², ``stretch`` and ``shear`` ()
     N/m, ``bending`` () N m, unless the fabric has none: then it costs nothing.
+
+    *Limits:* one garment and at most 31 shapes, which feel nothing of it. Sub-steps are the
+    stiffness. Layers touch by vertices, and nothing untangles those that went through each
+    other; cloth that cannot yield is pierced.
     """
 
     @dataclass(frozen=True)

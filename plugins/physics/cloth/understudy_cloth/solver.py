@@ -157,6 +157,8 @@ class Features:
 
 @dataclass(frozen=True)
 class Kernels:
+    """What is launched, each with its arguments and its number of threads."""
+
     block: Any  #: (cloth, sub-steps), tiled by worlds
     begin: (
         Any  #: (cloth, whether this resumes), (N, buckets, vertices or shapes, whichever is most)
@@ -180,11 +182,13 @@ packed_address = global_address(wp.vec3)
 
 
 @wp.func_native("return ((const wp::vec_t<3, float>*)memory)[i];")
-def load_packed(memory: wp.uint64, i: int) -> wp.vec3: ...
+def load_packed(memory: wp.uint64, i: int) -> wp.vec3:
+    """Vector `i` of those that lie one after the other."""
 
 
 @wp.func_native("((wp::vec_t<3, float>*)memory)[i] = x;")
-def store_packed(memory: wp.uint64, i: int, x: wp.vec3): ...
+def store_packed(memory: wp.uint64, i: int, x: wp.vec3):
+    """Write vector `i` of those that lie one after the other."""
 
 
 # x, y and z apart, so that threads side by side read numbers side by side
@@ -194,7 +198,8 @@ def store_packed(memory: wp.uint64, i: int, x: wp.vec3): ...
     return wp::vec_t<3, float>(of[i], of[n + i], of[2 * n + i]);
 """
 )
-def load_apart(memory: wp.uint64, n: int, i: int) -> wp.vec3: ...
+def load_apart(memory: wp.uint64, n: int, i: int) -> wp.vec3:
+    """Vector `i` of `n` whose x, y and z lie apart."""
 
 
 @wp.func_native(
@@ -205,7 +210,8 @@ def load_apart(memory: wp.uint64, n: int, i: int) -> wp.vec3: ...
     of[2 * n + i] = x[2];
 """
 )
-def store_apart(memory: wp.uint64, n: int, i: int, x: wp.vec3): ...
+def store_apart(memory: wp.uint64, n: int, i: int, x: wp.vec3):
+    """Write vector `i` of `n` whose x, y and z lie apart."""
 
 
 # x, y, z and the weight, which on a GPU are read and written at once
@@ -219,7 +225,8 @@ def store_apart(memory: wp.uint64, n: int, i: int, x: wp.vec3): ...
 #endif
 """
 )
-def load_weighted(memory: wp.uint64, i: int) -> wp.vec4: ...
+def load_weighted(memory: wp.uint64, i: int) -> wp.vec4:
+    """Vector `i` and its weight."""
 
 
 @wp.func_native(
@@ -231,7 +238,8 @@ def load_weighted(memory: wp.uint64, i: int) -> wp.vec4: ...
 #endif
 """
 )
-def store_weighted(memory: wp.uint64, i: int, x: wp.vec3, weight: float): ...
+def store_weighted(memory: wp.uint64, i: int, x: wp.vec3, weight: float):
+    """Write vector `i` and its weight."""
 
 
 # and of these the first three, or the last
@@ -243,15 +251,18 @@ def store_weighted(memory: wp.uint64, i: int, x: wp.vec3, weight: float): ...
     of[2] = x[2];
 """
 )
-def store_beside(memory: wp.uint64, i: int, x: wp.vec3): ...
+def store_beside(memory: wp.uint64, i: int, x: wp.vec3):
+    """Write vector `i`, not its weight."""
 
 
 @wp.func_native("((float*)memory)[4 * i + 3] = weight;")
-def store_weight(memory: wp.uint64, i: int, weight: float): ...
+def store_weight(memory: wp.uint64, i: int, weight: float):
+    """Write the weight of vector `i` alone."""
 
 
 @wp.func
 def cell_of(x: wp.vec3, size: float) -> wp.vec3i:
+    """The cell of a grid of this `size`, m, in which `x` is."""
     return wp.vec3i(
         int(wp.floor(x[0] / size)), int(wp.floor(x[1] / size)), int(wp.floor(x[2] / size))
     )
@@ -379,6 +390,7 @@ def own_way(c: Cloth, world: int, speed: float) -> float:
 
 @wp.func
 def never_touch(c: Cloth, i: int, j: int) -> bool:
+    """Whether the vertices `i` and `j` are left out of self-contact, as neighbours are."""
     for k in range(c.apart_start[i], c.apart_start[i + 1]):
         if c.apart[k] == j:
             return True

@@ -6,7 +6,18 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on: bodies are named by a MuJoCo model.
 REQUIRES = ("mujoco", "tensors")
 
-_HERE = "understudy_composite"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "scene": {
+        "composite": ("scene:CompositeScene", "several scenes, by name"),
+    },
+    "simulator": {
+        "composite": ("simulator:CompositeSimulator", "several simulators that move on together"),
+    },
+    "coupling": {
+        "composite/tools": ("couplings:ToolsFollow", "tools that go where bodies go"),
+    },
+}
 
 
 @hookimpl
@@ -15,17 +26,4 @@ def understudy_register(register: Registrar) -> None:
     register.slot("scenes", "scene", "the scenes of a composite, by member", many=True)
     register.slot("simulators", "simulator", "the simulators of a composite, by member", many=True)
     register.slot("couplings", "coupling", "what members do to one another", many=True)
-    add = register.component
-    add("scene", "composite", f"{_HERE}.scene:CompositeScene", "several scenes, by name")
-    add(
-        "simulator",
-        "composite",
-        f"{_HERE}.simulator:CompositeSimulator",
-        "several simulators that move on together",
-    )
-    add(
-        "coupling",
-        "composite/tools",
-        f"{_HERE}.couplings:ToolsFollow",
-        "tools of particles or cloth that go where bodies go",
-    )
+    register.parts(__name__, PARTS)

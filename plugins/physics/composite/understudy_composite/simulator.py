@@ -21,6 +21,9 @@ class CompositeSimulator(Simulator):
     give it what members before it have come to. A control (N, U) is that of each member in this order,
     less the columns that a coupling drives. Fields keep their names; of members that share a parameter
     (two gravities), each one's is called ``MEMBER/NAME``.
+
+    *Limits:* coupling is one way, from a member to those after it, once in a step of
+    physics.
     """
 
     def __init__(self, options: None, context: Context) -> None:

@@ -8,7 +8,7 @@ from understudy.setup.registry import Registrar
 from understudy_mujoco import opengl
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("tensors",)
 
 
 def _wait_asleep() -> None:
@@ -22,18 +22,23 @@ def _wait_asleep() -> None:
 opengl.choose()
 _wait_asleep()
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "simulator": {
+        "mujoco": ("simulator:MujocoSimulator", "MuJoCo on CPU threads"),
+    },
+    "fields": {
+        "mujoco/distances": ("distances:Distances", "how far groups of geoms are apart"),
+    },
+    "scene": {
+        "mjcf": ("scene:MjcfFile", "a scene read from an MJCF file"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "simulator",
-        "mujoco",
-        "understudy_mujoco.simulator:MujocoSimulator",
-        "MuJoCo on CPU threads",
-    )
-    register.component(
-        "scene", "mjcf", "understudy_mujoco.scene:MjcfFile", "a scene read from an MJCF file"
-    )
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

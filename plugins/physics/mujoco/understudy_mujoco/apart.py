@@ -1,4 +1,4 @@
-"""Reading a stranger's file in a process of its own, within bounds: what ends there costs that process alone."""
+"""Reading a stranger's file in a process of its own, within limits: what ends there costs that process alone."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pathlib import Path
 
 from understudy.errors import FileError
 
-__all__ = ["Bounds", "read_apart", "serve"]
+__all__ = ["Limits", "read_apart", "serve"]
 
 _REFUSED = 3
 
 
 @dataclass(frozen=True)
-class Bounds:
+class Limits:
     """What a process may take."""
 
     cpu: int = 60  #: s of processor time
@@ -28,7 +28,7 @@ class Bounds:
 
 
 def read_apart(
-    module: str, path: Path, refusal: str, bounds: Bounds, content: bytes = b""
+    module: str, path: Path, refusal: str, limits: Limits, content: bytes = b""
 ) -> bytes:
     """What the program `module`, which calls :func:`serve`, prints of the file `path`.
 
@@ -41,26 +41,26 @@ def read_apart(
         if it refuses the file, or ends in any other way.
     """
     # not from the working folder (-P), and not ended by the terminal's signals, which are ours to see to
-    command = [sys.executable, "-P", "-m", module, str(path), str(bounds.cpu), str(bounds.memory)]
+    command = [sys.executable, "-P", "-m", module, str(path), str(limits.cpu), str(limits.memory)]
     alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # its threads would take address space
     try:
         done = subprocess.run(
             command, input=content, capture_output=True, start_new_session=True,
-            timeout=bounds.wall, env=alone,
+            timeout=limits.wall, env=alone,
         )  # fmt: skip
     except subprocess.TimeoutExpired as error:
-        raise FileError(f"{refusal} within {bounds.wall} s; make it smaller.") from error
+        raise FileError(f"{refusal} within {limits.wall} s; make it smaller.") from error
     if done.returncode == _REFUSED:
         raise FileError(done.stdout.decode(errors="replace").strip())
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise FileError(f"{refusal} within {bounds.cpu} s of processor time; make it smaller.")
+        raise FileError(f"{refusal} within {limits.cpu} s of processor time; make it smaller.")
     if done.returncode:
         raise FileError(f"{refusal}: it ends its reader (status {done.returncode}).")
     return done.stdout
 
 
 def serve(read: Callable[[Path], str]) -> None:
-    """The program: print what `read` makes of the file of the command line, within the bounds given there."""
+    """The program: print what `read` makes of the file of the command line, within the limits given there."""
     cpu, memory = map(int, sys.argv[2:])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 5))

@@ -66,9 +66,11 @@ def read_mjcf(path: Path, root: Path | None = None) -> Mjcf:
     """The model at `path`, its includes in place; it may refer to files below the folder `root`, or if
     that is None below its own.
 
-    Raises:
-        FileError: it cannot be read, is too large, is no XML, or refers to a file that is missing or
-            not in the folder, or to plugins.
+    Raises
+    ------
+    FileError
+        it cannot be read, is too large, is no XML, or refers to a file that is missing or
+        not in the folder, or to plugins.
     """
     return _Reader(path, root or path.parent).read()
 

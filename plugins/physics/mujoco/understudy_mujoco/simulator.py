@@ -46,6 +46,9 @@ class MujocoSimulator(Simulator):
 
     A field is bound when it is first read. Forces, accelerations and their sensors cost one forward
     computation a step from then on.
+
+    *Limits:* CPUs alone; the worlds' number is fixed, and all have one model, which they
+    vary in named parameters. What is read is float32; the engine computes in float64.
     """
 
     state_fields = ("qpos", "qvel")

@@ -83,8 +83,10 @@ def draw(
 ) -> Iterator[np.ndarray]:
     """Frames (H, W, 3) uint8 of `figures`, all of the same `model`, whose free joint comes first.
 
-    Raises:
-        UnderstudyError: there is no OpenGL.
+    Raises
+    ------
+    UnderstudyError
+        there is no OpenGL.
     """
     scenery = _Scenery(camera, float(model.vis.global_.fovy), width, height)
     scenery.prepare()

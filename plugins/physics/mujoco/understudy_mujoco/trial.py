@@ -1,4 +1,4 @@
-"""A stranger's model is first compiled in a process of its own, within bounds.
+"""A stranger's model is first compiled in a process of its own, within limits.
 
 A few bytes of MJCF (``replicate``, ``lengthrange``, ``nkey``) have MuJoCo compute for hours or allocate
 without end, and an exception within it (MuJoCo 4.0) leaves the thread's log handler pointing at itself:
@@ -15,10 +15,10 @@ from pathlib import Path
 import mujoco
 
 from understudy.errors import FileError
-from understudy_mujoco.apart import Bounds, read_apart, serve
+from understudy_mujoco.apart import Limits, read_apart, serve
 from understudy_mujoco.mjcf import Mjcf, read_mjcf
 
-BOUNDS = Bounds()
+LIMITS = Limits()
 """For reading and compiling a model."""
 
 _passed: set[bytes] = set()
@@ -27,8 +27,10 @@ _passed: set[bytes] = set()
 def spec_of(model: Mjcf) -> mujoco.MjSpec:
     """What MuJoCo makes of `model`. A URDF's first link is free: the format has no floating base.
 
-    Raises:
-        ValueError: it refuses it.
+    Raises
+    ------
+    ValueError
+        it refuses it.
     """
     spec = mujoco.MjSpec.from_string(model.text, assets=dict(model.assets))
     if model.urdf:
@@ -42,8 +44,10 @@ def try_out(path: Path, root: Path, model: Mjcf) -> None:
     """Compile the model at `path`, which may refer to files below `root`, once for what `model` holds
     of it.
 
-    Raises:
-        FileError: it does not compile, or not within the bounds.
+    Raises
+    ------
+    FileError
+        it does not compile, or not within the limits.
     """
     digest = hashlib.sha256(model.text.encode())
     for name, content in sorted(model.assets.items()):
@@ -51,7 +55,7 @@ def try_out(path: Path, root: Path, model: Mjcf) -> None:
     if digest.digest() in _passed:
         return
     refusal = f"The model {path} does not compile"
-    read_apart(__name__, path, refusal, BOUNDS, os.fsencode(root.absolute()))
+    read_apart(__name__, path, refusal, LIMITS, os.fsencode(root.absolute()))
     _passed.add(digest.digest())
 
 
@@ -59,8 +63,10 @@ def attempt(path: Path) -> str:
     """Read and compile the model at `path` in this process, which may refer to files below the folder
     that standard input names; nothing to tell.
 
-    Raises:
-        FileError: it does not load or compile.
+    Raises
+    ------
+    FileError
+        it does not load or compile.
     """
     model = read_mjcf(path, Path(os.fsdecode(sys.stdin.buffer.read())))
     doing = "load"

@@ -7,15 +7,17 @@ from understudy.setup.registry import Registrar
 
 REQUIRES = ("mujoco", "warp_torch")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "simulator": {
+        "mujoco_warp": ("simulator:MujocoWarpSimulator", "MuJoCo Warp on one GPU"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "simulator",
-        "mujoco_warp",
-        "understudy_mujoco_warp.simulator:MujocoWarpSimulator",
-        "MuJoCo Warp on one GPU",
-    )
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

@@ -67,13 +67,17 @@ _SWITCHED, _FAR = "geom_margin", -1e8
 class MujocoWarpSimulator(Simulator):
     """Fields are torch views of Warp's arrays, float32; ``ctrl`` is the control.
 
-    A call is one CUDA graph, recorded when it is first made: all sub-steps, then everything that
+    A call is one CUDA graph, captured when it is first made: all sub-steps, then everything that
     was ever read at the new state, so that what is read belongs to the same moment. The first read
     of a sensor, and of a force or an acceleration, makes all later calls compute them.
 
-    While the caller records a CUDA graph of its own, the kernels go into that one.
+    While the caller captures a CUDA graph of its own, the kernels go into that one.
 
     On the CPU, where there are no graphs, it computes the same slowly; tests use that.
+
+    *Limits:* float32; on a GPU contacts come in another order each time, so it does not
+    repeat bit for bit. Contacts beyond what was sized are left out and counted. Of both
+    limits of a joint that act at once it knows only one, and refuses such a scene.
     """
 
     state_fields = ("qpos", "qvel")

@@ -8,15 +8,17 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on: pictures are drawn with the renderer that `mujoco` has chosen.
 REQUIRES = ("mujoco", "warp_torch")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "simulator": {
+        "pbd": ("simulator:ParticleSimulator", "particles, springs and tools, position-based"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "simulator",
-        "pbd",
-        "understudy_pbd.simulator:ParticleSimulator",
-        "particles, springs and tools by position-based dynamics",
-    )
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

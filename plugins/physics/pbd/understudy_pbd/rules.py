@@ -47,7 +47,7 @@ class Particles:
 class Rule(ABC):  # noqa: B024 - each of its places may be left empty
     """Kernels that a scene adds to every sub-step: plasticity, bonds that break, sources, winds.
 
-    They are launched in order on the simulator's stream, and recorded in CUDA graphs: a rule
+    They are launched in order on the simulator's stream, and captured in CUDA graphs: a rule
     launches Warp kernels (``wp.launch``, of size N·P, or tiled by worlds) on fixed arrays and does no
     work of the host. What is to happen only when a control period ends asks ``substep[world] == 0``
     in :meth:`after`.

@@ -48,6 +48,10 @@ class ParticleSimulator(Simulator):
 
     Worlds may differ in ``gravity`` (3,), ``active_particles`` (P,), and for each of Q materials in
     ``friction``, ``cohesion`` and ``viscosity`` (Q,).
+
+    *Limits:* all pairs of a world are looked at, which is quadratic beyond some thousand
+    particles. Stiffness is what the iterations pass on. Nothing bounces, spheres roll
+    without resistance, and no particle moves a tool.
     """
 
     @dataclass(frozen=True)

@@ -128,6 +128,8 @@ class Features:
 
 @dataclass(frozen=True)
 class Kernels:
+    """What is launched, each with its arguments and its number of threads."""
+
     block: Any  #: (system, sub-steps), tiled by worlds
     tools: Any  #: (system,), N
     predict: Any  #: (system,), (N, P), as all below
@@ -151,7 +153,8 @@ global_memory = global_address(wp.vec4)
 #endif
 """
 )
-def load(memory: wp.uint64, row: int) -> wp.vec4: ...
+def load(memory: wp.uint64, row: int) -> wp.vec4:
+    """Row `row` of the working memory."""
 
 
 @wp.func_native(
@@ -163,7 +166,8 @@ def load(memory: wp.uint64, row: int) -> wp.vec4: ...
 #endif
 """
 )
-def store(memory: wp.uint64, row: int, value: wp.vec4): ...
+def store(memory: wp.uint64, row: int, value: wp.vec4):
+    """Write row `row` of the working memory."""
 
 
 @wp.func
@@ -208,6 +212,7 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
 
 @wp.func
 def advance_tools(s: System, world: int, lane: int, lanes: int):
+    """Move the tools by a sub-step towards their targets, each lane its share of them."""
     remaining = float(s.substeps - s.substep[world])
     for tool in range(lane, s.tools.tools, lanes):
         move_tool(s.tools, s.control, world, tool, remaining, s.dt)
@@ -215,12 +220,14 @@ def advance_tools(s: System, world: int, lane: int, lanes: int):
 
 @wp.func
 def place_shapes(s: System, world: int, lane: int, lanes: int):
+    """Put the shapes where their tools are, each lane its share of them."""
     for shape in range(lane, s.tools.shapes, lanes):
         place_shape(s.tools, world, shape)
 
 
 @wp.func
 def count_substep(s: System, world: int):
+    """Note that a sub-step is done, and begin anew after the last of a period."""
     s.substep[world] = (s.substep[world] + 1) % s.substeps
 
 

@@ -30,6 +30,7 @@ __all__ = [
     "inverse_rotate",
     "multiply",
     "normalize",
+    "pitch_yaw_roll",
     "rotate",
     "slerp",
     "tangent_normal",
@@ -37,7 +38,9 @@ __all__ = [
     "to_matrix",
     "turn_matrix",
     "turned",
+    "turned_flat",
     "twist_angle",
+    "wrapped",
 ]
 
 # Below this sine of the half angle, log and its small-angle limit agree to the last bit of float64,
@@ -150,6 +153,28 @@ def turned(vectors: Tensor, angle: Tensor) -> Tensor:
     result[..., 0].mul_(cosine).addcmul_(y, sine, value=-1.0)
     result[..., 1].mul_(cosine).addcmul_(x, sine)
     return result
+
+
+def turned_flat(vectors: Tensor, angle: Tensor) -> Tensor:
+    """``vectors`` (..., 2) turned by ``angle`` (...), to the left where it is positive."""
+    sine, cosine = angle.sin(), angle.cos()
+    x, y = vectors.unbind(-1)
+    return torch.stack([cosine * x - sine * y, sine * x + cosine * y], dim=-1)
+
+
+def wrapped(angle: Tensor) -> Tensor:
+    """The same ``angle`` (...) in [-pi, pi)."""
+    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+
+
+def pitch_yaw_roll(q: Tensor) -> Tensor:
+    """(..., 3): the yaw about z, then the pitch about the turned y, then the roll about the turned x that
+    make ``q``, in the order of the name. Pitch is within a quarter turn."""
+    matrix = to_matrix(q)
+    pitch = torch.asin((-matrix[..., 2, 0]).clamp(-1.0, 1.0))
+    yaw = torch.atan2(matrix[..., 1, 0], matrix[..., 0, 0])
+    roll = torch.atan2(matrix[..., 2, 1], matrix[..., 2, 2])
+    return torch.stack([pitch, yaw, roll], dim=-1)
 
 
 def _circle(angle: Tensor) -> Tensor:

@@ -18,7 +18,8 @@ __all__ = ["global_memory", "shared_memory", "wait_for_block"]
 #endif
 """
 )
-def wait_for_block(): ...
+def wait_for_block():
+    """Wait until all threads of the block are here."""
 
 
 @cache

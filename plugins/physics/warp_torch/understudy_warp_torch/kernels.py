@@ -1,4 +1,4 @@
-"""Sequences of Warp's kernels on torch's stream, each recorded once as a CUDA graph."""
+"""Sequences of Warp's kernels on torch's stream, each captured once as a CUDA graph."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def start_warp() -> None:
 class Kernels:
     """Runs Warp's kernels on `device` so that they and torch's keep their order.
 
-    Work is one CUDA graph, recorded when it is first run. While the caller records a graph of its
+    Work is one CUDA graph, captured when it is first run. While the caller captures a graph of its
     own, the kernels go into that one. On the CPU they simply run.
     """
 
@@ -68,7 +68,7 @@ class Kernels:
         """Do `work`, a sequence of kernels that is the same whenever `key` is.
 
         `state` are the tensors that it changes and reads again. Kernels must be compiled before
-        they can be recorded, so the first time they run once in vain, and these are put back.
+        they can be captured, so the first time they run once in vain, and these are put back.
         """
         if self.device.type != "cuda":
             with self.scope():
@@ -84,7 +84,7 @@ class Kernels:
             self._outer.append(capture.graph)  # keeps the kernels' code loaded
         else:
             if key not in self._graphs:
-                self._graphs[key] = self._record(work, list(state))
+                self._graphs[key] = self._capture(work, list(state))
             with self._on_stream():
                 wp.capture_launch(self._graphs[key])
 
@@ -92,13 +92,13 @@ class Kernels:
         """Record all work anew: what it consists of has changed."""
         self._graphs.clear()
 
-    def _record(self, work: Callable[[], None], state: list[Tensor]) -> Any:
+    def _capture(self, work: Callable[[], None], state: list[Tensor]) -> Any:
         before = [view.clone() for view in state]
         with self._on_stream():
             work()
         for view, value in zip(state, before, strict=True):
             view.copy_(value)
-        gc.collect()  # another recording that is freed during this one would end it
+        gc.collect()  # another capture that is freed during this one would end it
         with self.scope(), wp.ScopedCapture() as capture:
             work()
         return capture.graph

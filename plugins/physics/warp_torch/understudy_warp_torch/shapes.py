@@ -87,6 +87,7 @@ def friction(slip: wp.vec3, depth: float, static: float, dynamic: float) -> wp.v
 
 @wp.func
 def xyz(v: wp.vec4) -> wp.vec3:
+    """The first three."""
     return wp.vec3(v[0], v[1], v[2])
 
 
@@ -98,6 +99,7 @@ def rotation(wxyz: wp.vec4) -> wp.quat:
 
 @wp.func
 def from_rotation_vector(vector: wp.vec3) -> wp.quat:
+    """The rotation about `vector` by its length, rad."""
     angle = wp.length(vector)
     half = 0.5 * angle
     scale = 0.5 - half * half / 12.0  # sin(angle/2) / angle where it is small

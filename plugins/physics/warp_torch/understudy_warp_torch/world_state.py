@@ -49,8 +49,10 @@ class WorldState:
     def vary(self, names: Sequence[str]) -> Mapping[str, tuple[int, ...]]:
         """Let worlds differ in parameters; their shapes, by name, since they can be read now.
 
-        Raises:
-            ConfigError: for a name that is no parameter.
+        Raises
+        ------
+        ConfigError
+            for a name that is no parameter.
         """
         for name in names:
             if name not in self._parameters:

@@ -6,17 +6,22 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("sweeps",)
+
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "outer_loop": {
+        "random_search": ("random_search:RandomSearch", "points drawn uniformly"),
+        "gp_ucb": ("gp_ucb:GPUCB", "Bayesian optimisation of whole trials"),
+        "boca": ("boca:BOCA", "Bayesian optimisation with cheap approximations"),
+        "side_by_side": ("side_by_side:SideBySide", "GP-UCB, several points in one training"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    for name, target, summary in (
-        ("random_search", "random_search:RandomSearch", "points drawn uniformly"),
-        ("gp_ucb", "gp_ucb:GPUCB", "Bayesian optimisation of whole trials"),
-        ("boca", "boca:BOCA", "Bayesian optimisation with cheap approximations"),
-    ):
-        register.component("outer_loop", name, f"understudy_bayes.{target}", summary)
+    register.parts(__name__, PARTS)
     register.citation(
         "gp_ucb",
         "Srinivas, Krause, Kakade, Seeger 2010. Gaussian process optimization in the bandit setting: "

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from understudy import random
 from understudy.options import check_range
-from understudy.running.trials import Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, upper_bound
 from understudy_bayes.book import Book, Data, SearchOptions
@@ -18,6 +17,7 @@ from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.search import BookedSearch
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions, fitted
+from understudy_sweeps.loops import Trial
 
 #: Fidelities below 1 that are compared.
 _GRID = 100

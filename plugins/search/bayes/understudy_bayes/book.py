@@ -13,9 +13,9 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy.running.trials import Report, Trial
 from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.space import Parameter, Space, check_paths
+from understudy_sweeps.loops import Report, Trial
 
 __all__ = ["Book", "SearchOptions"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from understudy.running.trials import Trial
+from understudy_sweeps.loops import Trial
 
 __all__ = ["Fidelity"]
 

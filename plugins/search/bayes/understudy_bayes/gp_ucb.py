@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from understudy import random
-from understudy.running.trials import Trial
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, upper_bound
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.search import BookedSearch
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import SurrogateOptions, fitted
+from understudy_sweeps.loops import Trial
 
 __all__ = ["GPUCB"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from understudy.running.trials import Trial
 from understudy_bayes import draws
 from understudy_bayes.book import Book, SearchOptions
 from understudy_bayes.search import BookedSearch
+from understudy_sweeps.loops import Trial
 
 
 class RandomSearch(BookedSearch):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, Literal
 
-from understudy.running.trials import OuterLoop, Report, Trial
 from understudy_bayes.book import Book
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 __all__ = ["BookedSearch"]
 

@@ -8,12 +8,17 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("sweeps",)
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "executor": {
+        "ray": ("executor:RayExecutor", "trials on a Ray cluster"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "executor", "ray", "understudy_ray_executor.executor:RayExecutor", "trials on a Ray cluster"
-    )
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

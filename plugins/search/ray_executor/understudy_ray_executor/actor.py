@@ -9,7 +9,7 @@ from collections.abc import Generator
 
 import ray
 
-from understudy.running.trials import Report
+from understudy_sweeps.loops import Report
 from understudy_sweeps.pool import begun, message_of
 from understudy_sweeps.trial import run_trial
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from understudy.errors import PluginError, UnderstudyError
 from understudy.options import check_range
-from understudy.running.trials import Executor, Trial, Work
+from understudy_sweeps.loops import Executor, Trial, Work
 from understudy_sweeps.pool import PAUSE, Host, Limits, Lost, Pool, job
 
 try:

@@ -6,12 +6,14 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("report", "sweeps")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "reproduce": ("command:Reproduce", "run what a paper's table compares, beside its numbers"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "command",
-        "reproduce",
-        "understudy_reproduce.command:Reproduce",
-        "run what a paper's table compares, and put its numbers beside ours",
-    )
+    register.parts(__name__, PARTS)

@@ -17,7 +17,6 @@ from markupsafe import Markup
 from understudy import __version__
 from understudy.errors import ConfigError
 from understudy.records.checkpoint import write_atomically
-from understudy.running.trials import OuterLoop, Report
 from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
 from understudy.setup.validation import validate
@@ -29,6 +28,7 @@ from understudy_reproduce.tables import PaperTable, variant_name
 from understudy_sweeps.curves import legend, mean_curve, style_of
 from understudy_sweeps.intervals import mean_of, paired_difference
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import OuterLoop, Report
 from understudy_sweeps.page import STYLE
 from understudy_sweeps.sweep import sweep
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
@@ -220,8 +220,10 @@ class Comparison:
 def found_by(loop: OuterLoop, journal: Journal, seed: int) -> Found:
     """What the search `loop` has found, by its `journal`.
 
-    Raises:
-        ConfigError: its summary does not say which trials are whole and what they gave.
+    Raises
+    ------
+    ConfigError
+        its summary does not say which trials are whole and what they gave.
     """
     for event in journal.events:
         if isinstance(event, Report):

@@ -82,8 +82,10 @@ class PaperTable:
     def only(self, rows: Sequence[str], columns: Sequence[str], seeds: Sequence[int]) -> PaperTable:
         """The same of these rows, columns and seeds; of all where none are named.
 
-        Raises:
-            ConfigError: there is no such row or column.
+        Raises
+        ------
+        ConfigError
+            there is no such row or column.
         """
         chosen: dict[str, Any] = {"seeds": tuple(seeds) or self.seeds}
         for what, names, all_of in (
@@ -119,9 +121,12 @@ def table_files(plugins: Plugins) -> dict[str, Path]:
 def load_table(name: str, plugins: Plugins) -> PaperTable:
     """The table `name`.
 
-    Raises:
-        ConfigError: there is none, or something in it is unknown or of the wrong type.
-        FileError: its file cannot be read.
+    Raises
+    ------
+    ConfigError
+        there is none, or something in it is unknown or of the wrong type.
+    FileError
+        its file cannot be read.
     """
     files = table_files(plugins)
     if name not in files:

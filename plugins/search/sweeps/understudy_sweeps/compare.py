@@ -19,7 +19,6 @@ from understudy.errors import ConfigError, UnderstudyError
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
-from understudy.running.trials import Report, Trial
 from understudy_report import words
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page
@@ -27,6 +26,7 @@ from understudy_report.values import Row, interval, mapping, number, own_evaluat
 from understudy_sweeps import tables
 from understudy_sweeps.film import Tile, make_film
 from understudy_sweeps.intervals import paired_difference
+from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.page import STYLE, Section, film_html, learning_section
 from understudy_sweeps.results import SUCCESS, UNSOUND, Result, Variant
 from understudy_sweeps.tables import Table

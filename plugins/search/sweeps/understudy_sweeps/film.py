@@ -46,6 +46,13 @@ def columns_of(count: int) -> int:
     return 1 if count == 1 else 2 if count in (2, 4) else 3
 
 
+def shows(path: Path, tiles: Sequence[Tile]) -> bool:
+    """Whether the video `path` is of just these recordings; which of two files is newer says nothing where
+    clocks are set."""
+    mark = path.with_suffix(".json")
+    return path.exists() and mark.exists() and mark.read_bytes() == _identity(tiles)
+
+
 def make_film(path: Path, tiles: Sequence[Tile]) -> None:
     """Write the video `path` of the recordings of `tiles`, row by row; one that shows just these
     already stays.
@@ -56,7 +63,7 @@ def make_film(path: Path, tiles: Sequence[Tile]) -> None:
         if there is nothing to draw, or nothing can be drawn here.
     """
     mark, note = path.with_suffix(".json"), _identity(tiles)
-    if path.exists() and mark.exists() and mark.read_bytes() == note:
+    if shows(path, tiles):
         return
     path.unlink(missing_ok=True)
     columns = columns_of(len(tiles))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.errors import ConfigError
-from understudy.running.trials import OuterLoop, Report, Trial
+from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 
-from understudy.running.trials import Executor, Report, Trial, Work
+from understudy_sweeps.loops import Executor, Report, Trial, Work
 from understudy_sweeps.trial import run_trial
 
 

@@ -18,8 +18,8 @@ from urllib.parse import quote
 from understudy.errors import ConfigError, RunError
 from understudy.folders import read
 from understudy.records.checkpoint import sync, write_atomically
-from understudy.running.trials import Report, Trial
 from understudy.setup.composition import refuse_resolvers
+from understudy_sweeps.loops import Report, Trial
 
 __all__ = ["Journal"]
 

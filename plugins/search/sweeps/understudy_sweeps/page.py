@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import sys
 import time
 from abc import ABC, abstractmethod
@@ -27,7 +28,7 @@ from understudy_report.page import html_page
 from understudy_report.values import Row, mapping
 from understudy_sweeps import search, tables
 from understudy_sweeps.curves import learning_curves, legend, style_of
-from understudy_sweeps.film import Tile, columns_of, make_film
+from understudy_sweeps.film import Tile, columns_of, make_film, shows
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.results import Result, Results, Variant, best_of, objective_of, variants_of
 from understudy_sweeps.tables import Table
@@ -50,6 +51,9 @@ _CURVES = (
     "greatest of two seeds; thin: each seed."
 )
 
+#: So many times as long as the page took to write it is left as it is.
+_REST = 19.0
+
 
 class SweepPage(ABC):
     """A page beside the sweep's own, of any plugin: a component of kind ``sweep_page``, made without
@@ -70,6 +74,7 @@ class Page:
         self.folder, self._title, self._paper = folder, title, paper
         self._results = Results(folder)
         self._film: tuple[Sequence[Tile], str] | None = None  #: and why there is none
+        self._rest = -math.inf  #: s, of the clock: until then :meth:`keep_up` writes nothing
 
     @property
     def path(self) -> Path:
@@ -88,6 +93,14 @@ class Page:
             print(f"No page: {error}", file=sys.stderr)
         except Exception as error:  # what is shown may come from any plugin
             print(f"No page: {type(error).__name__}: {error}", file=sys.stderr)
+
+    def keep_up(self, journal: Journal, summary: Sequence[Row] = ()) -> None:
+        """:meth:`write` in a twentieth of the time at most: of hundreds of trials it takes longer and longer,
+        and trials may take seconds."""
+        if (began := time.monotonic()) >= self._rest:
+            self.write(journal, summary)
+            ended = time.monotonic()
+            self._rest = ended + _REST * (ended - began)
 
     def more(self, journal: Journal, experiment: Experiment) -> list[Path]:
         """Writes the pages of other plugins, which are components of kind ``sweep_page``; their paths.
@@ -116,7 +129,7 @@ class Page:
     def _draw(self, results: Sequence[Result]) -> None:
         tiles = _tiles(results)
         reason = ""
-        if self._drawn():
+        if shows(self.folder / "film.mp4", tiles):
             self._film = tiles, reason
             return
         print("Drawing the video …", file=sys.stderr)
@@ -127,16 +140,6 @@ class Page:
         except Exception as error:  # a scene may come from any plugin
             reason = f"{type(error).__name__}: {error}"
         self._film = tiles, reason.rstrip(".")
-
-    def _drawn(self) -> bool:
-        """Whether the video is of all that the journal tells."""
-        try:
-            film, journal = (
-                (self.folder / n).stat().st_mtime for n in ("film.mp4", "journal.jsonl")
-            )
-        except OSError:
-            return False
-        return film > journal
 
     def _video(self) -> str:
         if self._film is None:

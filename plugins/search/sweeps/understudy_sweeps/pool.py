@@ -17,8 +17,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.running.trials import Executor, Report, Trial, Work
 from understudy_sweeps.journal import trial_of
+from understudy_sweeps.loops import Executor, Report, Trial, Work
 
 __all__ = ["PAUSE", "Host", "Limits", "Lost", "Pool", "begun", "job", "message_of"]
 
@@ -58,6 +58,8 @@ Await = Callable[[Sequence[Host], float], Sequence[Host]]
 
 @dataclass(frozen=True)
 class Limits:
+    """What a trial may take."""
+
     retries: int  #: times that a trial goes on from its checkpoint after its process was lost
     seconds: float | None  #: one try takes at most
     grace: float  #: seconds to save, for a trial that is told to end
@@ -212,4 +214,5 @@ def begun(text: str) -> tuple[Trial, Work]:
 
 
 def message_of(report: Report) -> str:
+    """The line in which a worker says `report`."""
     return json.dumps({"report": dataclasses.asdict(report)})

@@ -24,8 +24,8 @@ from typing import Any
 from understudy.errors import ConfigError, PreemptedError
 from understudy.options import check_range
 from understudy.records.runs import cores
-from understudy.running.trials import Executor, Trial, Work
 from understudy.signals import StopRequest
+from understudy_sweeps.loops import Executor, Trial, Work
 from understudy_sweeps.pool import Host, Limits, Lost, Pool, begun, job, message_of
 from understudy_sweeps.trial import folder_of, run_trial
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from understudy.records.runs import Run
-from understudy.running.trials import Report, Trial
 from understudy_report.values import Row, mapping, number, own_evaluation
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.trial import folder_of
 
 __all__ = ["SAMPLES", "SECONDS", "SUCCESS", "Result", "Results"]

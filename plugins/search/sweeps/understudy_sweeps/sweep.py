@@ -25,12 +25,12 @@ from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
 from understudy.folders import read
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
-from understudy.running.trials import Executor, OuterLoop, Report, Trial, Work
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.signals import StopRequest
 from understudy_sweeps.journal import Journal
+from understudy_sweeps.loops import Executor, OuterLoop, Report, Trial, Work
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
 from understudy_sweeps.trial import JUDGED, REFUSED, folder_of, note_stop, overrides_of
@@ -185,7 +185,7 @@ def _carry_out(talk: _Talk, executor: Executor, page: Page, progress: Progress) 
                         f"could not be trained again: {report.status}"
                     )
                 running -= 1
-                page.write(journal, talk.loop.summary())
+                page.keep_up(journal, talk.loop.summary())
 
 
 def _next(executor: Executor, stop: StopRequest, folder: Path) -> Report:

@@ -22,8 +22,8 @@ from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation
 from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Reporter, Training
-from understudy.running.trials import Report, Trial, Work
 from understudy.setup.composition import load_experiment, replaced
+from understudy_sweeps.loops import Report, Trial, Work
 
 __all__ = ["folder_of", "run_trial", "written"]
 

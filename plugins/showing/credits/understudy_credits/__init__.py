@@ -6,15 +6,15 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("report", "skills")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "cite": ("commands:Cite", "print whom a run is owed to, as BibTeX: understudy cite RUN"),
+        "licence": ("commands:Licence", "say on what terms a run may be used: RUN --for USE"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    def add(name: str, target: str, summary: str) -> None:
-        register.component("command", name, f"understudy_credits.commands:{target}", summary)
-
-    add("cite", "Cite", "print whom a run is owed to, as BibTeX: understudy cite RUN")
-    add(
-        "licence",
-        "Licence",
-        "say on what terms a run may be used: understudy licence RUN --for commercial",
-    )
+    register.parts(__name__, PARTS)

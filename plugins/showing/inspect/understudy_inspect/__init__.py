@@ -14,27 +14,25 @@ if TYPE_CHECKING:
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
-_HERE = "understudy_inspect"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "experiments": ("commands:ListExperiments", "list what can be trained"),
+        "tasks": ("commands:ListTasks", "list the tasks"),
+        "plugins": ("commands:ListPlugins", "list the plugins and what they provide"),
+        "describe": ("commands:Describe", "print a part's options: describe learner/ppo"),
+        "config": ("commands:ShowConfiguration", "print every value and where it is from"),
+        "evaluate": ("judging:Evaluate", "evaluate a trained run"),
+        "render": ("judging:Render", "evaluate a run while recording, and make its report anew"),
+        "replay": ("commands:Replay", "repeat the step in which a run's numbers went wrong"),
+        "completion": ("completion:Completion", "print the completion of bash, zsh or fish"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    def add(name: str, target: str, summary: str) -> None:
-        register.component("command", name, f"{_HERE}.{target}", summary)
-
-    add("experiments", "commands:ListExperiments", "list what can be trained")
-    add("tasks", "commands:ListTasks", "list the tasks")
-    add("plugins", "commands:ListPlugins", "list the plugins and what they provide")
-    add("describe", "commands:Describe", "print a part's options: understudy describe learner/ppo")
-    add(
-        "config",
-        "commands:ShowConfiguration",
-        "print every value of a configuration and where it is from",
-    )
-    add("evaluate", "judging:Evaluate", "evaluate a trained run")
-    add("render", "judging:Render", "evaluate a run while recording, and make its report anew")
-    add("replay", "commands:Replay", "repeat the step in which a run's numbers went wrong")
-    add("completion", "completion:Completion", "print the completion of bash, zsh or fish")
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

@@ -13,7 +13,7 @@ from hydra.types import RunMode
 from understudy.errors import UnderstudyError
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.setup.composition import for_hydra, hydra_session, sorts
+from understudy.setup.composition import for_hydra, hydra_session, split_overrides
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.validation import validate
@@ -58,7 +58,7 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
     """For each key path of the composed configuration, the file (or override) that set it."""
     plugins = plugins or installed()
     origin: dict[str, str] = {}
-    overrides, emptied, chosen = sorts(overrides, plugins)
+    overrides, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         loader = GlobalHydra.instance().config_loader()
         defaults = loader.compute_defaults_list(

@@ -14,29 +14,27 @@ if TYPE_CHECKING:
 #: Plugins that this one builds on.
 REQUIRES = ("motion",)
 
-_HERE = "understudy_report"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "runs": ("listing:ListRuns", "list runs, newest first, with their results"),
+    },
+    "report_section": {
+        "headline": ("headline:Headline", "the result in a sentence, and the figures to remember"),
+        "motion": ("motion:Motion", "the video or a stick figure player, and a filmstrip"),
+        "evaluation": ("evaluation:EvaluationSection", "what the last evaluation found"),
+        "learning": ("learning:LearningCurves", "metrics against samples"),
+        "model_error": ("model_error:ModelError", "where a learned model goes wrong"),
+        "provenance": ("provenance:Provenance", "what is needed to repeat the run, whom to credit"),
+        "configuration": ("configuration:Configuration", "the composed configuration"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register.kind("report_section", "a part of a run's report page")
-    register.component(
-        "command",
-        "runs",
-        f"{_HERE}.listing:ListRuns",
-        "list runs, newest first, with their results",
-    )
-
-    def add(name: str, target: str, summary: str) -> None:
-        register.component("report_section", name, f"{_HERE}.{target}", summary)
-
-    add("headline", "headline:Headline", "the result in a sentence, and the figures to remember")
-    add("motion", "motion:Motion", "the video or a stick figure player, and a filmstrip")
-    add("evaluation", "evaluation:EvaluationSection", "what the last evaluation found")
-    add("learning", "learning:LearningCurves", "metrics against samples")
-    add("model_error", "model_error:ModelError", "where a learned model goes wrong")
-    add("provenance", "provenance:Provenance", "what is needed to repeat the run, whom to credit")
-    add("configuration", "configuration:Configuration", "the composed configuration")
+    register.parts(__name__, PARTS)
 
 
 @hookimpl

@@ -26,8 +26,8 @@ class Chart:
     high: float | None = None
     cut: tuple[float, float] = (-math.inf, math.inf)  #: the axis never extends beyond
     dots: bool = False  #: whether each value is marked, where there are few
-    #: A key whose rows have values that are only upper bounds: rings, below which the value lies.
-    bound: str = ""
+    #: A key whose rows have values that are only the most that it could be: rings, below which the value lies.
+    at_most: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def draw_chart(
     rings = {
         (x, scale * y)
         for row in rows
-        if row.get(chart.bound) is True
+        if row.get(chart.at_most) is True
         and (x := number(row.get("samples"))) is not None
         and (y := number(row.get(chart.key))) is not None
     }
@@ -195,6 +195,7 @@ def _range(values: np.ndarray, chart: Chart) -> tuple[float, float]:
 
 
 def grid(axes: Axes, below: str = "samples") -> str:
+    """SVG of the lines behind a chart, with their numbers; `below` is said under the axis."""
     parts = []
     ticks, step = _ticks(axes.low, axes.high, 4)
     for tick in ticks:

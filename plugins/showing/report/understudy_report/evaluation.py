@@ -35,7 +35,7 @@ class EvaluationSection(ReportSection):
         )
         cards = [("All episodes", Markup(facts))]
         if violated:
-            cards.append(("Episodes that violated a bound", Markup(violated)))
+            cards.append(("Episodes with a violation", Markup(violated)))
         return str(piece("evaluation", cards, Markup(measures)))
 
 

@@ -21,13 +21,13 @@ _USUAL = (
 #: whose text follows and whose value is not 0 where they happened.
 _ENDED_BY, _EVALUATION, _MARK = "episode/ended_by/", "evaluation/", "mark/"
 _SUCCESS, _OBJECTIVE = "evaluation/success_rate", "evaluation/objective"
-#: Whether a row's success is only a bound.
-BOUND = "evaluation/bound"
+#: Whether a row's success is only the most that it could be.
+AT_MOST = "evaluation/at_most"
 #: Of an evaluation that was stopped once the criterion was out of reach.
-_AT_MOST = "evaluation/success_rate_at_most"
+_GIVEN_UP = "evaluation/success_rate_at_most"
 _CONFIRMED = "confirmation/success_rate"
-#: Of evaluations at the coarse physics that a training begins with, and whether it is a bound.
-_REHEARSED, _REHEARSED_BOUND = "rehearsal/success_rate", "rehearsal/bound"
+#: Of evaluations at the coarse physics that a training begins with, and whether it is that.
+_REHEARSED, _REHEARSED_AT_MOST = "rehearsal/success_rate", "rehearsal/at_most"
 
 
 class LearningCurves(ReportSection):
@@ -74,14 +74,14 @@ def marks_of(rows: Sequence[Row]) -> list[Mark]:
 
 def with_success(rows: Sequence[Row], evaluation: Row) -> list[Row]:
     """`rows` with the success of each evaluation under one key: what it found, else what its
-    confirmation or the bound at which it was given up says; the last is the run's `evaluation`."""
+    confirmation or the share at which it was given up says; the last is the run's `evaluation`."""
     found: list[Row] = []
     for row in rows:
-        share = next((row[k] for k in (_CONFIRMED, _SUCCESS, _AT_MOST) if k in row), None)
-        bound = share is not None and _CONFIRMED not in row and _SUCCESS not in row
-        row = row if share is None else {**row, _SUCCESS: share, BOUND: bound}
+        share = next((row[k] for k in (_CONFIRMED, _SUCCESS, _GIVEN_UP) if k in row), None)
+        at_most = share is not None and _CONFIRMED not in row and _SUCCESS not in row
+        row = row if share is None else {**row, _SUCCESS: share, AT_MOST: at_most}
         if (most := row.get(f"{_REHEARSED}_at_most")) is not None:
-            row = {**row, _REHEARSED: most, _REHEARSED_BOUND: True}
+            row = {**row, _REHEARSED: most, _REHEARSED_AT_MOST: True}
         found.append(row)
     last = {"samples": evaluation.get("samples"), _SUCCESS: evaluation.get("success_rate")}
     return [*found, last] if None not in last.values() else found
@@ -94,15 +94,17 @@ def _keys(rows: Sequence[Row], prefix: str) -> list[str]:
 def _evaluations(rows: Sequence[Row]) -> list[Chart]:
     """Success first, then the objective unless that is success, then the other measures."""
     objective_is_success = all(row.get(_OBJECTIVE) == row.get(_SUCCESS) for row in rows)
-    known = [Chart("Episodes that succeeded", _SUCCESS, "%", 0.0, 100.0, dots=True, bound=BOUND)]
+    known = [
+        Chart("Episodes that succeeded", _SUCCESS, "%", 0.0, 100.0, dots=True, at_most=AT_MOST)
+    ]
     if any(_REHEARSED in row for row in rows):
         known.append(
-            Chart("Of them at coarse physics", _REHEARSED, "%", 0.0, 100.0, dots=True, bound=_REHEARSED_BOUND)
+            Chart("Of them at coarse physics", _REHEARSED, "%", 0.0, 100.0, dots=True, at_most=_REHEARSED_AT_MOST)
         )  # fmt: skip
     if not objective_is_success:
         known.append(Chart("Objective", _OBJECTIVE, dots=True))
     return known + [
         Chart(key.removeprefix(_EVALUATION).replace("_", " "), key, dots=True)
         for key in _keys(rows, _EVALUATION)
-        if key not in (_SUCCESS, _OBJECTIVE, _AT_MOST, BOUND)
+        if key not in (_SUCCESS, _OBJECTIVE, _GIVEN_UP, AT_MOST)
     ]

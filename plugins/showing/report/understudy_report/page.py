@@ -23,7 +23,7 @@ from understudy_report.section import ReportSection
 from understudy_report.stick_figures import PLAYER_SCRIPT
 from understudy_report.values import mapping, sequence
 
-__all__ = ["html_page", "name_of"]
+__all__ = ["bare_page", "html_page", "name_of"]
 
 _HERE = Path(__file__).parent
 _STYLE = (_HERE / "page.css").read_text(encoding="utf-8")
@@ -65,9 +65,14 @@ def name_of(run: Run) -> str:
 
 def html_page(title: str, over: str, created: str, content: str, style: str = "") -> bytes:
     """A page of `content`, which is HTML, in the style of all pages and what `style` adds to it."""
+    return bare_page(title, over, created, content, _STYLE + style)
+
+
+def bare_page(title: str, over: str, created: str, content: str, style: str) -> bytes:
+    """A page of `content`, which is HTML, in this `style` alone."""
     page = whole_page(
         policy=Markup(_security_policy()),
-        style=Markup(_STYLE + style),
+        style=Markup(style),
         title=title,
         over=over,
         created=created,

@@ -23,10 +23,12 @@ def read_evaluation(run: Run) -> Row:
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
+    """`value`, or an empty mapping where it is none."""
     return value if isinstance(value, Mapping) else {}
 
 
 def sequence(value: Any) -> Sequence[Any]:
+    """`value`, or an empty sequence where it is none."""
     return value if isinstance(value, list | tuple) else []
 
 

@@ -6,9 +6,14 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "characters", "motion", "report")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "motion check": ("command:Check", "examine and repair a clip"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "command", "motion check", "understudy_doctor.command:Check", "examine and repair a clip"
-    )
+    register.parts(__name__, PARTS)

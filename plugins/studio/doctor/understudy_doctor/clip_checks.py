@@ -211,11 +211,16 @@ def _interpolation_error(clip: Clip) -> tuple[float, int, tuple[int, int]]:
 def spikes(velocity: np.ndarray, dt: np.ndarray, least_speed: float, least: float) -> np.ndarray:
     """(K, J) bool: steps that stand out of those around them.
 
-    Args:
-        velocity: (K, J, 3), step by step.
-        dt: (K,) s.
-        least_speed: what a spike has at least, beyond the steps beside it.
-        least: how far it goes at least.
+    Parameters
+    ----------
+    velocity
+        (K, J, 3), step by step.
+    dt
+        (K,) s.
+    least_speed
+        what a spike has at least, beyond the steps beside it.
+    least
+        how far it goes at least.
     """
     speed = np.linalg.norm(velocity, axis=-1)
     direction = velocity / np.maximum(speed, 1e-12)[..., None]
@@ -278,11 +283,16 @@ def stands_out(
 ) -> np.ndarray:
     """(K, J) bool: steps that are far faster than those around them.
 
-    Args:
-        velocity: (K, J, 3), step by step.
-        dt: (K,) s.
-        least_speed: of a spike, beyond :data:`SPIKE_RATIO` times what is around it.
-        least: how far a spike goes at least.
+    Parameters
+    ----------
+    velocity
+        (K, J, 3), step by step.
+    dt
+        (K,) s.
+    least_speed
+        of a spike, beyond :data:`SPIKE_RATIO` times what is around it.
+    least
+        how far a spike goes at least.
     """
     speed = np.linalg.norm(velocity, axis=-1)
     direction = velocity / np.maximum(speed, 1e-12)[..., None]

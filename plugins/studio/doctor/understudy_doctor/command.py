@@ -88,7 +88,7 @@ class Check(Command):
             after = final(examine(done.clip, character, options.floor))
         if options.page is not None:
             content = page(after, done.done if done else ())
-            write_atomically(options.page, content.encode(errors="replace"))
+            write_atomically(options.page, content)
         if options.json:
             print(json.dumps(_as_json(before, after, done, options.fix), indent=1))
         else:

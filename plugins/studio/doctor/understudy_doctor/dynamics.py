@@ -100,12 +100,18 @@ def support(
     The forces are the least ones (nearly) that explain the wrench, each within the friction pyramid,
     by non-negative least squares; moments count by the lever :data:`LEVER`.
 
-    Args:
-        character: F frames of it were asked for.
-        asked: what they need.
-        owners: (P,) rows of the joints that carry the points.
-        points: (F, P, 3) m, world.
-        bearing: (F, P) bool, the points in contact.
+    Parameters
+    ----------
+    character
+        F frames of it were asked for.
+    asked
+        what they need.
+    owners
+        (P,) rows of the joints that carry the points.
+    points
+        (F, P, 3) m, world.
+    bearing
+        (F, P) bool, the points in contact.
     """
     model, data = character.model, mujoco.MjData(character.model)
     at = int(model.body_dofadr[character.root])

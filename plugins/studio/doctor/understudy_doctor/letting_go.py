@@ -99,10 +99,14 @@ def bodies_of(character: Character, qpos: np.ndarray, qvel: np.ndarray) -> Bodie
 def let_go(clip: Clip, character: Character, floor: Floor = "lowest") -> LettingGo:
     """Let the character go in the state of `clip` at each of :data:`STARTS` a second.
 
-    Args:
-        clip: has the character's joints.
-        character: moves as the clip says.
-        floor: what of the motion training puts on the floor (``motion.floor``).
+    Parameters
+    ----------
+    clip
+        has the character's joints.
+    character
+        moves as the clip says.
+    floor
+        what of the motion training puts on the floor (``motion.floor``).
     """
     layout = layout_of(character)
     reference = ReferenceMotion(clip, character, layout, control_dt=CONTROL, floor=floor)

@@ -58,10 +58,14 @@ class Contact:
 class Measurements:
     """Everything is computed when first asked for.
 
-    Args:
-        clip: has the character's joints; looping if it closes.
-        character: moves as the clip says, as far as its joints can.
-        slower: how many times as long as the motion asked about the clip takes.
+    Parameters
+    ----------
+    clip
+        has the character's joints; looping if it closes.
+    character
+        moves as the clip says, as far as its joints can.
+    slower
+        how many times as long as the motion asked about the clip takes.
     """
 
     def __init__(self, clip: Clip, character: Character, slower: float = 1.0) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from string import Template
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.summary import contacts, torques, verdict
 from understudy_motion.kinematics import tip_positions
+from understudy_report.page import bare_page
 from understudy_report.stick_figures import stick_figure_svg
 
 #: Of a chart, in the SVG's own pixels: its width, of that the labels and the values beside the rows,
@@ -38,24 +38,21 @@ _CHART_OF: Mapping[str, str] = {
 }  # fmt: skip
 
 
-def page(examined: Examination, repairs: Sequence[str] = ()) -> str:
+def page(examined: Examination, repairs: Sequence[str] = ()) -> bytes:
     """The page of an examination; `repairs` are what was done to the clip before it, in words."""
     clip = examined.clip
     numbered = list(enumerate(examined.findings))
     charts = list(_charts(examined))
-    return _PAGE.substitute(
-        style=_STYLE,
-        name=escape(clip.name),
-        source=escape(f"{clip.source} · licence: {clip.licence}"),
-        verdict=escape(verdict(examined.findings)),
-        tiles=_tiles(examined),
-        repairs=_list("Repaired", repairs),
-        findings=_findings(numbered, {chart.key for chart in charts}),
-        poses=_poses(examined),
-        charts="".join(_draw(chart, clip.duration, numbered) for chart in charts),
-        joints=_joints(examined),
-        skipped=_list("Not checked", examined.skipped),
+    content = (
+        f"<p>{escape(f'{clip.source} · licence: {clip.licence}')}</p>"
+        f'<p class="verdict">{escape(verdict(examined.findings))}</p>'
+        f'<div class="tiles">{_tiles(examined)}</div>'
+        f"{_list('Repaired', repairs)}"
+        f"<section><h2>Findings</h2>{_findings(numbered, {chart.key for chart in charts})}</section>"
+        f"{_poses(examined)}{''.join(_draw(chart, clip.duration, numbered) for chart in charts)}"
+        f"{_joints(examined)}{_list('Not checked', examined.skipped)}"
     )
+    return bare_page(clip.name, "understudy clip check", "", content, _STYLE)
 
 
 # ---------------------------------------------------------------------- the result
@@ -408,36 +405,6 @@ def _list(title: str, items: Sequence[str]) -> str:
 
 # ---------------------------------------------------------------------- the page
 
-
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>$name · clip check</title>
-<style>$style</style>
-</head>
-<body>
-<header>
-<p>understudy clip check</p>
-<h1>$name</h1>
-<p>$source</p>
-<p class="verdict">$verdict</p>
-<div class="tiles">$tiles</div>
-</header>
-<main>
-$repairs
-<section><h2>Findings</h2>$findings</section>
-$poses
-$charts
-$joints
-$skipped
-</main>
-</body>
-</html>
-""")
 
 _STYLE = """
 :root {

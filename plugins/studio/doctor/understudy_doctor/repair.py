@@ -203,8 +203,10 @@ def _off(measured: Measurements, centre: np.ndarray | None = None) -> Callable[[
 def make_loop(clip: Clip, character: Character | None) -> Repair:
     """The best loop in `clip`, cut out and closed.
 
-    Raises:
-        ConfigError: the clip loops already, or no two of its frames fit.
+    Raises
+    ------
+    ConfigError
+        the clip loops already, or no two of its frames fit.
     """
     if clip.loop:
         raise ConfigError(f"Clip {clip.name} loops already; leave --loop out.")

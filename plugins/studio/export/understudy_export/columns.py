@@ -72,8 +72,10 @@ class ExportColumns(Command):
 def joint_columns(character: Character) -> list[str]:
     """Names of the joints that have a column each, in the order of the model.
 
-    Raises:
-        ConfigError: a joint is a ball.
+    Raises
+    ------
+    ConfigError
+        a joint is a ball.
     """
     for joint in character.joints[1:]:
         if len(joint.axes) == 0:

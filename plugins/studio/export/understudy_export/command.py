@@ -227,14 +227,21 @@ def timed(
 ) -> Clip:
     """`clip` at another rate and of another length; None leaves it as it is.
 
-    Args:
-        clip: the clip.
-        rate: frames per second; of whole cycles the nearest that makes them end on a frame.
-        seconds: at most so many from the beginning; a looping clip goes on over its end.
-        cycles: this many of a looping clip, each one where the one before left off.
+    Parameters
+    ----------
+    clip
+        the clip.
+    rate
+        frames per second; of whole cycles the nearest that makes them end on a frame.
+    seconds
+        at most so many from the beginning; a looping clip goes on over its end.
+    cycles
+        this many of a looping clip, each one where the one before left off.
 
-    Raises:
-        FileError: cycles of a clip that does not loop, too little time, or too many frames.
+    Raises
+    ------
+    FileError
+        cycles of a clip that does not loop, too little time, or too many frames.
     """
     if cycles is not None:
         clip = _repeated(clip, cycles)

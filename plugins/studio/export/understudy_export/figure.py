@@ -46,8 +46,10 @@ class Figure:
 def figure(clip: Clip, shapes: Sequence[Shape]) -> Figure:
     """The figure of `clip`, covered by `shapes`, or by bones where there are none.
 
-    Raises:
-        FileError: the clip has no skeleton.
+    Raises
+    ------
+    FileError
+        the clip has no skeleton.
     """
     skeleton = need_skeleton(clip)
     rest = np.zeros_like(skeleton.offsets)

@@ -19,9 +19,12 @@ from understudy_report.stick_figures import stick_figure_animation
 def write_page(source: str, path: Path) -> str:
     """Write what was recorded of the run folder `source` as the page `path`; returns a line on it.
 
-    Raises:
-        FileError: nothing was recorded that can be drawn.
-        RunError: there is no such run, or the page cannot be written.
+    Raises
+    ------
+    FileError
+        nothing was recorded that can be drawn.
+    RunError
+        there is no such run, or the page cannot be written.
     """
     run = runs.open_run(source)
     figures = Figures.load(run.path / FIGURES)

@@ -97,8 +97,10 @@ def write_policy(skill: Skill, path: Path, licence: Mapping[str, Any]) -> list[s
     :func:`understudy_credits.walk.answer`), and beside it ``NAME.reference.npz`` if its task has a
     reference motion; returns a line on each file.
 
-    Raises:
-        FileError: ONNX is not installed, the policy cannot be one, or the folder cannot be written.
+    Raises
+    ------
+    FileError
+        ONNX is not installed, the policy cannot be one, or the folder cannot be written.
     """
     if any(importlib.util.find_spec(name) is None for name in ("onnx", "onnxscript")):
         raise FileError(
@@ -134,8 +136,10 @@ def write_model(
     """Write `acting` as the ONNX model `path` with the metadata `facts`; `example` are observations of
     one world.
 
-    Raises:
-        FileError: as :func:`write_policy`.
+    Raises
+    ------
+    FileError
+        as :func:`write_policy`.
     """
     import onnx
 
@@ -300,7 +304,7 @@ def reference_table(built: Built) -> dict[str, np.ndarray] | None:
     is its end. Where it does, the first row follows the last one, its root turned by ``cycle_turn`` rad
     about the vertical and then moved by ``cycle_displacement`` (2,) m. None without a reference.
     """
-    if not any(isinstance(bound.part, Reference) for bound in built.environment.parts.fields):
+    if not any(isinstance(wired.part, Reference) for wired in built.environment.parts.fields):
         return None
     motion = reference_motion(built.context)
     count = max(2, round(motion.duration / motion.control_dt * ROWS))

@@ -27,8 +27,10 @@ _SKELETON = f"{_FIGURE}/Skeleton"
 class UsdWriter(ClipWriter):
     """Writes a single binary file.
 
-    Raises:
-        FileError: also where the library usd-core is not installed.
+    Raises
+    ------
+    FileError
+        also where the library usd-core is not installed.
     """
 
     suffix = ".usd"

@@ -6,12 +6,14 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("skills", "characters", "motion", "mujoco", "report", "credits", "viewer")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "play": ("command:Play", "watch a trained policy live in the browser and push it"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "command",
-        "play",
-        "understudy_play.command:Play",
-        "watch a trained policy live in the browser and push it, or as a video",
-    )
+    register.parts(__name__, PARTS)

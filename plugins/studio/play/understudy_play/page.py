@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
@@ -18,9 +15,9 @@ from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
 from understudy_motion.kinematics import forward_kinematics
-from understudy_play.pace import Pace
+from understudy_play.controls import Controls
 from understudy_play.player import World
-from understudy_viewer.guard import guarded
+from understudy_viewer.server import open_server, stop_server
 from understudy_viewer.stage import COLOURS, Colour
 
 _SKY: Colour = (255, 255, 255)
@@ -31,7 +28,6 @@ _FLAG: Colour = (220, 38, 38)
 _SQUARE = 5.0
 #: Fields of the character and its clip; the others say where its surroundings are.
 _OWN = {"qpos", "reference_qpos", "phase"}
-_SPEEDS = {"0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0}
 #: Directions of pushes in the world, by their button.
 _WAYS = {"← left": (0.0, 1.0), "right →": (0.0, -1.0), "forward": (1.0, 0.0), "back": (-1.0, 0.0)}
 
@@ -61,13 +57,8 @@ class Page:
         )  # of what the browser's events change: the world is the loop's
         self._pushes: list[tuple[float, float, float]] = []
         self._sent: tuple[float, float] | None = None
-        self._again = self._closed = False
-        self._playing, self._speed = True, 1.0
-        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
-            self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
-        at = f"[{host}]" if ":" in host else host
-        self.url = f"http://{at}:{self._server.get_port()}"
+        self._controls = Controls()
+        self._server, self.url = open_server(host, port)
         self._things: list[viser.MeshHandle] = []
         self._around: dict[str, torch.Tensor] | None = None  # what says where those are
         self._dress(world.name)
@@ -75,23 +66,14 @@ class Page:
 
     def run(self) -> None:
         """Act in real time until the page is closed."""
-        pace = Pace()
-
-        def wait() -> None:
-            pace.wait(self._player.dt / self._speed)
-
-        while not self._closed:
-            if self._playing:
-                self.advance(wait)
-            else:
-                wait()
+        self._controls.run(self._player.dt, self.advance)
 
     def advance(self, after_each: Callable[[], None] = lambda: None) -> None:
         """One decision, after what the visitor asked for; `after_each` of the control periods drawn."""
         with self._lock:
-            pushes, again, sent = self._pushes, self._again, self._sent
-            self._pushes, self._again, self._sent = [], False, None
-        if again:
+            pushes, sent = self._pushes, self._sent
+            self._pushes, self._sent = [], None
+        if self._controls.taken_again():
             self._player.restart()
         for impulse in pushes:
             self._player.push(impulse)
@@ -112,9 +94,8 @@ class Page:
             self._sent = x, y
 
     def close(self) -> None:
-        self._closed = True
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+        self._controls.closed = True
+        stop_server(self._server)
         self._player.close()
 
     def _dress(self, name: str) -> None:
@@ -158,8 +139,7 @@ class Page:
         strength = gui.add_slider("Push, N s", 0.0, 40.0, 1.0, 12.0)
         way = gui.add_button_group("Direction", tuple(_WAYS))
         self._ghost = gui.add_checkbox("Reference", False, hint="where the clip is now")
-        pause, again = gui.add_button("Pause"), gui.add_button("Start again")
-        speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
+        self._controls.add_to(gui)
         if self._player.target is not None:
             gui.add_html("<div style='margin:0 .75em'>Click on the floor to send it there.</div>")
             scene.on_click()(self._clicked)
@@ -168,20 +148,6 @@ class Page:
         def _(_: object) -> None:
             x, y = _WAYS[way.value]
             self.push(strength.value * x, strength.value * y)
-
-        @pause.on_click
-        def _(_: object) -> None:
-            self._playing = not self._playing
-            pause.label = "Pause" if self._playing else "Play"
-
-        @again.on_click
-        def _(_: object) -> None:
-            with self._lock:
-                self._again = True
-
-        @speed.on_update
-        def _(_: object) -> None:
-            self._speed = _SPEEDS[speed.value]
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         hit = on_floor(event.ray_origin, event.ray_direction)

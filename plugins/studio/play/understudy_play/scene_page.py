@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
 from collections.abc import Callable
 from html import escape
 
@@ -14,11 +11,10 @@ import trimesh
 import viser
 
 from understudy_mujoco.scene import MujocoScene
-from understudy_play.pace import Pace
+from understudy_play.controls import Controls
 from understudy_play.player import World
-from understudy_viewer.guard import guarded
+from understudy_viewer.server import open_server, stop_server
 
-_SPEEDS = {"0.25 ×": 0.25, "0.5 ×": 0.5, "1 ×": 1.0}
 #: m: half the side of a plane that has none.
 _ENDLESS = 5.0
 
@@ -31,42 +27,26 @@ class ScenePage:
         self._world = world
         self._model = world.scene.shown().compile()
         self._data = mujoco.MjData(self._model)
-        self._again = self._closed = False
-        self._playing, self._speed = True, 1.0
-        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
-            self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
-        at = f"[{host}]" if ":" in host else host
-        self.url = f"http://{at}:{self._server.get_port()}"
+        self._controls = Controls()
+        self._server, self.url = open_server(host, port)
         self._dress()
         self._draw(world.shown()["qpos"].double().numpy())
 
     def run(self) -> None:
         """Act in real time until the page is closed."""
-        pace = Pace()
-
-        def wait() -> None:
-            pace.wait(self._world.dt / self._speed)
-
-        while not self._closed:
-            if self._playing:
-                self.advance(wait)
-            else:
-                wait()
+        self._controls.run(self._world.dt, self.advance)
 
     def advance(self, after_each: Callable[[], None] = lambda: None) -> None:
         """One decision, after what the visitor asked for; `after_each` of the control periods drawn."""
-        if self._again:
-            self._again = False
+        if self._controls.taken_again():
             self._world.restart()
         for shown in self._world.step():
             self._draw(shown["qpos"].double().numpy())
             after_each()
 
     def close(self) -> None:
-        self._closed = True
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+        self._controls.closed = True
+        stop_server(self._server)
         self._world.close()
 
     def places(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -95,21 +75,7 @@ class ScenePage:
         gui.main_panel.dock_right()
         gui.add_html(f"<div style='margin:0 .75em'><b>{escape(self._world.name)}</b></div>")
         self._told = gui.add_html("")
-        pause, again = gui.add_button("Pause"), gui.add_button("Start again")
-        speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
-
-        @pause.on_click
-        def _(_: object) -> None:
-            self._playing = not self._playing
-            pause.label = "Pause" if self._playing else "Play"
-
-        @again.on_click
-        def _(_: object) -> None:
-            self._again = True
-
-        @speed.on_update
-        def _(_: object) -> None:
-            self._speed = _SPEEDS[speed.value]
+        self._controls.add_to(gui)
 
     def _draw(self, qpos: np.ndarray) -> None:
         self._data.qpos[:] = qpos

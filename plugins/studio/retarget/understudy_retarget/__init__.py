@@ -6,12 +6,14 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "characters", "doctor", "motion")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "motion retarget": ("command:Retarget", "put the motion of any skeleton on a character"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "command",
-        "motion retarget",
-        "understudy_retarget.command:Retarget",
-        "put the motion of any skeleton on a character",
-    )
+    register.parts(__name__, PARTS)

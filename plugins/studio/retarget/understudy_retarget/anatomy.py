@@ -58,13 +58,19 @@ Parts = Mapping[str, tuple[int, ...]]
 def find_parts(skeleton: Skeleton, given: Mapping[str, int], owner: str) -> Parts:
     """The parts of `skeleton`; those `given` are what they are said to be.
 
-    Args:
-        skeleton: a tree of joints, z up.
-        given: joints by part, known beforehand.
-        owner: whose skeleton it is, for errors.
+    Parameters
+    ----------
+    skeleton
+        a tree of joints, z up.
+    given
+        joints by part, known beforehand.
+    owner
+        whose skeleton it is, for errors.
 
-    Raises:
-        ConfigError: two joints could be the same part.
+    Raises
+    ------
+    ConfigError
+        two joints could be the same part.
     """
     found: dict[str, tuple[int, ...]] = {part: (joint,) for part, joint in given.items()}
     names = [describe(name) for name in skeleton.joint_names]

@@ -24,11 +24,16 @@ _SHORTEST = 1e-3
 class Goals:
     """Key points by part, (F, 3) m, and turns by segment of the body, (F, 4), world, float64.
 
-    Args:
-        clip: the motion, not looping.
-        source: the clip's figure.
-        target: the character's figure, which has legs.
-        scale: of travel and height; None takes the ratio of the legs.
+    Parameters
+    ----------
+    clip
+        the motion, not looping.
+    source
+        the clip's figure.
+    target
+        the character's figure, which has legs.
+    scale
+        of travel and height; None takes the ratio of the legs.
     """
 
     def __init__(self, clip: Clip, source: Figure, target: Figure, scale: float | None) -> None:

@@ -52,8 +52,10 @@ POOR = 0.05
 class Options:
     """What to do otherwise than by default.
 
-    Raises:
-        ConfigError: the scale is not above zero.
+    Raises
+    ------
+    ConfigError
+        the scale is not above zero.
     """
 
     #: By the character's joint, or a part of the body: the clip's joint.
@@ -94,10 +96,13 @@ class Report:
 def retarget(clip: Clip, character: Character, options: Options = Options()) -> tuple[Clip, Report]:
     """The motion of `clip` on `character`.
 
-    Raises:
-        FileError: the clip has no skeleton.
-        ConfigError: a part that matters is not found in the clip, or could be several joints; or the
-            options name joints that do not exist.
+    Raises
+    ------
+    FileError
+        the clip has no skeleton.
+    ConfigError
+        a part that matters is not found in the clip, or could be several joints; or the
+        options name joints that do not exist.
     """
     skeleton = need_skeleton(clip)
     own_parts = find_parts(character.skeleton, {}, f"Character {character.name}")

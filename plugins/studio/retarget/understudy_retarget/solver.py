@@ -56,7 +56,11 @@ class RotationGoals:
 
 
 def solve(kinematics: Kinematics, qpos: Tensor, points: PointGoals, turns: RotationGoals) -> Tensor:
-    """``qpos`` (F, nq) that comes nearest to the goals, found from the guess ``qpos`` (F, nq)."""
+    """``qpos`` (F, nq) that comes nearest to the goals, found from the guess ``qpos`` (F, nq).
+
+    *Limits:* each frame for itself, and to a local minimum near its guess. Limbs may pass
+    through the body and the floor.
+    """
     problem = _Problem(kinematics, points, turns)
     chunks = torch.arange(len(qpos)).split(CHUNK)
     workers = min(len(chunks), len(os.sched_getaffinity(0)))

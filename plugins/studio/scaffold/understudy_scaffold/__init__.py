@@ -6,11 +6,15 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "new plugin": ("new:NewPlugin", "write a package with one term"),
+        "new paper": ("new:NewPaper", "the same, with an experiment, page and table"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    new = "understudy_scaffold.new"
-    register.component("command", "new plugin", f"{new}:NewPlugin", "write a package with one term")
-    register.component(
-        "command", "new paper", f"{new}:NewPaper", "the same, with an experiment, page and table"
-    )
+    register.parts(__name__, PARTS)

@@ -6,12 +6,14 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "characters", "doctor", "motion", "mujoco")
 
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "command": {
+        "motion view": ("command:View", "show a clip, or a run and its reference, in the browser"),
+    },
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    register.component(
-        "command",
-        "motion view",
-        "understudy_viewer.command:View",
-        "show a clip, or a run beside its reference, in the browser",
-    )
+    register.parts(__name__, PARTS)

@@ -49,8 +49,10 @@ class Figure:
 def figure(clip: Clip, character: Character | None, times: Tensor) -> Figure:
     """The figure of `clip` at `times` (F,) s from 0, as `character`, or as bones if that is None.
 
-    Raises:
-        FileError: the clip lacks a joint of the character or, without one, has no skeleton.
+    Raises
+    ------
+    FileError
+        the clip lacks a joint of the character or, without one, has no skeleton.
     """
     loop = clip.loop and times[-1].item() == clip.duration
     if character is None:

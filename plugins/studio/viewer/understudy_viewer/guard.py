@@ -1,16 +1,20 @@
-"""Who may talk to a page: browsers that were led to it, not pages of others that they have open."""
+"""Who may talk to a page: browsers that were led to it, not pages of others that they have open; as many of
+them as like to, who come and go."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
 import http
 import ipaddress
 import socket
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
+import viser.infra._infra as infra
 import websockets.asyncio.server as server
 from websockets import Headers
 from websockets.http11 import Request, Response
@@ -41,11 +45,30 @@ def is_own(headers: Headers, host: str) -> bool:
     return False
 
 
+class _Event(asyncio.Event):
+    """Set by its own loop alone, which viser asks for each time. viser sets it at once, too, from whatever
+    thread draws, and while visitors come and go that ends the drawing with an error."""
+
+    def set(self) -> None:
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            return
+        super().set()
+
+
+@dataclass
+class _Messages(infra.AsyncMessageBuffer):
+    """To all visitors, from any thread."""
+
+    message_event: asyncio.Event = field(default_factory=_Event)
+
+
 @contextlib.contextmanager
 def guarded(host: str) -> Iterator[None]:
-    """Inside, servers of viser that begin at `host` refuse whatever :func:`is_own` does not know. viser itself
-    has no such option."""
-    serve = server.serve
+    """Inside, servers of viser that begin at `host` refuse whatever :func:`is_own` does not know, and what is
+    drawn for all may be drawn in any thread. viser itself has no such options."""
+    serve, messages = server.serve, infra.AsyncMessageBuffer
 
     @functools.wraps(serve)
     def ours(
@@ -60,8 +83,8 @@ def guarded(host: str) -> Iterator[None]:
 
         return serve(*arguments, process_request=check, **more)
 
-    server.serve = ours  # type: ignore[misc]
+    server.serve, infra.AsyncMessageBuffer = ours, _Messages  # type: ignore[misc]
     try:
         yield
     finally:
-        server.serve = serve  # type: ignore[misc]
+        server.serve, infra.AsyncMessageBuffer = serve, messages  # type: ignore[misc]

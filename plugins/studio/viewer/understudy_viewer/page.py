@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
 import math
 import socket
 import threading
@@ -20,9 +17,9 @@ import viser
 from understudy.errors import ConfigError
 from understudy_characters.overlay import Region
 from understudy_viewer import panel
-from understudy_viewer.guard import guarded
 from understudy_viewer.panel import CONTACT, INSIDE, OUTSIDE
 from understudy_viewer.player import Player
+from understudy_viewer.server import open_server, stop_server
 from understudy_viewer.stage import Actor, Colour, Stage
 
 __all__ = ["free_port"]
@@ -46,8 +43,10 @@ _SQUARE, _SECTION = 1.0, 5.0
 def free_port(host: str, port: int) -> int:
     """`port`, or the next one above it that is free on `host`; any if it is 0.
 
-    Raises:
-        ConfigError: this machine has no such address, or no port of it is free.
+    Raises
+    ------
+    ConfigError
+        this machine has no such address, or no port of it is free.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     reason: Exception | None = None
@@ -89,12 +88,7 @@ class Page:
         self._closed = False
         self._centre = np.zeros(2)
         self._panel_due = 0.0
-        # Browsers open connections in advance and drop them, which is no error.
-        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser announces itself
-            self._server = viser.ViserServer(host, port, label="understudy", verbose=False)
-        at = f"[{host}]" if ":" in host else host
-        self.url = f"http://{at}:{self._server.get_port()}"
+        self._server, self.url = open_server(host, port)
         self._dress()
         self._figures = [self._add_figure(i, actor) for i, actor in enumerate(stage.actors)]
         self._regions = [self._add_region(i, region) for i, region in enumerate(stage.regions)]
@@ -123,8 +117,7 @@ class Page:
         """Stop playing and serving."""
         self._closed = True
         self._changed.set()
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+        stop_server(self._server)
 
     # ------------------------------------------------------------------ what is there
 

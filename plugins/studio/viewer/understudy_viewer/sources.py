@@ -29,14 +29,21 @@ def open_scene(
     """What one or two `sources` show: a run folder alone its learned motion beside its reference, with
     what its task draws over them; two sources each their own motion.
 
-    Args:
-        sources: run folders, clip files, or names of clips.
-        registry: where characters and overlays are found.
-        read: opens a source that is no run folder.
-        character: what to draw the figures as; by default a run's own, or the one that fits the clip.
+    Parameters
+    ----------
+    sources
+        run folders, clip files, or names of clips.
+    registry
+        where characters and overlays are found.
+    read
+        opens a source that is no run folder.
+    character
+        what to draw the figures as; by default a run's own, or the one that fits the clip.
 
-    Raises:
-        UnderstudyError: a source is none, cannot be read, or is not a motion of the character.
+    Raises
+    ------
+    UnderstudyError
+        a source is none, cannot be read, or is not a motion of the character.
     """
     chosen = None if character is None else load_character(character, registry)
     if len(sources) == 1 and Path(sources[0]).is_dir():

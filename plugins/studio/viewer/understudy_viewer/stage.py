@@ -88,8 +88,10 @@ class Stage:
 def build(scene: Scene) -> Stage:
     """The stage of `scene`.
 
-    Raises:
-        FileError: as :func:`figure`.
+    Raises
+    ------
+    FileError
+        as :func:`figure`.
     """
     times = shared_times([subject.clip for subject in scene.subjects])
     actors = tuple(

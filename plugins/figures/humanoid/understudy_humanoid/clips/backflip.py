@@ -98,16 +98,23 @@ def generated_backflip(
 ) -> Clip:
     """A backflip, from standing at ease to standing at ease 0.7 m behind.
 
-    Args:
-        key_poses: return only ten poses: standing, crouch, take-off, half tucked, tucked twice, open,
-            landing, squat, standing.
-        frame_rate: frames/s.
+    Parameters
+    ----------
+    key_poses
+        return only ten poses: standing, crouch, take-off, half tucked, tucked twice, open,
+        landing, squat, standing.
+    frame_rate
+        frames/s.
 
-    Returns:
+    Returns
+    -------
+    Clip
         A clip that does not loop.
 
-    Raises:
-        ConfigError: a parameter is outside its range.
+    Raises
+    ------
+    ConfigError
+        a parameter is outside its range.
     """
     motion = figure.grid("backflip", END, frame_rate)
     times = motion.times
@@ -214,11 +221,16 @@ def _thrown(
 ) -> figure.Array:
     """A coordinate (F,) of a throw.
 
-    Args:
-        times: (F,) s.
-        acceleration: in flight.
-        before: its value and derivatives at the start, in the crouch and at take-off.
-        after: the same on landing, in the squat and at the end.
+    Parameters
+    ----------
+    times
+        (F,) s.
+    acceleration
+        in flight.
+    before
+        its value and derivatives at the start, in the crouch and at take-off.
+    after
+        the same on landing, in the squat and at the end.
     """
     place, speed, _ = before[-1]
     flown = times - OFF

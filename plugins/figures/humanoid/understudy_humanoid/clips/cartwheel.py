@@ -100,17 +100,25 @@ def generated_cartwheel(
 ) -> Clip:
     """A cartwheel to one side, facing x, from standing at ease to standing at ease 2.8 m aside.
 
-    Args:
-        side: where it goes; the hand of that side is the first on the floor.
-        key_poses: return only eleven poses: standing, the step, both feet's leaving, both hands'
-            planting, upside down, and the same backwards.
-        frame_rate: frames/s.
+    Parameters
+    ----------
+    side
+        where it goes; the hand of that side is the first on the floor.
+    key_poses
+        return only eleven poses: standing, the step, both feet's leaving, both hands'
+        planting, upside down, and the same backwards.
+    frame_rate
+        frames/s.
 
-    Returns:
+    Returns
+    -------
+    Clip
         A clip that does not loop.
 
-    Raises:
-        ConfigError: a parameter is outside its range.
+    Raises
+    ------
+    ConfigError
+        a parameter is outside its range.
     """
     motion = grid("cartwheel", END, frame_rate)
     times = motion.times

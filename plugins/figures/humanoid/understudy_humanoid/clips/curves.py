@@ -86,13 +86,19 @@ def bridged(
     A bridge is a cubic spline through those `keys` (n, 1 + K) that lie within the gap; it leaves and
     meets the known values with their velocity.
 
-    Args:
-        times: (F,) s, evenly spaced, without the end of the `period` if there is one.
-        known: (F,) bool; known values come at least three in a row.
-        keys: rows of a time and K values.
-        period: of a motion that repeats, s; `keys` are then within one period from ``times[0]``.
-        brake: s in which a bridge loses the velocity with which it begins, and gains that with which
-            it ends: fast joints do not overshoot. Keys closer to the ends do not count.
+    Parameters
+    ----------
+    times
+        (F,) s, evenly spaced, without the end of the `period` if there is one.
+    known
+        (F,) bool; known values come at least three in a row.
+    keys
+        rows of a time and K values.
+    period
+        of a motion that repeats, s; `keys` are then within one period from ``times[0]``.
+    brake
+        s in which a bridge loses the velocity with which it begins, and gains that with which
+        it ends: fast joints do not overshoot. Keys closer to the ends do not count.
     """
     keys = np.asarray(keys, dtype=float)
     if period is not None:
@@ -174,12 +180,17 @@ def carried(
 ) -> tuple[Array, Pose]:
     """The root's path (F, 3) m, and the pose, with the centre of mass at `goal` (F, 3).
 
-    Args:
-        goal: m, world; along axes that are not among `axes` it is the root's own path.
-        build: the pose for a root's path; its feet may stay where they are.
-        room: how far a root's path may rise, m; with it the goal's height is known but for a
-            constant, and is as high as there is room.
-        start: a root's path (F, 3) m that is nearly right, if there is one: it saves time.
+    Parameters
+    ----------
+    goal
+        m, world; along axes that are not among `axes` it is the root's own path.
+    build
+        the pose for a root's path; its feet may stay where they are.
+    room
+        how far a root's path may rise, m; with it the goal's height is known but for a
+        constant, and is as high as there is room.
+    start
+        a root's path (F, 3) m that is nearly right, if there is one: it saves time.
     """
     goal, chosen = goal.copy(), list(axes)
     root = (goal if start is None else start).copy()

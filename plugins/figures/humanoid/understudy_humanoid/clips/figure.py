@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import ConfigError
-from understudy_humanoid.character import BODIES, Body
+from understudy_characters.table import Link
+from understudy_humanoid.character import BODIES
 from understudy_motion.clip import Clip, Skeleton, sample
 
 Array: TypeAlias = NDArray[np.float64]
@@ -31,7 +32,7 @@ SIGN: Mapping[Side, float] = {"left": 1.0, "right": -1.0}
 GRAVITY = 9.81
 
 ROWS = {row.name: row for row in BODIES}
-_JOINTS = [row for row in BODIES if row.joint is not None or row.parent is None]
+_JOINTS = [row for row in BODIES if row.joints or row.parent is None]
 _NAMES = tuple(row.name for row in _JOINTS)
 _PARENTS = tuple(-1 if row.parent is None else _NAMES.index(row.parent) for row in _JOINTS)
 #: Times per second of a grid, at least.
@@ -63,8 +64,10 @@ def grid(
 ) -> Grid:
     """The grid of a clip of so many seconds, with a whole `multiple` of steps between its frames.
 
-    Raises:
-        ConfigError: the frame rate is not between 10 and 1000 frames/s.
+    Raises
+    ------
+    ConfigError
+        the frame rate is not between 10 and 1000 frames/s.
     """
     check(clip, 10.0, 1000.0, frame_rate=frame_rate)
     steps = multiple * max(8, round(seconds * frame_rate / multiple))
@@ -137,7 +140,7 @@ def _pitch_of(rotation: Rotation) -> Array:
     return np.arctan2(-x[:, 2], x[:, 0])
 
 
-def _inertia(row: Body) -> float:
+def _inertia(row: Link) -> float:
     """A link's moment of inertia about the y axis through its centre, kg m^2."""
     if row.shape == "box":
         return row.mass / 3.0 * (row.size[0] ** 2 + row.size[2] ** 2)

@@ -51,17 +51,26 @@ def generated_hop(
 ) -> Clip:
     """One hop of many, in place or forward along +x, from the touchdown to the next.
 
-    Args:
-        height: m by which the centre of mass rises after take-off, from 0.05 to 0.3.
-        distance: m forward, from 0 to 0.7.
-        leg: which leg hops.
-        frame_rate: frames/s.
+    Parameters
+    ----------
+    height
+        m by which the centre of mass rises after take-off, from 0.05 to 0.3.
+    distance
+        m forward, from 0 to 0.7.
+    leg
+        which leg hops.
+    frame_rate
+        frames/s.
 
-    Returns:
+    Returns
+    -------
+    Clip
         A looping clip.
 
-    Raises:
-        ConfigError: a parameter is outside its range.
+    Raises
+    ------
+    ConfigError
+        a parameter is outside its range.
     """
     figure.check("hop", 0.05, 0.3, height=height)
     figure.check("hop", 0.0, 0.7, distance=distance)

@@ -86,11 +86,16 @@ def two_links(
 ) -> tuple[Rotation, Rotation]:
     """Rotations of the upper link in the frame of `reach` and of the hinge, to bring the end there.
 
-    Args:
-        reach: (F, 3) m from the upper joint to the end; where it is too far the limb is straight.
-        axis: (F, 3) what the hinge's y axis keeps as close to as it can.
-        lengths: m, of both links, which hang down in the zero pose.
-        sense: 1 where the hinge bends about y, -1 where it bends about -y.
+    Parameters
+    ----------
+    reach
+        (F, 3) m from the upper joint to the end; where it is too far the limb is straight.
+    axis
+        (F, 3) what the hinge's y axis keeps as close to as it can.
+    lengths
+        m, of both links, which hang down in the zero pose.
+    sense
+        1 where the hinge bends about y, -1 where it bends about -y.
     """
     upper, lower = lengths
     distance = np.linalg.norm(reach, axis=1)
@@ -198,11 +203,16 @@ def planted(
 ) -> tuple[Array, Rotation]:
     """Ankle (F, 3) m and rotation (F,), in the world, of a foot that stays where it is on the floor.
 
-    Args:
-        place: (F, 2) or (2,) m, below the ankle when the foot lies flat.
-        yaw: (F,) or one, rad.
-        pitch: the same, toe down positive; the foot turns about its front or rear edge.
-        roll: the same, left side up positive; the foot turns about its right or left edge.
+    Parameters
+    ----------
+    place
+        (F, 2) or (2,) m, below the ankle when the foot lies flat.
+    yaw
+        (F,) or one, rad.
+    pitch
+        the same, toe down positive; the foot turns about its front or rear edge.
+    roll
+        the same, left side up positive; the foot turns about its right or left edge.
     """
     yaw, pitch, roll = np.broadcast_arrays(*np.atleast_1d(yaw, pitch, roll))
     aside = -np.sign(roll) * _FOOT.size[1]
@@ -217,10 +227,13 @@ def planted(
 def room(gap: Array, reach: float) -> float:
     """How far hips may rise until the longest leg is stretched to `reach`, a part of its length.
 
-    Args:
-        gap: (F, 3) m from the hip to the ankle, world; where the leg is too short to get there, the
-            hip would best be as low as the ankle.
-        reach: at most 1.
+    Parameters
+    ----------
+    gap
+        (F, 3) m from the hip to the ankle, world; where the leg is too short to get there, the
+        hip would best be as low as the ankle.
+    reach
+        at most 1.
     """
     upright = (reach * (THIGH + SHIN)) ** 2 - (gap[:, :2] ** 2).sum(axis=1)
     return float((np.sqrt(np.maximum(upright, 0.0)) + gap[:, 2]).min())

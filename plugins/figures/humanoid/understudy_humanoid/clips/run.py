@@ -43,16 +43,24 @@ def generated_run(
 ) -> Clip:
     """One cycle, two steps, of a run along +x, from a right foot strike.
 
-    Args:
-        speed: m/s, from 2 to 5. Faster runs take shorter contacts, and shorter and longer steps.
-        key_poses: return only the poses of strike, mid-stance, toe-off and mid-flight.
-        frame_rate: frames/s, rounded so that a step is a whole number of frames.
+    Parameters
+    ----------
+    speed
+        m/s, from 2 to 5. Faster runs take shorter contacts, and shorter and longer steps.
+    key_poses
+        return only the poses of strike, mid-stance, toe-off and mid-flight.
+    frame_rate
+        frames/s, rounded so that a step is a whole number of frames.
 
-    Returns:
+    Returns
+    -------
+    Clip
         A looping clip whose second half mirrors its first.
 
-    Raises:
-        ConfigError: a parameter is outside its range.
+    Raises
+    ------
+    ConfigError
+        a parameter is outside its range.
     """
     figure.check("run", 2.0, 5.0, speed=speed)
     contact, cycle = contact_and_cycle(speed)

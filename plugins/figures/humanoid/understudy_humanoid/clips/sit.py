@@ -84,16 +84,24 @@ def generated_sit(
 ) -> Clip:
     """Sitting down on a chair behind.
 
-    Args:
-        seat_height: m above the floor, from 0.35 to 0.55.
-        seconds: from standing to sitting still, from 1.2 to 6.
-        frame_rate: frames/s.
+    Parameters
+    ----------
+    seat_height
+        m above the floor, from 0.35 to 0.55.
+    seconds
+        from standing to sitting still, from 1.2 to 6.
+    frame_rate
+        frames/s.
 
-    Returns:
+    Returns
+    -------
+    Clip
         A clip that does not loop.
 
-    Raises:
-        ConfigError: a parameter is outside its range.
+    Raises
+    ------
+    ConfigError
+        a parameter is outside its range.
     """
     return _clip("sit", seat_height, seconds, frame_rate, _SITTING)
 

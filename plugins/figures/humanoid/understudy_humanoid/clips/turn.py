@@ -50,16 +50,24 @@ def generated_turn_left(
 ) -> Clip:
     """A turn to the left in place, from standing to standing.
 
-    Args:
-        angle: rad, from 0.2 to 2 pi. Each foot takes one step per 60 degrees, or part of it.
-        seconds: of the whole turn; a step may take 0.3 to 1.5 s.
-        frame_rate: frames/s.
+    Parameters
+    ----------
+    angle
+        rad, from 0.2 to 2 pi. Each foot takes one step per 60 degrees, or part of it.
+    seconds
+        of the whole turn; a step may take 0.3 to 1.5 s.
+    frame_rate
+        frames/s.
 
-    Returns:
+    Returns
+    -------
+    Clip
         A looping clip, whose cycle turns by `angle`.
 
-    Raises:
-        ConfigError: a parameter is outside its range, or the steps would be too quick or too slow.
+    Raises
+    ------
+    ConfigError
+        a parameter is outside its range, or the steps would be too quick or too slow.
     """
     return _turn("turn_left", "left", angle, seconds, frame_rate)
 

@@ -71,23 +71,32 @@ def generated_walk(
 ) -> Clip:
     """One gait cycle, two steps, of a level walk from a right heel strike, along +x or an arc.
 
-    Args:
-        speed: m/s, along the path, up to 3.
-        cycle: seconds per two steps, from 0.4 to 3; ``speed * cycle`` is the stride length.
-        heading_rate: rad/s, to the left positive, up to 1 either way. The path is an arc of radius
-            ``speed / heading_rate``, at least 0.5 m; the body leans into it.
-        frame_rate: frames/s, rounded so that a step is a whole number of frames.
+    Parameters
+    ----------
+    speed
+        m/s, along the path, up to 3.
+    cycle
+        seconds per two steps, from 0.4 to 3; ``speed * cycle`` is the stride length.
+    heading_rate
+        rad/s, to the left positive, up to 1 either way. The path is an arc of radius
+        ``speed / heading_rate``, at least 0.5 m; the body leans into it.
+    frame_rate
+        frames/s, rounded so that a step is a whole number of frames.
 
     The defaults are an adult's at an easy pace: 114 steps/min and a stride of 1.26 m. Perry's norms
     are 113 steps/min and 1.41 m; the stride here is shortened with the leg, from about 0.93 m to
     the character's 0.83 m, at the same cadence.
 
-    Returns:
+    Returns
+    -------
+    Clip
         A looping clip; of a straight walk the second half mirrors the first.
 
-    Raises:
-        ConfigError: a parameter is outside its range, the arc is too tight, or the stride is too
-            long for the legs.
+    Raises
+    ------
+    ConfigError
+        a parameter is outside its range, the arc is too tight, or the stride is too
+        long for the legs.
     """
     figure.check("walk", 0.05, 3.0, speed=speed)
     figure.check("walk", 0.4, 3.0, cycle=cycle)
@@ -147,14 +156,22 @@ def _foot(
 ) -> tuple[figure.Array, Rotation]:
     """One foot's path in the world.
 
-    Args:
-        side: whose foot.
-        phase: (F,) of that side, any number of cycles.
-        stride: m.
-        strike: how far along the path, in m, the foot of phase 0 to ``TOE_OFF`` lies flat.
-        curvature: of the path, 1/m.
+    Parameters
+    ----------
+    side
+        whose foot.
+    phase
+        (F,) of that side, any number of cycles.
+    stride
+        m.
+    strike
+        how far along the path, in m, the foot of phase 0 to ``TOE_OFF`` lies flat.
+    curvature
+        of the path, 1/m.
 
-    Returns:
+    Returns
+    -------
+    tuple[figure.Array, Rotation]
         Ankle positions (F, 3) and foot rotations (F,).
     """
     within, steps = phase % 1.0, np.floor(phase)

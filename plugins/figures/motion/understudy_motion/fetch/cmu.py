@@ -26,12 +26,16 @@ _CLIP = re.compile(r"(?:cmu/)?([0-9]{1,3})_([0-9]{1,2})")
 def clips(text: str) -> list[str]:
     """The clips that `text` names, none if it is no name of this database.
 
-    Args:
-        text: ``02_01``, ``cmu/02_01``, the official address of a motion, or a range of one subject's
-            trials, ``02_01..02_05``.
+    Parameters
+    ----------
+    text
+        ``02_01``, ``cmu/02_01``, the official address of a motion, or a range of one subject's
+        trials, ``02_01..02_05``.
 
-    Raises:
-        FileError: a subject that the database does not have, or a range that is none.
+    Raises
+    ------
+    FileError
+        a subject that the database does not have, or a range that is none.
     """
     if official := _ADDRESS.fullmatch(text):
         text = official[1]

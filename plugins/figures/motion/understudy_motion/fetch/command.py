@@ -125,9 +125,12 @@ def wanted(
 ) -> list[Wanted]:
     """The files that the arguments of the command ask for, each once, a skeleton before its motions.
 
-    Raises:
-        FileError: a name that is none, or an address that names no file.
-        ConfigError: an option that does not go with the others.
+    Raises
+    ------
+    FileError
+        a name that is none, or an address that names no file.
+    ConfigError
+        an option that does not go with the others.
     """
     if sha256 is not None and not re.fullmatch(r"[0-9A-Fa-f]{64}", sha256):
         raise ConfigError(f"--sha256={sha256} is not possible: it takes 64 hexadecimal digits.")
@@ -171,9 +174,11 @@ def wanted(
 def fetch(file: Wanted, registry: Registry) -> str:
     """Bring `file` to its place, if it is not there; returns what was done, in words.
 
-    Raises:
-        FileError: it cannot be fetched, is not what its digests say, or is a damaged clip; nothing
-            of it is in its place then, or what was there still is.
+    Raises
+    ------
+    FileError
+        it cannot be fetched, is not what its digests say, or is a damaged clip; nothing
+        of it is in its place then, or what was there still is.
     """
     folder = file.path.parent
     try:
@@ -301,8 +306,10 @@ def _refuse_namesake(file: Wanted) -> None:
 def _check(path: Path, registry: Registry) -> bool:
     """Whether a reader knows the file's format; skeletons are checked with the clips that need them.
 
-    Raises:
-        FileError: the reader refuses the file.
+    Raises
+    ------
+    FileError
+        the reader refuses the file.
     """
     if path.suffix == SKELETON:
         return True

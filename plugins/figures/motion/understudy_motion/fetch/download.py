@@ -75,15 +75,22 @@ class _InterruptedError(Exception):
 def download(url: str, part: Path, progress: Progress) -> None:
     """Bring the whole content of `url` into the file `part`, which may hold its beginning already.
 
-    Args:
-        url: an ``http``, ``https`` or ``file`` address.
-        part: the partial file; it and its validator stay where a later call can go on from them.
-        progress: told how far it is.
+    Parameters
+    ----------
+    url
+        an ``http``, ``https`` or ``file`` address.
+    part
+        the partial file; it and its validator stay where a later call can go on from them.
+    progress
+        told how far it is.
 
-    Raises:
-        AbsentError: there is no such file at `url`.
-        FileError: the address cannot be used, the server refuses or cannot be reached, all attempts
-            were interrupted, the content is larger than 64 MB, or `part` cannot be written.
+    Raises
+    ------
+    AbsentError
+        there is no such file at `url`.
+    FileError
+        the address cannot be used, the server refuses or cannot be reached, all attempts
+        were interrupted, the content is larger than 64 MB, or `part` cannot be written.
     """
     try:
         if urlsplit(url).scheme == "file":
@@ -112,8 +119,10 @@ def discard(part: Path) -> None:
 def checked_address(url: str) -> str:
     """`url` with unusual characters quoted, if it is an http(s) address without a password.
 
-    Raises:
-        FileError: it is not.
+    Raises
+    ------
+    FileError
+        it is not.
     """
     refusal = FileError(f"'{url}' is not an http:// or https:// address.")
     try:

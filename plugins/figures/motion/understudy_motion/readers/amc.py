@@ -129,8 +129,10 @@ class AmcReader(ClipReader):
 def read_figure(path: Path) -> Figure:
     """Read the ASF at `path`.
 
-    Raises:
-        FileError: missing, too large, or not a skeleton; names the line.
+    Raises
+    ------
+    FileError
+        missing, too large, or not a skeleton; names the line.
     """
     text = decoded(read_bytes(path, MAX_SKELETON_BYTES))
     return _FigureParser(path).parse(text.splitlines())

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_motion.clip import ANGLE, Clip
-from understudy_motion.readers.text import decoded, is_number, number_rows
+from understudy_motion.readers.text import decoded, is_number, number_rows, without_comments
 from understudy_motion.reading import (
     UNSAID,
     ClipReader,
@@ -47,7 +47,7 @@ class AnglesReader(ClipReader):
     suffixes = (".csv", ".txt")
 
     def recognises(self, head: bytes, path: Path) -> bool:
-        lines = [line for line in decoded(head).splitlines() if line.strip()]
+        lines = [line for line in without_comments(decoded(head).splitlines()) if line]
         if not lines:
             return False
         words = _words(lines[0], _delimiter(lines[0]))
@@ -59,7 +59,7 @@ class AnglesReader(ClipReader):
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
-        lines = [line.strip() for line in decoded(content).splitlines()]
+        lines = without_comments(decoded(content).splitlines())
         at = next((n for n, line in enumerate(lines) if line), 0)
         delimiter = _delimiter(lines[at])
         lines = [line.rstrip(delimiter) for line in lines]

@@ -66,12 +66,16 @@ MOVING = 1e-3
 """m that a joint's position may differ from its bone."""
 SHIFTED, TRAVELLING = 1e-4, 1e-2
 """Moving and plainly moving, in lengths of all bones together, while the unit is not known."""
+SLOWEST = 1.0
+"""s between frames: more is a rate, or milliseconds, where seconds belong."""
+UNSCALED = 1e-3
+"""What a scale may differ from 1."""
 COLLAPSED = 0.1
 """Positions whose bones are together so much of the OFFSETs' length are displacements from these."""
 
 CHANNELS = {
     f"{axis}{kind}": (kind, k)
-    for kind in ("position", "rotation")
+    for kind in ("position", "rotation", "scale")
     for k, axis in enumerate(("x", "y", "z"))
 }
 """Kind and axis of a channel by its name in lower case."""
@@ -103,6 +107,7 @@ class Bone:
     axes: tuple[int, ...]  #: about which it turns, the last applied first
     angles: np.ndarray  #: (F, axes) degrees
     positions: np.ndarray  #: (F, 3)
+    above: int = 0  #: how many of its axes, the first ones, are of nodes above the figure
 
     def turns(self, up: Axis) -> torch.Tensor:
         """(F, 4), in the frame with z up."""
@@ -113,6 +118,14 @@ class Bone:
         return bool((np.ptp(self.positions, axis=0) > distance).any())
 
 
+_REMARK = re.compile(r"\s(#|//|;)(\s.*)?$")
+"""What follows a sign of its own to the end of a line of the hierarchy."""
+
+
+_SAID = re.compile(r"(frames|frame\s*time|frame\s*rate|fps)\b[\s:=]*(\S*)", re.IGNORECASE)
+"""A line, or a part of it, between MOTION and the numbers."""
+
+
 class BvhReader(ClipReader):
     """Reads BVH."""
 
@@ -120,14 +133,18 @@ class BvhReader(ClipReader):
 
     def recognises(self, head: bytes, path: Path) -> bool:
         lines = without_comments(decoded(head).splitlines())
-        return next((line for line in lines if line), "")[:9].upper() == "HIERARCHY"
+        return any(line[:9].upper() == "HIERARCHY" for line in lines)
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
         lines = without_comments(decoded(content).splitlines())
+        for i, line in enumerate(lines):  # a remark in whatever marks
+            if line[:9].upper() == "HIERARCHY":
+                break
+            lines[i] = ""
         joints, motion = _Hierarchy(path, lines).parse()
         interval, values = _motion(path, lines, motion, joints, options.rate)
-        bones = _figure(joints, values)
+        bones = _figure(path, joints, values)
         up, metres = _recognised(path, bones, options)
         for bone in bones[1:]:
             _check_still(path, bone, metres)
@@ -179,7 +196,7 @@ class _Hierarchy:
                 joint.offset = self._vector()
             elif word == "CHANNELS":
                 joint.channels = self._channels()
-            elif word in ("END", "ENDSITE", "END_SITE"):
+            elif word.startswith(("END", "SITE")):
                 tip = self._end()
                 joint.tip = joint.tip or (tip if any(tip) else None)
             elif word == "}":
@@ -194,7 +211,8 @@ class _Hierarchy:
 
     def _numbered(self, lines: Sequence[str]) -> Iterator[str]:
         for self._line, line in enumerate(lines, start=1):
-            yield from line.replace("{", " { ").replace("}", " } ").split()
+            said = _REMARK.sub("", line)
+            yield from said.replace("{", " { ").replace("}", " } ").split()
 
     def _next(self) -> str:
         word = next(self._words, None)
@@ -246,7 +264,7 @@ class _Hierarchy:
     def _vector(self) -> tuple[float, ...]:
         numbers = []
         for _ in range(3):
-            word = self._next()
+            word = self._next().rstrip(",;").replace(",", ".")
             if not is_number(word):
                 self._fail(f"OFFSET needs three numbers, not {shown(word)}")
             numbers.append(float(word))
@@ -254,9 +272,9 @@ class _Hierarchy:
 
     def _channels(self) -> tuple[tuple[str, int], ...]:
         count = self._next()
-        if count not in tuple("0123456"):
-            self._fail(f"a joint has from 0 to 6 CHANNELS, not {shown(count)}")
-        names = [self._next().lower() for _ in range(int(count))]
+        if not re.fullmatch("0?[0-9]", count):
+            self._fail(f"a joint has from 0 to 9 CHANNELS, not {shown(count)}")
+        names = [self._next().lower().rstrip(",").replace("_", "") for _ in range(int(count))]
         for name in names:
             if name not in CHANNELS or names.count(name) > 1:
                 self._fail(f"{shown(name)} is not a channel, or is listed twice")
@@ -273,52 +291,65 @@ def _motion(
 
     Where the `rate` is given the file need not say it, and what it says does not matter.
     """
-    head = [(i, line) for i, line in enumerate(lines[start : start + 100], start) if line][:2]
     count = interval = None
-    last = start
-    for i, line in head:
-        if said := re.fullmatch(r"frames\s*:\s*([0-9]{1,9})", line, re.IGNORECASE):
-            count, last = (i, int(said[1])), i
-        elif said := re.fullmatch(r"frame\s*time\s*:\s*(\S*)", line, re.IGNORECASE):
-            interval, last = (i, said[1].replace(",", ".")), i
-    if count is None or (interval is None and rate is None):
+    last = start - 1
+    head = [(i, line) for i, line in enumerate(lines[start : start + 100], start) if line][:2]
+    for i, word, said in [(i, *said) for i, line in head for said in _SAID.findall(line)]:
+        if word.lower() != "frames":
+            interval = (i, said.replace(",", "."), word.lower().endswith("time"))
+        elif re.fullmatch(r"[0-9]{1,9}(\.0*)?", said):
+            count = (i, int(float(said)))
+        last = i
+    unsaid = count is None and any(
+        w.lower() == "frames" for _, line in head for w, _ in _SAID.findall(line)
+    )
+    if (interval is None and rate is None) or unsaid:
         raise FileError(
-            f"Clip {path}: line {last + 1}: 'Frames: <count>' and 'Frame Time: <seconds>' are "
+            f"Clip {path}: line {max(last, start) + 1}: 'Frames: <count>' and 'Frame Time: <seconds>' are "
             "expected after MOTION; the rate can also be given as motion.rate (--source-rate)."
         )
     seconds = 1.0 / rate if rate else 0.0
     if interval and not rate:
-        if not is_number(interval[1]) or not 1e-6 <= float(interval[1]) <= 1e3:
+        number = float(interval[1]) if is_number(interval[1]) else 0.0
+        seconds = number if interval[2] else 1.0 / number if number else 0.0
+        if not 1e-6 <= seconds <= SLOWEST:
             raise FileError(
-                f"Clip {path}: line {interval[0] + 1}: 'Frame Time' must be seconds above 0; or give "
-                "motion.rate (--source-rate)."
+                f"Clip {path}: line {interval[0] + 1}: 'Frame Time' must be seconds above 0 and up to "
+                f"{SLOWEST:g}; or give motion.rate (--source-rate)."
             )
-        seconds = float(interval[1])
     columns = sum(len(joint.channels) for joint in joints)
     if columns == 0:
         raise FileError(f"Clip {path}: no joint has channels, so nothing moves.")
     body = lines[last + 1 :]
     frames = sum(1 for line in body if line)
-    if frames != count[1]:
+    if count is not None and frames != count[1]:
         raise FileError(
             f"Clip {path}: line {count[0] + 1}: {count[1]} frames are announced, but "
             f"{frames} lines of numbers follow."
         )
     check_size(path, frames, [joint.name for joint in joints])
-    if any("," in line for line in body) and not any("." in line for line in body):
-        body = [line.replace(",", ".") for line in body]  # decimal commas
+    if any(";" in line for line in body):
+        body = [line.replace(";", " ") for line in body]
+    if any("," in line for line in body):  # between numbers, or within
+        mark = " " if any("." in line for line in body) else "."
+        body = [line.replace(",", mark) for line in body]
     values = number_rows(path, body, last + 2, columns)
     ends = np.cumsum([len(joint.channels) for joint in joints])
     return seconds, np.split(values, ends[:-1], axis=1)
 
 
-def _figure(joints: Sequence[Joint], values: Sequence[np.ndarray]) -> list[Bone]:
+def _figure(path: Path, joints: Sequence[Joint], values: Sequence[np.ndarray]) -> list[Bone]:
     """The joints that are the figure's, the first its root, with their bones and angles."""
     bones = []
     for joint, numbers in zip(joints, values, strict=True):
         positions = np.tile(np.array(joint.offset), (len(numbers), 1))
         for column, k in joint.columns("position"):
             positions[:, k] = numbers[:, column]
+        sizes = numbers[:, [column for column, _ in joint.columns("scale")]]
+        if (np.abs(sizes - 1.0) > UNSCALED).any():
+            raise FileError(
+                f"Clip {path}: joint '{joint.name}' changes its size; export the motion without scale."
+            )
         turning = joint.columns("rotation")
         bones.append(
             Bone(
@@ -403,7 +434,8 @@ def _from_root(bones: Sequence[Bone], top: int) -> list[Bone]:
         angles = np.concatenate((above.angles, angles), axis=1)
         at = above.parent
     kept = {top: 0}
-    found = [replace(root, parent=-1, axes=axes, angles=angles, positions=positions)]
+    nodes = len(axes) - len(root.axes)
+    found = [replace(root, parent=-1, axes=axes, angles=angles, positions=positions, above=nodes)]
     for joint, bone in enumerate(bones):
         if bone.parent in kept:
             kept[joint] = len(found)
@@ -456,15 +488,19 @@ def _recognised(path: Path, bones: Sequence[Bone], options: ReadOptions) -> tupl
 
 
 def _extents(path: Path, bones: Sequence[Bone]) -> np.ndarray:
-    """(2, 3): the figure's size along each axis, file's unit, with zero angles and in frame 0."""
-    first = torch.stack([replace(bone, angles=bone.angles[:1]).turns("z") for bone in bones], dim=1)
-    zeros = torch.zeros_like(first)
-    zeros[..., 0] = 1.0
+    """(3, 3): the figure's size along each axis, file's unit, with zero angles, with those of nodes above
+    it alone, and in frame 0."""
+    first = [bone.angles[:1] for bone in bones]
+    zeros = [a * (np.arange(a.shape[1]) < b.above) for a, b in zip(first, bones, strict=True)]
+    turns = [
+        torch.stack([replace(b, angles=a).turns("z") for b, a in zip(bones, pose, strict=True)], 1)
+        for pose in ([np.zeros_like(a) for a in first], zeros, first)
+    ]
     poses = Clip(
         name=path.stem,
-        times=torch.tensor([0.0, 1.0]),
-        root_position=torch.zeros(2, 3),
-        rotations=torch.cat((zeros, first)),
+        times=torch.arange(3.0),
+        root_position=torch.zeros(3, 3),
+        rotations=torch.cat(turns),
         joint_names=tuple(bone.name for bone in bones),
         loop=False,
         skeleton=_skeleton(path, bones, 1.0, "z"),
@@ -476,13 +512,16 @@ def _extents(path: Path, bones: Sequence[Bone]) -> np.ndarray:
 
 
 def _vertical(extents: np.ndarray) -> Axis | None:
-    """The axis along which figures of these sizes (2, 3) stand, None if that is not plain."""
-    votes: set[Axis] = set()
-    for x, y, z in extents:
+    """The axis along which figures of these sizes (:func:`_extents`) stand, None if that is not plain."""
+
+    def vote(size: np.ndarray) -> Axis | None:
+        x, y, z = size
         if y > TALLER * z and y > 0.5 * x:
-            votes.add("y")
-        if z > TALLER * y and z > 0.5 * x:
-            votes.add("z")
+            return "y"
+        return "z" if z > TALLER * y and z > 0.5 * x else None
+
+    zeros, turned, first = (vote(size) for size in extents)
+    votes = {turned or zeros, first} - {None}
     return votes.pop() if len(votes) == 1 else None
 
 

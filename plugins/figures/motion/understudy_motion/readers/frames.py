@@ -24,11 +24,16 @@ def to_world(vectors: np.ndarray, up: Axis) -> np.ndarray:
 def product_of_turns(axes: np.ndarray, angles: np.ndarray) -> Tensor:
     """R(axes[0], angles[:, 0]) R(axes[1], angles[:, 1]) …, the last turn applied first.
 
-    Args:
-        axes: (K, 3), unit, all in the frame that the product is given in.
-        angles: (F, K) rad.
+    Parameters
+    ----------
+    axes
+        (K, 3), unit, all in the frame that the product is given in.
+    angles
+        (F, K) rad.
 
-    Returns:
+    Returns
+    -------
+    Tensor
         Quaternions (F, 4) float64; no turn at all is the identity.
     """
     turns = rotations.from_axis_angle(torch.tensor(axes), torch.tensor(angles))

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from understudy.errors import FileError
+from understudy_motion.readers.text import is_number
 from understudy_motion.reading import read_bytes
 
 __all__ = ["Archive"]
@@ -42,6 +43,7 @@ _KINDS: Mapping[str, str] = {
     "u": "",
     "O": "",
     "U": "text",
+    "S": "",
     "b": "true or false",
 }
 
@@ -49,8 +51,10 @@ _KINDS: Mapping[str, str] = {
 class Archive:
     """The arrays of an NPZ file, read one by one as asked for.
 
-    Raises:
-        FileError: missing, too large, or not a sound zip archive.
+    Raises
+    ------
+    FileError
+        missing, too large, or not a sound zip archive.
     """
 
     def __init__(self, path: Path) -> None:
@@ -91,8 +95,11 @@ class Archive:
         return shape
 
     def number(self, name: str) -> float:
-        """The single number `name`, which may be saved as an object."""
-        array = self._array(name, "fiuO", None)
+        """The single number `name`, which may be saved as an object or as text."""
+        array = self._array(name, "fiuOUS", None)
+        if array.size == 1 and array.dtype.kind in "US":
+            word = str(array.astype("U40").reshape(()))
+            array = np.array(float(word) if is_number(word) else np.nan)
         if array.size != 1 or not np.isfinite(array).all():
             raise FileError(f"Clip {self._path}: '{name}' is not one finite number.")
         return float(array.reshape(()))
@@ -164,8 +171,10 @@ def array_names(path: Path) -> frozenset[str]:
 def _literals(pickled: bytes) -> np.ndarray:
     """The numbers in an array of objects, read off its opcodes: nothing is unpickled or called.
 
-    Raises:
-        ValueError: it holds more than plain numbers.
+    Raises
+    ------
+    ValueError
+        it holds more than plain numbers.
     """
     numbers: list[float] | None = None
     if len(pickled) <= MAX_LITERALS:

@@ -4,7 +4,7 @@
 those of SMPL (24), SMPL-H (52) or SMPL-X (55); or the parts stand apart as ``root_orient``,
 ``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``. Joints may have an axis of their own, and be
 rotation matrices: (F, J, 3) or (F, J, 3, 3). ``trans`` (F, 3) is in metres. The rate is
-``mocap_framerate``, ``mocap_frame_rate``, ``frame_rate``, ``framerate`` or ``fps``. The body model's own
+``mocap_framerate``, ``mocap_frame_rate``, ``mocap_fps``, ``frame_rate``, ``framerate`` or ``fps``. The body model's own
 names of these arrays (``global_orient``, ``body_pose``, ``transl``, …) are read as well.
 
 The body's own frames have y up, z forward and x left and are parallel in the T-pose; the world has
@@ -67,13 +67,15 @@ JOINTS: Mapping[int, tuple[str, ...]] = {
 PARTS: Mapping[str, int] = {"root_orient": 1, "pose_body": 21, "pose_jaw": 1, "pose_eye": 2, "pose_hand": 30}  # fmt: skip
 """Joints of the arrays that may stand for ``poses``, in its order."""
 
-RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps")
+_SMPL = 23
+"""Joints of ``body_pose`` where it is SMPL's own, which has hands."""
+RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps", "mocap_fps")
 NAMES: Mapping[str, tuple[str, ...]] = {
-    "poses": ("pose", "full_pose", "fullpose"),
+    "poses": ("pose", "full_pose", "fullpose", "smpl_poses"),
     "root_orient": ("global_orient",),
     "pose_body": ("body_pose",),
     "pose_jaw": ("jaw_pose",),
-    "trans": ("transl", "translation"),
+    "trans": ("transl", "translation", "smpl_trans"),
 }
 """Other names of the arrays."""
 
@@ -135,9 +137,10 @@ class SmplReader(ClipReader):
         vectors = _poses(path, archive)
         num_frames, num_joints = vectors.shape[:2]
         check_size(path, num_frames, JOINTS[num_joints])
-        translation = archive.floats(
-            _named("trans", archive.names) or "trans", num_frames, 3
-        ) * metres_of(options.unit or "m")
+        where = _named("trans", archive.names) or "trans"
+        flat = where not in archive.names or len(archive.shape(where)) != 3
+        places = archive.floats(where, *((num_frames, 3) if flat else (num_frames, 1, 3)))
+        translation = places.reshape(num_frames, 3) * metres_of(options.unit or "m")
         rate = options.rate or _rate(path, archive)
         up = options.up or "z"
         joint_names = JOINTS[num_joints]
@@ -166,6 +169,8 @@ def _poses(path: Path, archive: Archive) -> np.ndarray:
             name = _named(part, archive.names)
             if name or part in ("root_orient", "pose_body"):
                 parts.append(_vectors(archive, name or part))
+                if part == "pose_body" and parts[-1].shape[1] == 3 * _SMPL:
+                    joints = _SMPL  # with its hands
                 if parts[-1].shape[1] != 3 * joints:
                     raise FileError(
                         f"Clip {path}: array '{name}': {parts[-1].shape[1]} values per frame, and it "

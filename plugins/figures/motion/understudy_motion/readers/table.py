@@ -50,8 +50,10 @@ PROVENANCE = ("source", "licence", "sha256", "url", "attribution")
 QUATERNION = ("qw", "qx", "qy", "qz")
 VECTOR = ("rx", "ry", "rz")
 ROOT_POSITION = ("root.px", "root.py", "root.pz")
-UNREAD = re.compile(r"(index|frame|unnamed: [0-9]+|)", re.IGNORECASE)
+UNREAD = re.compile(r"(index|idx|id|row|level_[0-9]+|frames?|unnamed: [0-9]+|)", re.IGNORECASE)
 """Columns of row numbers, and empty ones, as spreadsheets and pandas write them."""
+TIME = re.compile(r"(time|times|t|timestamp)([_ ]*[\[(]?(s|sec|seconds)[\])]?)?", re.IGNORECASE)
+"""The column of times, s."""
 DELIMITERS = ",;\t"
 
 
@@ -145,7 +147,11 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
     for index, line in enumerate(lines):
         if comment := re.match(r"\s*#\s*(rate|loop|licence)\s*:(.*)", line):
             said[comment[1]] = comment[2].strip()
-        elif line.strip() and not line.lstrip().startswith("#"):
+        elif (
+            line.strip()
+            and not line.lower().startswith("sep=")
+            and (not line.lstrip().startswith("#") or ROOT_POSITION[0] in line)
+        ):
             return said, index
     return said, len(lines)
 
@@ -158,7 +164,9 @@ def _delimiter(header: str) -> str:
 
 
 def _cells(header: str, delimiter: str) -> list[str]:
-    return [name.strip().strip('"').strip() for name in header.split(delimiter)]
+    names = [name.strip().strip('"').strip() for name in header.split(delimiter)]
+    names[0] = names[0].lstrip("# ")
+    return ["time" if TIME.fullmatch(name) else name for name in names]
 
 
 def _plain(

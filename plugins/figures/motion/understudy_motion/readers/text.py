@@ -31,12 +31,11 @@ def decoded(content: bytes) -> str:
         marked = "utf-16-le"
     elif marked is None and content[:1] == b"\0":
         marked = "utf-16-be"
-    if marked is not None:
-        return content.decode(marked, errors="replace")
     try:
-        return content.decode("utf-8")
+        text = content.decode(marked or "utf-8", errors="replace" if marked else "strict")
     except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace")
+        text = content.decode("cp1252", errors="replace")
+    return text.rstrip("\0\x1a")  # with which old programs end a file
 
 
 def without_comments(lines: Sequence[str]) -> list[str]:
@@ -65,8 +64,10 @@ def number_rows(
 
     Blank lines are skipped. `delimiter` None is any white space.
 
-    Raises:
-        FileError: naming the line that has another count, or something that is no :func:`is_number`.
+    Raises
+    ------
+    FileError
+        naming the line that has another count, or something that is no :func:`is_number`.
     """
     if not any(line.strip() for line in lines):
         return np.empty((0, columns))

@@ -5,19 +5,35 @@ from pathlib import Path
 from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
-_HERE = "understudy_balance"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "reward": {
+        "balance/upright": ("terms:upright", "the trunk is upright"),
+    },
+    "termination": {
+        "balance/leaning": ("terms:leaning", "the trunk leans too far"),
+    },
+    "encoder": {
+        "balance/posture": ("posture:Posture", "joints and trunk"),
+    },
+    "actuation": {
+        "balance/smooth_targets": ("smooth_targets:SmoothTargets", "targets that change slowly"),
+    },
+    "memory": {
+        "balance/upright_time": ("upright_time:UprightTime", "how long it has stood upright"),
+    },
+    "initial_states": {
+        "balance/standing": ("standing:Standing", "standing, pushed"),
+    },
+    "report_section": {
+        "balance/standing": ("section:StandingSection", "how long it stood"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    add = register.component
-    add("reward", "balance/upright", f"{_HERE}.terms:upright", "the trunk is upright")
-    add("termination", "balance/leaning", f"{_HERE}.terms:leaning", "the trunk leans too far")
-    add("encoder", "balance/posture", f"{_HERE}.posture:Posture", "joints and trunk")
-    add("actuation", "balance/smooth_targets", f"{_HERE}.smooth_targets:SmoothTargets")
-    add("memory", "balance/upright_time", f"{_HERE}.upright_time:UprightTime")
-    add("initial_states", "balance/standing", f"{_HERE}.standing:Standing", "standing, pushed")
-    add("report_section", "balance/standing", f"{_HERE}.section:StandingSection")
+    register.parts(__name__, PARTS)
     register.task("balance/stand", "stand upright after a push")
 
 

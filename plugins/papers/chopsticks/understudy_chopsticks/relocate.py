@@ -1,0 +1,398 @@
+"""Relocation: plans as goals. Each world follows a plan of its own (thesis, sections 5.4.2 and 5.6).
+
+Plans lie in a bank on the device, P of them, T frames of 10 ms each. A world draws one as its episode begins, and
+the bank is refilled from the planner while others run: a row that is about to be replaced is no longer drawn, and
+gets its new plan once no world follows the old one. N worlds, U hinges; m, rad, s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy import random
+from understudy.errors import ConfigError
+from understudy.options import check_range
+from understudy.random import WorldStreams
+from understudy.task import Context, Fields, InitialStates, Rollout, Shape, State
+from understudy.task.terms import ranges
+from understudy_chopsticks.plan import AHEAD, GRIPPER, Gripping, gripping
+from understudy_hand.table import ARM_POSE
+from understudy_hand.tools import upper_pose
+from understudy_tensors import rotations
+from understudy_tool_planner import objects
+from understudy_tool_planner.configuration import NoPlan
+from understudy_tool_planner.planner import CLOSING, DT, LEAST, PHASES, Plan, Planner
+from understudy_tool_planner.tasks import Table, random_goal
+
+#: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, and whether it is held.
+_FRAME = 7 + 1 + 7 + 1
+#: Goals that are tried for a plan.
+_TRIES = 20
+
+
+class Bank:
+    """P plans on the device."""
+
+    def __init__(self, made: Gripping, context: Context) -> None:
+        thing = made.scene.options.object
+        if thing is None:
+            raise ConfigError(
+                "Relocation needs an object on the table. Set scene.object, such as '{kind: sphere, sizes: [0.01]}'."
+            )
+        if len(made.grips) > 1:
+            raise ConfigError(
+                "Relocation takes one grip. Set grip.name, grip.file or grip.style, and no grip.candidates."
+            )
+        self._shape = objects.Shape(thing.kind, thing.sizes)
+        self._planner = Planner(made.grips[0], made.scene)
+        self._device = context.device
+        # An evaluation's plans are ones that no training follows.
+        self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
+        self._seed, self._drawn = context.seed, 0
+        self.frames = self.goals = self.lengths = torch.zeros(0)
+
+    def fill(self, count: int, seconds: float) -> None:
+        """Make it one of `count` plans of at most so many `seconds`."""
+        if len(self.frames):
+            return
+        shape = (count, round(seconds / DT) + 1)
+        self.frames = torch.zeros(*shape, _FRAME, device=self._device)
+        self.goals = torch.zeros(count, 3, device=self._device)
+        #: (P,) int64: the last frame.
+        self.lengths = torch.zeros(count, dtype=torch.int64, device=self._device)
+        for row in range(count):
+            self.replace(row)
+
+    def replace(self, row: int) -> None:
+        """Put a new plan into a row, in place."""
+        plan = self._plan()
+        held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
+        frames = torch.cat(
+            [plan.arm, plan.angle[:, None], plan.object, held[:, None].double()], dim=1
+        )
+        self.frames[row, : len(frames)] = frames.float().to(self._device)
+        self.frames[row, len(frames) :] = frames[-1].float().to(self._device)
+        self.goals[row] = plan.object[-1, :3].float().to(self._device)
+        self.lengths[row] = len(frames) - 1
+
+    def _plan(self) -> Plan:
+        """The next plan of a stream of random starts and goals; of those that there is none for, none."""
+        longest = DT * (self.frames.shape[1] - 1)
+        why = f"they last longer than {longest:g} s (initial_states.longest)"
+        for _ in range(_TRIES):
+            self._drawn += 1
+            stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
+            empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
+            start, goal = (random_goal(empty, 0, stream) for _ in range(2))
+            most = 0.25 if self._shape.kind == "capsule" else 0.5
+            heading = most * float(torch.rand((), generator=stream)) * np.pi
+            table = Table((self._shape,), (start,), (heading,))
+            try:
+                plan = self._planner.plan(
+                    table.task(0, goal), self._planner.begin(), table.without(0)
+                )
+            except NoPlan as error:
+                why = str(error)
+                continue
+            if len(plan.angle) <= self.frames.shape[1]:
+                return plan
+        raise ConfigError(f"None of {_TRIES} tasks drawn in a row has a plan: {why}")
+
+    def at(self, row: Tensor, frame: Tensor) -> Tensor:
+        """(N, …, _FRAME) of the plans `row` (N,) at the frames `frame` (N, …), the last one after their end."""
+        own = row.view(-1, *[1] * (frame.dim() - 1)).expand_as(frame)
+        return self.frames[own, torch.minimum(frame, self.lengths[own])]
+
+    def state_dict(self) -> State:
+        return {
+            "frames": self.frames, "goals": self.goals, "lengths": self.lengths, "drawn": self._drawn,
+        }  # fmt: skip
+
+    def load_state_dict(self, state: State) -> None:
+        for name in ("frames", "goals", "lengths"):
+            getattr(self, name).copy_(state[name])
+        self._drawn = int(state["drawn"])
+
+
+def bank_of(context: Context, who: str) -> tuple[Gripping, Bank]:
+    """The task's, which initial states fill."""
+    made = gripping(context, who)
+    return made, context.once("plans", lambda: Bank(made, context))
+
+
+class Relocations(InitialStates):
+    """The sticks in the hand, open, and the object at the start of a plan that each world draws.
+
+    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put; ``plan_seconds``
+    () s, how long it lasts.
+    """
+
+    records = ("plan_row",)
+    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,), "plan_seconds": ()}
+
+    @dataclass(frozen=True)
+    class Options:
+        plans: int = 64  #: in the bank; the thesis has 100 tasks of eight objects
+        refill: int = 1  #: plans that are made anew in an iteration (some 0.1 s of a core each); 0 keeps the first ones
+        longest: float = 3.0  #: s: plans that take longer are not followed
+
+        def __post_init__(self) -> None:
+            check_range(self, "plans", least=1, most=100_000)
+            check_range(self, "refill", least=0, most=100_000)
+            check_range(self, "longest", least=2 * (LEAST + CLOSING), most=60.0)
+            if self.refill >= self.plans:
+                raise ValueError(
+                    f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
+                )
+
+    def __init__(self, options: Options, context: Context) -> None:
+        made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
+        self._refill = 0 if context.evaluating else options.refill
+        self._bank.fill(options.plans, options.longest)
+        device, model = context.device, made.scene.model
+        start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
+        self._start, self._velocity = start, torch.zeros(model.nv, device=device)
+        self._at = int(model.joint("object").qposadr[0])
+        #: Rows that may be drawn, then those that wait to be replaced.
+        self._order = torch.arange(options.plans, device=device)
+        self._waiting: list[int] = []
+        self._next = 0
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        free = len(self._order) - self._refill
+        place = (streams.uniform(1)[:, 0] * free).long().clamp(max=free - 1)
+        row = self._order[place]
+        thing = self._bank.frames[row, 0, 8:15]
+        qpos = self._start.repeat(len(row), 1)
+        qpos[:, self._at : self._at + 7] = thing
+        return {
+            "qpos": qpos,
+            "qvel": self._velocity.expand(len(row), -1),
+            "plan_row": row.float(),
+            "plan_goal": self._bank.goals[row],
+            "plan_seconds": DT * self._bank.lengths[row].float(),
+        }
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        if not self._refill:
+            return {}
+        # What waited through the whole rollout was not drawn in it, so its last step has all that follow it.
+        followed = set(rollout.records["plan_row"][-1].long().unique().tolist())
+        done = [row for row in self._waiting if row not in followed]
+        for row in done:
+            self._bank.replace(row)
+        self._waiting = [row for row in self._waiting if row not in done]
+        count = len(self._order)
+        while len(self._waiting) < self._refill:
+            self._waiting.append(self._next)
+            self._next = (self._next + 1) % count
+        rest = [row for row in range(count) if row not in self._waiting]
+        self._order.copy_(torch.tensor([*rest, *self._waiting]))
+        return {"new_plans": float(len(done))}
+
+    def state_dict(self) -> State:
+        return {
+            "bank": self._bank.state_dict(), "order": self._order, "waiting": list(self._waiting),
+            "next": self._next,
+        }  # fmt: skip
+
+    def load_state_dict(self, state: State) -> None:
+        self._bank.load_state_dict(state["bank"])
+        self._order.copy_(state["order"])
+        self._waiting, self._next = [int(row) for row in state["waiting"]], int(state["next"])
+
+
+class Follow(Fields):
+    """The plan that each world follows, at its time: what ``chopsticks/plan`` gives, and the object.
+
+    - ``planned_object`` (7,): where the object shall be, in the world; ``planned_held`` () 1 while the sticks hold it
+    - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
+    """
+
+    reads = ("plan_row", "episode_time", "xpos", "xquat")
+    provides: Mapping[str, Shape] = {
+        "planned_angle": (),
+        "planned_arm": (len(ARM_POSE),),
+        "planned_targets": (0,),
+        "planned_pose": (0,),
+        "planned_velocity": (0,),
+        "planned_upper": (7,),
+        "planned_lower": (7,),
+        "plan_ahead": (len(AHEAD), 0),
+        "planned_object": (7,),
+        "planned_held": (),
+        "object_ahead": (len(AHEAD), 7),
+    }
+
+    @dataclass(frozen=True)
+    class Options:
+        #: rad that the sticks' targets close further while they hold the object, so that they press on it
+        squeeze: float = 0.05
+
+        def __post_init__(self) -> None:
+            check_range(self, "squeeze", least=0, most=0.2)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._gripping, self._bank = bank_of(context, "fields 'chopsticks/follow'")
+        hinges = self._gripping.scene.hinges
+        self.provides = {
+            **self.provides,
+            **{f"planned_{name}": (hinges,) for name in ("targets", "pose", "velocity")},
+            "plan_ahead": (len(AHEAD), 2 * hinges + GRIPPER),
+        }
+        self._squeeze = options.squeeze
+        steps = [round(t / DT) for t in AHEAD]
+        self._steps = torch.tensor([0, *steps], device=context.device)
+        self._palm = self._gripping.scene.model.body("palm").id
+
+    def compute(
+        self, plan_row: Tensor, episode_time: Tensor, xpos: Tensor, xquat: Tensor
+    ) -> dict[str, Tensor]:
+        made, row = self._gripping, plan_row.long()
+        frame = (episode_time / DT).round().long()[:, None] + self._steps
+        here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
+        arm, angle = here[..., :7], here[..., 7]
+        turning = (after[..., 7] - angle) / DT
+        hand, slope = made.at(made.poses, angle)
+        pose = torch.cat([arm, hand], dim=-1)
+        velocity = torch.cat([(after[..., :7] - arm) / DT, slope * turning[..., None]], dim=-1)
+        lower = made.lower.expand(*angle.shape, 7)
+        still = torch.zeros_like(lower[..., :6])
+        gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
+        held, now = here[:, 0, 15], lower[:, 0]
+        targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
+        palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
+        thing = here[:, 1:, 8:15]
+        return {
+            "planned_angle": angle[:, 0],
+            "planned_arm": arm[:, 0],
+            "planned_targets": torch.cat([arm[:, 0], targets], dim=1),
+            "planned_pose": pose[:, 0],
+            "planned_velocity": velocity[:, 0],
+            "planned_upper": torch.cat(upper_pose(now[:, :3], now[:, 3:], angle[:, 0]), dim=1),
+            "planned_lower": now,
+            "plan_ahead": torch.cat([pose, velocity, gripper], dim=-1)[:, 1:],
+            "planned_object": here[:, 0, 8:15],
+            "planned_held": held,
+            "object_ahead": torch.cat(
+                [
+                    rotations.inverse_rotate(turn.expand(-1, len(AHEAD), 4), thing[..., :3] - palm),
+                    rotations.multiply(
+                        rotations.conjugate(turn).expand_as(thing[..., 3:]), thing[..., 3:]
+                    ),
+                ],
+                dim=-1,
+            ),
+        }
+
+
+class Object(Fields):
+    """The object, and how far it is from where it shall be.
+
+    - ``object_state`` (13,): position, rotation, linear and angular velocity in the palm's frame
+    - ``object_distance`` () m and ``object_turn`` () rad from the plan; ``goal_distance`` () m from the goal
+    - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal
+    - ``plan_over`` () 1 once the plan has ended
+    """
+
+    reads = (
+        "qpos", "qvel", "xpos", "xquat", "planned_object", "plan_goal", "plan_seconds", "episode_time",
+    )  # fmt: skip
+    provides: Mapping[str, Shape] = {
+        "object_state": (13,),
+        "object_distance": (),
+        "object_turn": (),
+        "goal_distance": (),
+        "object_placed": (),
+        "plan_over": (),
+    }
+
+    @dataclass(frozen=True)
+    class Options:
+        within: float = 0.005  #: m from the goal that count as success (figure 5.22)
+        settle: float = 0.3  #: s after the plan's end, in which the object comes to rest
+
+        def __post_init__(self) -> None:
+            check_range(self, "within", above=0)
+            check_range(self, "settle", least=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        made, _ = bank_of(context, "fields 'chopsticks/object'")
+        model = made.scene.model
+        self._at, self._dof = (
+            int(address[0])
+            for address in (model.joint("object").qposadr, model.joint("object").dofadr)
+        )
+        self._palm, self._options = model.body("palm").id, options
+        self._round = model.geom("object").type[0] == 2  # a sphere's rotation is nobody's
+
+    def compute(
+        self,
+        qpos: Tensor,
+        qvel: Tensor,
+        xpos: Tensor,
+        xquat: Tensor,
+        planned_object: Tensor,
+        plan_goal: Tensor,
+        plan_seconds: Tensor,
+        episode_time: Tensor,
+    ) -> dict[str, Tensor]:
+        place, rotation = qpos[:, self._at : self._at + 3], qpos[:, self._at + 3 : self._at + 7]
+        speed = qvel[:, self._dof : self._dof + 3]
+        spin = rotations.rotate(rotation, qvel[:, self._dof + 3 : self._dof + 6])
+        palm, turn = xpos[:, self._palm], xquat[:, self._palm]
+        away = (place - plan_goal).norm(dim=-1)
+        over = episode_time >= plan_seconds + self._options.settle - 0.5 * DT
+        turned = rotations.angle_between(rotation, planned_object[:, 3:])
+        return {
+            "object_state": torch.cat(
+                [
+                    rotations.inverse_rotate(turn, place - palm),
+                    rotations.canonical(rotations.multiply(rotations.conjugate(turn), rotation)),
+                    rotations.inverse_rotate(turn, speed),
+                    rotations.inverse_rotate(turn, spin),
+                ],
+                dim=-1,
+            ),
+            "object_distance": (place - planned_object[:, :3]).norm(dim=-1),
+            "object_turn": torch.zeros_like(turned) if self._round else turned,
+            "goal_distance": away,
+            "object_placed": (over & (away <= self._options.within)).float(),
+            "plan_over": over.float(),
+        }
+
+
+@ranges(0.0, 1.0)
+def thing(
+    object_distance: Tensor,
+    object_turn: Tensor,
+    *,
+    distance: float = 40.0,  #: 1/m (eq. 5.4)
+    turn: float = 10.0,  #: 1/rad, of the angle Θ (eq. 5.4); a sphere's counts as 0
+) -> Tensor:
+    """exp of eq. 5.4: the object as planned, exp(-40 ‖p - p̃‖ - 10 Θ)."""
+    return torch.exp(-distance * object_distance - turn * object_turn)
+
+
+def lost(
+    object_distance: Tensor,
+    *,
+    distance: float = 0.0178,  #: m, where exp(-20 d) is 0.7, the release's; the thesis names none
+) -> Tensor:
+    """The object is far from where it is planned."""
+    return object_distance > distance
+
+
+def missed(plan_over: Tensor, object_placed: Tensor) -> Tensor:
+    """The plan is over, and the object not at its goal."""
+    return (plan_over > 0) & (object_placed == 0)
+
+
+def placed(object_placed: Tensor) -> Tensor:
+    """The object is at its goal, and the plan over."""
+    return object_placed > 0

@@ -1,0 +1,224 @@
+"""Relocation: plans as goals, the bank that is refilled, the object's fields, rewards and endings, bad input."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from understudy.command.cli import main
+from understudy.errors import UnderstudyError
+from understudy.setup.building import Built, build_environment
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import Plugins
+from understudy.task import Rollout
+from understudy_chopsticks.relocate import Bank, Relocations, lost, missed, placed, thing
+from understudy_tool_planner.planner import PHASES
+
+WORDS = ["task=chopsticks/relocate", "num_worlds=4", "initial_states.plans=5"]
+
+
+@pytest.fixture(scope="module")
+def built(plugins: Plugins) -> Any:
+    built = build_environment(load_experiment(WORDS, plugins))
+    yield built
+    built.environment.close()
+
+
+def parts(built: Built) -> tuple[Relocations, Bank]:
+    initial = built.environment.parts.initial_states
+    assert isinstance(initial, Relocations)
+    return initial, initial._bank
+
+
+def field(built: Built, name: str) -> Tensor:
+    return built.environment.table[name]
+
+
+def test_an_episode_begins_where_its_plan_does(built: Built) -> None:
+    built.environment.reset(seed=2)
+    _, bank = parts(built)
+    rows = field(built, "plan_row").long()
+    start = bank.frames[rows, 0, 8:15]
+    torch.testing.assert_close(field(built, "qpos")[:, 50:57], start)
+    torch.testing.assert_close(field(built, "planned_object"), start)
+    assert (field(built, "object_distance") < 1e-6).all()
+    torch.testing.assert_close(field(built, "plan_goal"), bank.goals[rows])
+    away = (bank.goals[rows] - start[:, :3]).norm(dim=-1)
+    torch.testing.assert_close(field(built, "goal_distance"), away)
+
+
+def test_each_world_follows_its_own_plan(built: Built) -> None:
+    """Frame by frame; ahead every 0.05 s; after the end its last frame."""
+    built.environment.reset(seed=2)
+    _, bank = parts(built)
+    for _ in range(7):
+        built.environment.advance(torch.zeros(4, 36))
+    rows = field(built, "plan_row").long()
+    torch.testing.assert_close(field(built, "planned_arm"), bank.frames[rows, 7, :7])
+    torch.testing.assert_close(field(built, "planned_angle"), bank.frames[rows, 7, 7])
+    ahead = field(built, "plan_ahead")
+    torch.testing.assert_close(ahead[:, 3, :7], bank.frames[rows, 27, :7])
+    speed = (bank.frames[rows, 28, :7] - bank.frames[rows, 27, :7]) / 0.01
+    torch.testing.assert_close(ahead[:, 3, 36:43], speed, atol=1e-3, rtol=1e-3)
+    late = bank.at(rows, torch.full((4, 1), 100_000))[:, 0]
+    torch.testing.assert_close(late, bank.frames[rows, bank.lengths[rows]])
+    assert (late[:, 15] == 0).all(), "released at the end"
+
+
+def test_sticks_press_while_they_hold(plugins: Plugins) -> None:
+    targets = {}
+    for squeeze in (0.0, 0.05):
+        words = [*WORDS[:1], "num_worlds=1", "initial_states.plans=2", f"fields.plan.squeeze={squeeze}"]  # fmt: skip
+        made = build_environment(load_experiment(words, plugins))
+        made.environment.reset(seed=0)
+        held = parts(made)[1].frames[int(field(made, "plan_row")[0]), :, 15]
+        first = int(held.nonzero()[0])
+        seen = []
+        for _ in range(first + 3):
+            made.environment.advance(torch.zeros(1, 36))
+            seen.append(field(made, "planned_targets")[0].clone())
+        targets[squeeze] = torch.stack(seen), first
+        made.environment.close()
+    (plain, first), (pressed, _) = targets[0.0], targets[0.05]
+    torch.testing.assert_close(plain[: first - 1], pressed[: first - 1])
+    assert (plain[first:] - pressed[first:]).abs().amax() > 0.005
+
+
+def test_the_object_is_seen_from_the_palm(built: Built) -> None:
+    """A point of the object's frame is where the palm's pose and the object's place in it say."""
+    built.environment.reset(seed=1)
+    built.environment.advance(torch.zeros(4, 36))
+    from understudy_tensors import rotations
+
+    palm = built.scene.model.body("palm").id  # type: ignore[attr-defined]
+    here, turn = field(built, "xpos")[:, palm], field(built, "xquat")[:, palm]
+    state = field(built, "object_state")
+    world = here + rotations.rotate(turn, state[:, :3])
+    torch.testing.assert_close(world, field(built, "qpos")[:, 50:53], atol=1e-5, rtol=0)
+    ahead = field(built, "object_ahead")[:, 0]
+    _, bank = parts(built)
+    planned = bank.frames[field(built, "plan_row").long(), 6, 8:11]
+    torch.testing.assert_close(
+        here + rotations.rotate(turn, ahead[:, :3]), planned, atol=1e-5, rtol=0
+    )
+
+
+def test_rewards_and_endings_are_what_they_say() -> None:
+    distance, turn = torch.tensor([0.01, 0.0]), torch.tensor([0.02, 0.0])
+    assert thing(distance, turn).tolist() == pytest.approx([math.exp(-0.4 - 0.2), 1.0])
+    assert lost(torch.tensor([0.0177, 0.0179])).tolist() == [False, True]
+    over, there = torch.tensor([1.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 0.0])
+    assert missed(over, there).tolist() == [False, True, False]
+    assert placed(there).tolist() == [True, False, False]
+
+
+def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_is_over(
+    built: Built,
+) -> None:
+    from understudy_chopsticks.relocate import Object
+
+    made = Object(Object.Options(), built.context)
+    qpos = torch.zeros(4, 57)
+    qpos[:, 53] = 1.0
+    qpos[:, 50] = torch.tensor([0.0049, 0.0049, 0.0051, 0.0])
+    found = made.compute(
+        qpos=qpos, qvel=torch.zeros(4, 54), xpos=torch.zeros(4, 60, 3),
+        xquat=torch.tensor([1.0, 0, 0, 0]).expand(4, 60, 4), planned_object=torch.tensor([0.0, 0, 0, 1, 0, 0, 0]).expand(4, 7),
+        plan_goal=torch.zeros(4, 3), plan_seconds=torch.full((4,), 1.5),
+        episode_time=torch.tensor([1.8, 1.79, 1.8, 5.0]),
+    )  # fmt: skip
+    assert found["object_placed"].tolist() == [1, 0, 0, 1]
+    assert found["plan_over"].tolist() == [1, 0, 1, 1]
+
+
+def rollout(rows: list[list[float]]) -> Any:
+    class Noted:
+        records = {"plan_row": torch.tensor(rows)}
+
+    return Noted()
+
+
+def test_the_bank_is_refilled_without_a_jolt_to_those_that_follow(plugins: Plugins) -> None:
+    """A row rests for a rollout, and gets its new plan once no world is in the old one."""
+    words = [*WORDS, "initial_states.refill=1"]
+    made = build_environment(load_experiment(words, plugins))
+    initial, bank = parts(made)
+    made.environment.reset(seed=0)
+    before = bank.frames.clone()
+    following: Rollout = rollout([[0, 1, 2, 3]])
+    assert initial.update(following)["new_plans"] == 0
+    assert initial._waiting == [0]
+    for seed in range(8):
+        made.environment.reset(seed=seed)
+        assert (field(made, "plan_row") != 0).all(), "what waits is not drawn"
+    initial.update(rollout([[0, 1, 2, 3], [0, 1, 2, 4]]))
+    assert torch.equal(bank.frames, before), "a world is in row 0 still"
+    assert initial.update(rollout([[0, 1, 2, 3], [4, 1, 2, 4]]))["new_plans"] == 1
+    assert not torch.equal(bank.frames[0], before[0])
+    assert torch.equal(bank.frames[1:], before[1:])
+    assert initial._waiting == [1]
+    made.environment.close()
+
+
+def test_a_bank_goes_on_as_it_was(plugins: Plugins, built: Built) -> None:
+    made = build_environment(load_experiment([*WORDS, "seed=9"], plugins))
+    initial, bank = parts(made)
+    assert not torch.equal(bank.frames, parts(built)[1].frames)
+    initial.load_state_dict(parts(built)[0].state_dict())
+    assert torch.equal(bank.frames, parts(built)[1].frames)
+    made.environment.close()
+
+
+def test_evaluations_follow_plans_that_no_training_has(plugins: Plugins, built: Built) -> None:
+    made = build_environment(load_experiment(WORDS, plugins), evaluating=True)
+    goals = parts(made)[1].goals
+    assert torch.cdist(goals, parts(built)[1].goals).min() > 1e-4
+    made.environment.close()
+
+
+def test_plans_have_all_phases(built: Built) -> None:
+    _, bank = parts(built)
+    for row in range(5):
+        length = int(bank.lengths[row])
+        held = bank.frames[row, : length + 1, 15]
+        assert held[0] == 0 == held[-1]
+        assert 0.3 < float(held.sum()) / 100 < 3.0
+    assert len(PHASES) == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["scene.object=null"], "needs an object on the table"),
+        (["scene.object.sizes=[0.03]"], "none of table 5.2, where it is from 0.5 to 1 cm"),
+        (["scene.object={kind: box, sizes: [0.01, 0.05, 0.01]}"], "A box with a length of 5 cm is none"),
+        (["scene.object={kind: box, sizes: [0.01]}"], "a box has 3 of them"),
+        (["scene.object.kind=cone"], "cone"),
+        (["initial_states.refill=5"], "some have to stay"),
+        (["initial_states.longest=0.2"], "longest=0.2"),
+        (["scene=hand/tri_finger"], "is one of a hand with 5 fingers"),
+        (["scene.contact.noslip_iterations=5"], "noslip_iterations=5 is not possible"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(words: list[str], said: str, plugins: Plugins) -> None:
+    with pytest.raises(UnderstudyError) as error:
+        build_environment(load_experiment([*WORDS, *words], plugins))
+    assert said in str(error.value)
+    assert error.value.exit_status == 2
+
+
+@pytest.mark.slow
+def test_a_training_begins_and_ends(tmp_path: Path) -> None:
+    words = [
+        "train", "experiment=chopsticks/relocate_small", "num_worlds=4", "budget.samples=128",
+        "initial_states.plans=3", "learner.rollout_steps=16", "learner.minibatches=2",
+        "evaluation.episodes=4", "evaluation.final_episodes=4", "policy.hidden=[8]",
+        f"run.dir={tmp_path / 'run'}", "run.video_seconds=0",
+    ]  # fmt: skip
+    assert main(words) == 0
+    assert (tmp_path / "run" / "evaluation.json").is_file()
