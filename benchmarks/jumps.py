@@ -29,12 +29,12 @@ import torch
 
 from understudy import random
 from understudy.options import make_options
-from understudy.running.trials import OuterLoop, Report, Trial, Work
 from understudy_bayes import draws
 from understudy_diversity.map_elites import MapElites
 from understudy_diversity.search import DiversitySearch, RandomDiversity
 from understudy_diversity.strategies import alike, distances, nearest_rotation
 from understudy_sweeps.intervals import mean_of
+from understudy_sweeps.loops import OuterLoop, Report, Trial, Work
 from understudy_sweeps.trial import run_trial
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "jumps"

@@ -20,7 +20,7 @@ from understudy.random import WorldStreams
 from understudy.setup.building import build_environment, build_policy
 from understudy.task import InitialStates
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
-from understudy_characters.scene import reference_motion
+from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_skills.skill import open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "landing.jsonl"
@@ -64,6 +64,7 @@ def main(name: str) -> None:
         skill.experiment, num_worlds=EACH * count, episode_seconds=60.0, evaluating=True
     )
     environment, reference = built.environment, reference_motion(built.context)
+    model = built.context.need_scene(CharacterScene, "this benchmark").model
     policy = build_policy(skill.experiment, built.context)
     skill.give(policy)
     given = Given()
@@ -78,10 +79,7 @@ def main(name: str) -> None:
     began = 0.1 * torch.rand(number)
     observations = begun(reference_states(reference, began))
     times = (FROM + APART * torch.arange(count)).repeat_interleave(EACH)
-    own = {
-        key: torch.zeros(number, n)
-        for key, n in (("qpos", built.scene.model.nq), ("qvel", built.scene.model.nv))
-    }
+    own = {key: torch.zeros(number, n) for key, n in (("qpos", model.nq), ("qvel", model.nv))}
     lost = torch.zeros(number, dtype=torch.bool)
     passed, at = torch.zeros(number, dtype=torch.bool), torch.zeros(number)
     while not bool((passed | lost).all()):
