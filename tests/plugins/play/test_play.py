@@ -137,6 +137,13 @@ def test_a_long_decision_is_shown_by_its_control_periods(tmp_path: Path) -> None
         player.close()
 
 
+def test_an_unpacked_skill_still_says_whose_motion_it_is(tmp_path: Path) -> None:
+    assert main(["play", "spacetime/hop", "--unpack", str(tmp_path / "run")]) == 0
+    card = open_skill(str(tmp_path / "run"), ["scene.contact.solref=[0.01,1.0]"]).card
+    assert card["sources"] == open_skill("spacetime/hop").card["sources"]
+    assert card["sources"]["motion"]["licence"]
+
+
 def test_the_page_shows_the_chair_where_the_episode_has_it() -> None:
     pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
     from understudy_play.page import Page

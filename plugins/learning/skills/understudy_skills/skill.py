@@ -221,9 +221,8 @@ def unpack(skill: Skill, path: Path) -> None:
     try:
         progress = Progress(samples=skill.samples, evaluated_at=skill.samples).state_dict()
         state = {"policy": policy.state_dict(), "progress": progress}
-        checkpoint.save(
-            run.checkpoints / "00000001", state, {"versions": skill.card.get("versions")}
-        )
+        meta = {"versions": skill.card.get("versions"), "sources": sources}
+        checkpoint.save(run.checkpoints / "00000001", state, meta)
         run.write_json("evaluation.json", skill.card.get("evaluation") or {})
     finally:
         run.unlock()

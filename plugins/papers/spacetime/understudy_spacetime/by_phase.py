@@ -34,7 +34,7 @@ class ByPhaseSection(ReportSection):
         fall = fall_of(context_of(run))
         return (
             '<div class="charts"><div class="card chart"><h4>By phase: success, and (dashed) starts that can be flown'
-            f"</h4>{drawn(shares, 1.0 - fall.by_phase(len(shares)))}</div></div>"
+            f"</h4>{drawn(shares, (1.0 - fall.by_phase(len(shares))).tolist())}</div></div>"
             f"<p>{escape(sentence(found, fall.share))}</p>"
         )
 
