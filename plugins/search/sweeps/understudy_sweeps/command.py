@@ -29,7 +29,7 @@ class Sweep(Command):
             plugins = loaded.installed()
             known = [f"{g}={name}" for g in ("ablation", "search") for name in choices(plugins, g)]
             raise ConfigError(
-                f"Give variants={{NAME: [KEY=VALUE], …}}, ablation=…, search=… or outer_loop=….{suggestion('', known)}"
+                f"Give variants={{NAME: [KEY=VALUE]}}, ablation=…, search=… or outer_loop=….{suggestion('', known)}"
             )
         return sweep(words)
 
