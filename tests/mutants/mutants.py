@@ -241,7 +241,7 @@ MUTANTS = (
     Mutant("visitors are woken from the thread that draws", GUARD, "infra.AsyncMessageBuffer = ours, _Messages",
            "infra.AsyncMessageBuffer = ours, messages", f"{GUARDED} -k woken"),
     Mutant("a page answers any name", GUARD, "return bool(ipaddress.ip_address(name))", "return True", GUARDED),
-    Mutant("any name is an address", GUARD, "    return False\n\n\nclass _Event", "    return True\n\n\nclass _Event", GUARDED),
+    Mutant("any name is an address", GUARD, "    return False\n\n\n#: Where", "    return True\n\n\n#: Where", GUARDED),
     Mutant("a page answers other pages", GUARD, "or origin.netloc != named[0]", "", GUARDED),
     Mutant("a page answers files", GUARD, 'origin.scheme not in ("http", "https") or', "", GUARDED),
     Mutant("two names of a host", GUARD, "if len(named) != 1 or len(origins) > 1:", "if not named:", GUARDED),

@@ -31,7 +31,9 @@ class Measured:
             return cls(reduce, *[math.nan] * 4)
         mean, n = float(values.mean()), len(values)
         spread = float(values.std()) if n > 1 else 0.0
-        of_episodes = reduce in ("min", "max") and bool(((values == 0) | (values == 1)).all())
+        of_episodes = reduce in ("min", "max", "last") and bool(
+            ((values == 0) | (values == 1)).all()
+        )
         if reduce == "any" or of_episodes:  # a share: its interval stays between 0 and 1
             return cls(reduce, mean, spread, *wilson_interval(mean, n))
         reach = 1.96 * spread / math.sqrt(n)

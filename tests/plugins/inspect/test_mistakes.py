@@ -43,7 +43,7 @@ MISTAKES = {
     f"train {WALK} motion.file=nosuch.npz": "Clip nosuch.npz: there is no such file.",
     "evaluate": "arguments are required: run. See `understudy evaluate --help`.",
     "evaluate nosuch": "nosuch is no run folder",
-    f"sweep {WALK}": "Give ablation=…, search=… or outer_loop=…. Known: ",
+    f"sweep {WALK}": "Give variants={NAME: [KEY=VALUE]}, ablation=…, search=… or outer_loop=…. Known: ",
     f"sweep {WALK} --dry": "There is no option --dry.",
     f"train {WALK} -m": "-m is Hydra's own. Several values: `understudy sweep experiment=NAME",
     f"train {WALK} seed=1,2 --multirun": "--multirun is Hydra's own. Several values: `understudy sweep",

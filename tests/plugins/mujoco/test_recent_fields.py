@@ -12,7 +12,7 @@ import torch
 from arena import Arena, arena, everywhere, states
 
 from understudy.task import Context, Simulator
-from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT
+from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT, often
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco.simulator import MujocoSimulator
 
@@ -121,3 +121,10 @@ def test_what_is_at_no_limit_is_not(build: Callable[[Context], Simulator]) -> No
     simulator = build(arena(4))
     simulator.step(torch.full((4, 1), 0.1))
     assert simulator.report() == {}
+
+
+def test_limits_that_are_met_in_passing_are_not_said() -> None:
+    """More than one step in twenty, of those of all worlds, and of all actuators."""
+    assert often(50, 1000, 1000, 20) == {}
+    assert often(51, 1001, 1000, 20) == {AT_ITERATIONS: 51, AT_LIMIT: 1001}
+    assert often(0, 0, 0, 0) == {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from understudy.errors import ConfigError
+from understudy_sweeps.command import expanded
 from understudy_sweeps.grid import Grid
 from understudy_sweeps.loops import Report, Trial
 
@@ -19,6 +20,21 @@ def test_every_variant_with_every_seed_once() -> None:
     assert [t.key for t in seen] == ["a/seed0", "b/seed0", "a/seed5", "b/seed5"]
     assert seen == list(grid.plan)
     assert (seen[-1].overrides, seen[-1].variant, seen[-1].seed) == (("x=1",), "b", 5)
+
+
+def test_variants_as_people_write_them() -> None:
+    grid = Grid(Grid.Options(variants={"a": None, "b": "x=1", "c": ()}))
+    assert [trial.overrides for trial in grid.plan] == [(), ("x=1",), ()]
+
+
+def test_variants_and_seeds_alone_are_a_grid() -> None:
+    words = ["experiment=miniature/go", "variants={a: [], b: [x=1]}", "seeds=[0,1]"]
+    assert expanded(words) == [
+        "executor=in_process", "outer_loop=grid", words[0], f"outer_loop.{words[1]}", f"outer_loop.{words[2]}",
+    ]  # fmt: skip
+    chosen = ["ablation=spacetime/walk", "executor=processes", "seeds=[0]"]
+    assert expanded(chosen) == [*chosen[:2], "outer_loop.seeds=[0]"]
+    assert expanded(words[:1]) == words[:1]
 
 
 def test_the_share_that_is_done() -> None:

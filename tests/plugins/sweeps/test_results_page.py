@@ -17,6 +17,7 @@ from browsers import opened
 
 from understudy.command.cli import main
 from understudy.errors import RunError
+from understudy.running.evaluation import wilson_interval
 from understudy_motion.readers import npz
 from understudy_sweeps import film as film_module
 from understudy_sweeps import page as page_module
@@ -101,6 +102,38 @@ def test_the_table_of_variants(ablation: tuple[Path, Journal]) -> None:
     # Differences -0.3 and -0.2 of the seeds that both have.
     assert column(table, "against full") == ["–", "-0.25 (2 seeds)"]
     assert column(table, "success") == ["25 % [25, 25]", "25 % (2 seeds)"]
+
+
+@pytest.mark.parametrize("share", [True, False])
+def test_a_share_has_an_interval_that_is_possible(tmp_path: Path, share: bool) -> None:
+    """A measure whose own intervals are Wilson's is a share of episodes; of others 1.02 may well be."""
+    journal = Journal(tmp_path / "journal.jsonl")
+    for name, values in (("a", (1.0, 1.0, 0.96875)), ("b", (0.0, 0.0, 0.03125))):
+        for seed, value in enumerate(values):
+            trial = Trial(f"{name}/seed{seed}", variant=name, seed=seed)
+            add(tmp_path, journal, trial, value, inside=value)
+            bounds = wilson_interval(value, 64) if share else (value - 0.01, value + 0.01)
+            measure = {"reduce": "last", "mean": value, "mean_95": list(bounds)}
+            file = folder_of(trial.key, tmp_path) / "evaluation.json"
+            said = {
+                "objective": {"name": "inside"},
+                "episodes": 64,
+                "measures": {"inside": measure},
+            }
+            file.write_text(json.dumps(said))
+    variants = variants_of(Results(tmp_path).of(journal))
+    table, compared = tables.all_measures(variants), tables.compared(variants, None)
+    inside = next(row for row in table.rows if row[0] == "inside")
+    assert column(compared, "inside") == inside[1:]
+    assert inside[1] == ("0.99 [0.945, 1]" if share else "0.99 [0.945, 1.03]")
+    assert inside[2] == ("0.0104 [0, 0.0552]" if share else "0.0104 [-0.0344, 0.0552]")
+    assert column(compared, "against a")[1] == (
+        "-0.979 [-1, -0.89]" if share else "-0.979 [-1.07, -0.89]"
+    )
+    high = float(
+        next(csv.DictReader(io.StringIO(tables.compared_csv(variants, None))))["inside_high"]
+    )
+    assert (high <= 1.0) is share
 
 
 def test_one_seed_has_no_interval(tmp_path: Path) -> None:

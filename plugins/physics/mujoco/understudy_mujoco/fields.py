@@ -10,12 +10,21 @@ import numpy as np
 
 from understudy.task import Shape
 
-__all__ = ["AT_ITERATIONS", "AT_LIMIT", "RECENT", "Stage", "limits", "readable"]
+__all__ = ["AT_ITERATIONS", "AT_LIMIT", "RECENT", "Stage", "limits", "often", "readable"]
 
 #: What the names of fields that are one sub-step old begin with.
 RECENT = "recent_"
 #: Names in ``report()``: steps of one world, or of one actuator.
 AT_ITERATIONS, AT_LIMIT = "worlds_at_the_iteration_limit", "actuators_at_their_limit"
+#: The share of its steps from which on such a limit is worth a word; below, motions meet it in passing.
+_OFTEN = 0.05
+
+
+def often(iterations: int, limits: int, steps: int, actuators: int) -> dict[str, int]:
+    """What ``report()`` says of limits: how often worlds met that of the solver's iterations, and actuators
+    that of their force, where it was in more than :data:`_OFTEN` of the `steps` of all worlds."""
+    counts = {AT_ITERATIONS: (iterations, steps), AT_LIMIT: (limits, steps * actuators)}
+    return {name: count for name, (count, of) in counts.items() if count > _OFTEN * of}
 
 
 class Stage(IntEnum):

@@ -16,7 +16,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.records.runs import cores
 from understudy.task import Context, Shape, Simulator
-from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT, RECENT, Stage, limits, readable
+from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT, RECENT, Stage, limits, often, readable
 from understudy_mujoco.lean import NEED_ALL, lean, read_no_clock
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
@@ -87,6 +87,7 @@ class MujocoSimulator(Simulator):
         self._asked = False  #: whether anybody was told of those
         self._recent: dict[str, np.ndarray] = {}  #: (N, …), copies by array
         self._reached = {AT_ITERATIONS: 0, AT_LIMIT: 0}
+        self._looked = 0  #: steps of all worlds of which those are
 
     def _start(self, model: mujoco.MjModel, worlds: int, threads: int) -> None:
         self.model = model
@@ -207,6 +208,7 @@ class MujocoSimulator(Simulator):
     def _count_limits(self) -> None:
         """Of the last sub-step: solvers that used all iterations, actuators as strong as they can be."""
         most = self._views["solver_niter"].max(axis=1)
+        self._looked += len(most)
         self._reached[AT_ITERATIONS] += int((most >= self.model.opt.iterations).sum())
         if self._limited:
             force = np.abs(self._views["actuator_force"])
@@ -237,4 +239,4 @@ class MujocoSimulator(Simulator):
     def report(self) -> dict[str, int]:
         return {
             name: int(count) for name, count in zip(_WARNINGS, self._counts, strict=True) if count
-        } | {name: count for name, count in self._reached.items() if count}
+        } | often(*self._reached.values(), self._looked, self.model.nu)

@@ -15,7 +15,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Shape, Simulator
-from understudy_mujoco.fields import AT_ITERATIONS, AT_LIMIT, RECENT, Stage, limits, readable
+from understudy_mujoco.fields import RECENT, Stage, limits, often, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco_warp.capacity import constraint_capacity, contact_capacity
@@ -145,8 +145,8 @@ class MujocoWarpSimulator(Simulator):
         self._limits = torch.tensor(limits(self.model), dtype=torch.float32, device=self._device)
         self._limited = bool(self._limits.isfinite().any())
         self._iterations = wp.to_torch(self._d.solver_niter)
-        #: (2,) of all steps: worlds at the iteration limit, actuators at theirs.
-        self._reached = torch.zeros(2, dtype=torch.int64, device=self._device)
+        #: (3,) of all steps: worlds at the iteration limit, actuators at theirs; and how many there were.
+        self._reached = torch.zeros(3, dtype=torch.int64, device=self._device)
         self._recent: dict[str, Tensor] = {}  #: (N, …), copies by array
         #: (N,) worlds that began a step with numbers that the step may hide: it normalises quaternions.
         self._bad = torch.zeros(self._n, dtype=torch.bool, device=self._device)
@@ -314,6 +314,7 @@ class MujocoWarpSimulator(Simulator):
         self._overflows += ((self._overflow & self._dropping) != 0).sum()
         self._overflow.zero_()
         self._reached[0] += (self._iterations >= self.model.opt.iterations).sum()
+        self._reached[2] += self._n
         if self._limited:
             force = self._views["actuator_force"].abs()
             self._reached[1] += (force >= self._limits).sum()
@@ -342,6 +343,8 @@ class MujocoWarpSimulator(Simulator):
         self._settle(groups)
 
     def report(self) -> dict[str, int]:
-        names = ("contact_or_constraint_overflows", AT_ITERATIONS, AT_LIMIT)
-        counts = torch.cat([self._overflows[None], self._reached]).tolist()
-        return {name: count for name, count in zip(names, counts, strict=True) if count}
+        overflows, iterations, limits, steps = torch.cat(
+            [self._overflows[None], self._reached]
+        ).tolist()
+        found = {"contact_or_constraint_overflows": overflows} if overflows else {}
+        return found | often(iterations, limits, steps, self.model.nu)

@@ -28,7 +28,7 @@ from understudy_sweeps.film import Tile, make_film
 from understudy_sweeps.intervals import paired_difference
 from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.page import STYLE, Section, film_html, learning_section
-from understudy_sweeps.results import SUCCESS, UNSOUND, Result, Variant
+from understudy_sweeps.results import SUCCESS, UNSOUND, Result, Variant, shares_of
 from understudy_sweeps.tables import Table
 
 #: Where and how a run was carried out, which is no difference of what was learned.
@@ -303,6 +303,7 @@ def _measures(variants: Sequence[Variant]) -> Table:
     """Every measure of every variant, and by how much the others differ from the first, seed by seed."""
     first, *others = variants
     table = tables.all_measures(variants)
+    shares = shares_of([r for v in variants for r in v.results])
     rows = [
         [
             *row,
@@ -311,6 +312,7 @@ def _measures(variants: Sequence[Variant]) -> Table:
                     paired_difference(first.figures(row[0]), other.figures(row[0])),
                     row[0],
                     sign=True,
+                    shares=shares,
                 )
                 for other in others
             ),

@@ -31,8 +31,10 @@ class Grid(OuterLoop):
 
     @dataclass(frozen=True)
     class Options:
-        #: by name, the overrides that make it
-        variants: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"base": ()})
+        #: by name, the overrides that make it: several, one, or none
+        variants: Mapping[str, tuple[str, ...] | str | None] = field(
+            default_factory=lambda: {"base": ()}
+        )
         seeds: tuple[int, ...] = (0,)  #: each variant is trained with every one
         #: numbers that the paper has, shown beside ours; null has none
         paper: Published | None = None
@@ -42,10 +44,14 @@ class Grid(OuterLoop):
                 raise ValueError("variants and seeds must not be empty.")
 
     def __init__(self, options: Options, seed: int = 0) -> None:
+        variants = {
+            name: (given,) if isinstance(given, str) else given or ()
+            for name, given in options.variants.items()
+        }
         self.plan = tuple(
             Trial(f"{name}/seed{number}", overrides, variant=name, seed=number)
             for number in dict.fromkeys(options.seeds)
-            for name, overrides in options.variants.items()
+            for name, overrides in variants.items()
         )
         self.share = 0.0
         self.paper = options.paper

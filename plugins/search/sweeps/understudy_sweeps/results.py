@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from understudy.records.runs import Run
-from understudy_report.values import Row, mapping, number, own_evaluation
+from understudy.running.evaluation import wilson_interval
+from understudy_report.values import Row, interval, mapping, number, own_evaluation
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.trial import folder_of
@@ -111,6 +113,23 @@ def measures_of(results: Sequence[Result]) -> list[str]:
     """The names of all measures, success first."""
     names = {name for r in results if r.report for name in r.report.measures}
     return sorted(names, key=lambda name: (name != SUCCESS, name))
+
+
+def shares_of(results: Sequence[Result]) -> frozenset[str]:
+    """The names of measures that are shares of episodes, as their intervals in the evaluations say: those
+    of other means are not Wilson's."""
+    found: dict[str, bool] = {SUCCESS: True, UNSOUND: True}
+    for result in results:
+        episodes = int(number(result.evaluation.get("episodes")) or 0)
+        for name, said in mapping(result.evaluation.get("measures")).items():
+            mean, bounds = number(mapping(said).get("mean")), interval(mapping(said).get("mean_95"))
+            if mean is not None and bounds is not None:
+                share = 0.0 <= mean <= 1.0 and (
+                    mapping(said).get("reduce") == "any"
+                    or math.dist(bounds, wilson_interval(mean, episodes)) < 1e-9
+                )
+                found[name] = found.get(name, True) and share
+    return frozenset(name for name, share in found.items() if share)
 
 
 def objective_of(results: Sequence[Result]) -> str:

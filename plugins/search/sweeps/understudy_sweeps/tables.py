@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ from understudy_sweeps.results import (
     compared_in,
     measures_of,
     objective_of,
+    shares_of,
 )
 
 __all__ = ["Table", "in_markdown", "shown_mean"]
@@ -33,8 +34,6 @@ __all__ = ["Table", "in_markdown", "shown_mean"]
 _NOTHING = "–"
 #: Between which a figure can lie, so that its interval need not say more.
 _BOUNDS = {
-    SUCCESS: (0.0, 1.0),
-    UNSOUND: (0.0, 1.0),
     SAMPLES: (0.0, math.inf),
     SECONDS: (0.0, math.inf),
 }
@@ -84,16 +83,26 @@ def shown(value: float | None, name: str = "") -> str:
     return words.duration(value) if name == SECONDS else words.short(value)
 
 
+def possible(mean: Mean, name: str, shares: Collection[str], *, sign: bool = False) -> Mean:
+    """`mean` of the figure `name`, or with a `sign` of its differences, with an interval that can be."""
+    if name in shares:
+        return mean.clipped(-1.0 if sign else 0.0, 1.0)
+    return mean.clipped(*_BOUNDS[name]) if name in _BOUNDS and not sign else mean
+
+
 def shown_mean(
-    mean: Mean | None, name: str = "", *, sign: bool = False, counted: bool = False
+    mean: Mean | None,
+    name: str = "",
+    *,
+    sign: bool = False,
+    counted: bool = False,
+    shares: Collection[str] = (SUCCESS, UNSOUND),
 ) -> str:
-    """A mean and its interval; of two seeds that word, unless their number is `counted` beside it."""
+    """A mean and its interval; of two seeds that word, unless their number is `counted` beside it.
+    `shares` are the figures that lie between 0 and 1."""
     if mean is None:
         return _NOTHING
-    if name in _BOUNDS and not sign:
-        mean = mean.clipped(*_BOUNDS[name])
-    elif name in (SUCCESS, UNSOUND):
-        mean = mean.clipped(-1.0, 1.0)
+    mean = possible(mean, name, shares, sign=sign)
     scale = 100.0 if name in (SUCCESS, UNSOUND) else 1.0
 
     def figure(value: float) -> str:
@@ -115,7 +124,7 @@ def compared(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> Ta
     """A row for each variant: means over seeds, the paper's number, and what it differs by from the
     first."""
     results = [r for v in variants for r in v.results]
-    objective, first = objective_of(results), variants[0]
+    objective, first, shares = objective_of(results), variants[0], shares_of(results)
     figures = [SUCCESS] if SUCCESS in measures_of(results) else []
     figures += [] if objective in figures else [OBJECTIVE]
     judged, published = figures[-1] if objective != SUCCESS else SUCCESS, mapping(paper)
@@ -138,7 +147,9 @@ def compared(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> Ta
         failed = sum(r.report is not None and not r.ok for r in variant.results)
         row = [variant.name, f"{len(done)}" + (f" ({failed} failed)" if failed else "")]
         for name in (*figures, SAMPLES):
-            row.append(shown_mean(mean_of(list(variant.figures(name).values())), name))
+            as_share = {name} if (objective if name == OBJECTIVE else name) in shares else ()
+            mean = mean_of(list(variant.figures(name).values()))
+            row.append(shown_mean(mean, name, shares=as_share))
             if values and _same(name, of, objective):
                 row.append(shown(number(values.get(variant.name)), name))
         if criterion:
@@ -146,7 +157,9 @@ def compared(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> Ta
         row.append(shown_mean(mean_of(list(variant.figures(SECONDS).values())), SECONDS))
         if len(variants) > 1:
             difference = paired_difference(first.figures(judged), variant.figures(judged))
-            row.append(_NOTHING if variant is first else shown_mean(difference, judged, sign=True))
+            as_share = {judged} if (objective if judged == OBJECTIVE else judged) in shares else ()
+            shown_one = shown_mean(difference, judged, sign=True, shares=as_share)
+            row.append(_NOTHING if variant is first else shown_one)
         rows.append(row)
     return Table(heads, rows)
 
@@ -163,14 +176,18 @@ def _same(name: str, of: Any, objective: str) -> bool:
 def compared_csv(variants: Sequence[Variant], paper: Mapping[str, Any] | None) -> str:
     """As :func:`compared` and all measures, every number in full."""
     published, first = mapping(paper), variants[0]
-    names = [OBJECTIVE, SAMPLES, SECONDS, *measures_of([r for v in variants for r in v.results])]
+    results = [r for v in variants for r in v.results]
+    shares = set(shares_of(results))
+    shares |= {OBJECTIVE} if objective_of(results) in shares else set()
+    names = [OBJECTIVE, SAMPLES, SECONDS, *measures_of(results)]
     rows = []
     for variant in variants:
         done = sum(r.ok for r in variant.results)
         failed = sum(r.report is not None and not r.ok for r in variant.results)
         row: dict[str, Any] = {"variant": variant.name, "seeds": done, "failed": failed}
         for name in names:
-            row |= _columns(name, mean_of(list(variant.figures(name).values())))
+            mean = mean_of(list(variant.figures(name).values()))
+            row |= _columns(name, mean and possible(mean, name, shares))
         difference = paired_difference(first.figures(OBJECTIVE), variant.figures(OBJECTIVE))
         row |= _columns("objective_difference", None if variant is first else difference)
         row["paper"] = mapping(published.get("values")).get(variant.name)
@@ -188,10 +205,17 @@ def _columns(name: str, mean: Mean | None) -> dict[str, float | None]:
 
 def all_measures(variants: Sequence[Variant]) -> Table:
     """A row for each measure of the evaluations."""
-    names = measures_of([r for v in variants for r in v.results])
+    results = [r for v in variants for r in v.results]
+    shares = shares_of(results)
     rows = [
-        [name, *(shown_mean(mean_of(list(v.figures(name).values())), name) for v in variants)]
-        for name in names
+        [
+            name,
+            *(
+                shown_mean(mean_of(list(v.figures(name).values())), name, shares=shares)
+                for v in variants
+            ),
+        ]
+        for name in measures_of(results)
     ]
     return Table(["measure", *(v.name for v in variants)], rows)
 
