@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from understudy.running.trials import OuterLoop, Report, Trial, Work
 
 from understudy import random
 from understudy.options import make_options
