@@ -239,4 +239,6 @@ class MujocoSimulator(Simulator):
     def report(self) -> dict[str, int]:
         return {
             name: int(count) for name, count in zip(_WARNINGS, self._counts, strict=True) if count
-        } | often(*self._reached.values(), self._looked, self.model.nu)
+        } | often(
+            self._reached[AT_ITERATIONS], self._reached[AT_LIMIT], self._looked, self.model.nu
+        )
