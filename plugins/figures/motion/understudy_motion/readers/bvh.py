@@ -521,7 +521,7 @@ def _vertical(extents: np.ndarray) -> Axis | None:
         return "z" if z > TALLER * y and z > 0.5 * x else None
 
     zeros, turned, first = (vote(size) for size in extents)
-    votes = {axis for axis in (turned or zeros, first) if axis is not None}
+    votes: set[Axis] = {axis for axis in (turned or zeros, first) if axis is not None}
     return votes.pop() if len(votes) == 1 else None
 
 
