@@ -521,8 +521,8 @@ def _vertical(extents: np.ndarray) -> Axis | None:
         return "z" if z > TALLER * y and z > 0.5 * x else None
 
     zeros, turned, first = (vote(size) for size in extents)
-    votes: set[Axis] = {axis for axis in (turned or zeros, first) if axis is not None}
-    return votes.pop() if len(votes) == 1 else None
+    axis = turned or zeros
+    return None if axis and first and axis != first else axis or first
 
 
 def _unit_of_height(height: float) -> float | None:
