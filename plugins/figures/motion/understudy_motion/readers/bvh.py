@@ -520,7 +520,8 @@ def _vertical(extents: np.ndarray) -> Axis | None:
             return "y"
         return "z" if z > TALLER * y and z > 0.5 * x else None
 
-    zeros, turned, first = (vote(size) for size in extents)
+    votes: list[Axis | None] = [vote(size) for size in extents]
+    zeros, turned, first = votes
     axis = turned or zeros
     return None if axis and first and axis != first else axis or first
 
