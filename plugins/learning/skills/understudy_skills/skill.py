@@ -19,7 +19,7 @@ from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment, build_policy
-from understudy.setup.composition import compose_raw
+from understudy.setup.composition import compose_raw, refuse_resolvers, replaced
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
@@ -83,7 +83,7 @@ def open_skill(
 ) -> Skill:
     """The skill of this name, of this packed file, or of this run folder.
 
-    `overrides` change the configuration of a run, as in ``understudy evaluate``; `without` names parts
+    `overrides` change its configuration, as in ``understudy evaluate``; `without` names parts
     of it that are not wanted, and may be missing here. `registry` is that of the installed plugins.
 
     Raises
@@ -96,15 +96,11 @@ def open_skill(
     path, registry = Path(source), registry or installed().registry
     packed = path.suffix == ".json" and path.is_file()
     known = registry.names("skill")
-    if (source in known or packed) and overrides:
-        raise ConfigError(
-            f"{overrides[0]}: the skill {source} is packed and played as it is. Unpack it "
-            f"(understudy play {source} --unpack FOLDER) and play that."
-        )
     if source in known:
-        return _packed(registry.find("skill", source).factory(), source, registry, without)
+        path = registry.find("skill", source).factory()
+        return _packed(path, source, registry, without, overrides)
     if packed:
-        return _packed(path, path.stem, registry, without)
+        return _packed(path, path.stem, registry, without, overrides)
     if path.is_dir():
         return _of_run(path, overrides, registry, without)
     raise ConfigError(
@@ -150,8 +146,14 @@ def _less(config: Mapping[str, Any], without: Collection[str]) -> dict[str, Any]
     return {key: value for key, value in config.items() if key not in without}
 
 
-def _packed(path: Path, name: str, registry: Registry, without: Collection[str]) -> Skill:
+def _packed(
+    path: Path, name: str, registry: Registry, without: Collection[str], overrides: Sequence[str]
+) -> Skill:
     state, card = checkpoint.load(path)
+    if overrides:
+        words = replaced(_words_of(card, name), overrides)
+        refuse_resolvers(words[: len(words) - len(overrides)], name)
+        card = {**card, "overrides": words, "config": compose_raw(words), "evaluation": None}
     try:
         for key in ("config", "sources", "evaluation"):
             if not isinstance(card.get(key) or {}, Mapping):
@@ -165,6 +167,18 @@ def _packed(path: Path, name: str, registry: Registry, without: Collection[str])
     except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{path} is no packed skill: {type(error).__name__}: {error}.") from error
     return Skill(name, experiment, tensors, samples, card)
+
+
+def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
+    """The overrides that made a packed skill."""
+    words = card.get("overrides")
+    if words is None:
+        raise ConfigError(
+            f"{name} was packed by a version that left out what it was made by. Pack it again."
+        )
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise RunError(f"{name} is no packed skill: its overrides are no list of words.")
+    return words
 
 
 def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
@@ -201,13 +215,7 @@ def unpack(skill: Skill, path: Path) -> None:
     RunError
         if the folder holds a run already or cannot be written, or the overrides are no words.
     """
-    overrides = skill.card.get("overrides")
-    if overrides is None:
-        raise ConfigError(
-            f"{skill.name} was packed by a version that left out what a run folder needs. Pack it again."
-        )
-    if not isinstance(overrides, list) or not all(isinstance(word, str) for word in overrides):
-        raise RunError(f"{skill.name} is no packed skill: its overrides are no list of words.")
+    overrides = _words_of(skill.card, skill.name)
     root = skill.experiment.root
     experiment = replace(skill.experiment, root=replace(root, run=replace(root.run, dir=str(path))))
     built = build_environment(experiment, num_worlds=1)
