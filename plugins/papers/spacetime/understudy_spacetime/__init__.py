@@ -38,7 +38,7 @@ PARTS = {
     "measure": {
         "spacetime/within_all_bounds": (
             "rewards:within_all_bounds",
-            "1 in all bounds without a fall",
+            "1 in all bounds, no fall",
         ),
         "spacetime/com_deviation": ("rewards:com_deviation", "from the reference's centre of mass"),
         "spacetime/joint_deviation": ("rewards:joint_deviation", "the farthest joint's, in rad"),
