@@ -350,7 +350,7 @@ def test_a_skill_whose_overrides_are_no_words_is_refused(overrides: object, tmp_
         ("+run={dir: '${oc.decode:${oc.env:SECRET}}'}", "would be read from this machine"),
         ("hydra.searchpath=[pkg://os]", "cannot be configured"),
         ("experiment=../../secret", "names no option"),
-        ("a=" + "[" * 2000, "cannot be read"),
+        ("a=" + "[" * 2000 + "]" * 2000, "cannot be read"),
         ("+scene._target_=os.getcwd", "_target_"),
     ],
 )
