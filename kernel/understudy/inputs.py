@@ -38,7 +38,10 @@ class Inputs:
         for name, digest in self.kept[asked].items():
             path = self.folder / name
             inside = ".." not in Path(name).parts and not Path(name).is_absolute()
-            inside &= path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
+            try:
+                inside &= path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
+            except ValueError:  # what no file can be named
+                inside = False
             if not inside or _digest(path) != digest:
                 raise RunError(f"{path} is not what the run was made with: put that back.")
         return self.folder / next(iter(self.kept[asked]))

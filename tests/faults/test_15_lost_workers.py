@@ -6,6 +6,7 @@ What a killed or a hanging worker of a sweep does to it stands in tests/plugins/
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -74,6 +75,7 @@ def test_the_others_end(
             TORCHELASTIC_EXIT_BARRIER_TIMEOUT="5",
         ),
     )  # fmt: skip
+    workers: list[int] = []
     try:
         deadline = time.monotonic() + 90
         while not (tmp_path / "run/metrics.jsonl").exists():
@@ -94,6 +96,9 @@ def test_the_others_end(
     finally:
         if parent.poll() is None:
             parent.kill()
+            for worker in workers:  # which would hold its pipe
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(worker, signal.SIGKILL)
             parent.communicate()
     install(monkeypatch, line_plugins())
     run = runs.open_run(tmp_path / "run")

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from worlds import SMALL, make_training
+from worlds import SMALL, little_memory, make_training
 
 from understudy.command.cli import main
 from understudy.errors import RunError, UnderstudyError
@@ -29,11 +28,8 @@ HALF = 6 * 10**8  #: what some training's file might have, and there is no room 
 @pytest.fixture(autouse=True)
 def _little_memory() -> Iterator[None]:
     """Half a GB more than now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 5 * 10**8, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_AS, before)
+    with little_memory():
+        yield
 
 
 @pytest.fixture

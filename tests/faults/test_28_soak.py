@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import pytest
+import torch
 from soak import LIMIT, beyond, soak
+
+from understudy.records import checkpoint
 
 
 @pytest.mark.slow
@@ -19,6 +25,14 @@ def test_it_is_watched() -> None:
     found = soak(0.1, ("num_worlds=16",))
     assert found["descriptors"]["rise"] == pytest.approx(0.0, abs=0.3)
     assert found["samples_per_cpu_second"]["mean"] > 0
+
+
+def test_saving_gives_memory_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trimmed: list[int] = []
+    libc = SimpleNamespace(malloc_trim=trimmed.append)
+    monkeypatch.setattr(checkpoint.ctypes, "CDLL", lambda _: libc)
+    checkpoint.save(tmp_path / "one", {"weights": torch.zeros(3)}, {})
+    assert trimmed == [0]
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def test_a_copy_that_differs_is_refused(tmp_path: Path, name: str, harm: str) ->
         inputs.file("scene", never)
 
 
-@pytest.mark.parametrize("name", ["../away/robot.xml", "/etc/hostname"])
+@pytest.mark.parametrize("name", ["../away/robot.xml", "/etc/hostname", "a\0b", "\ud800"])
 def test_nothing_outside_the_folder_is_read(tmp_path: Path, name: str) -> None:
     inputs = kept(tmp_path)
     digest = next(iter(inputs.kept["scene"].values()))

@@ -54,6 +54,20 @@ def test_every_fault_has_a_guard_to_lose() -> None:
         assert any(f.startswith(t) or t.startswith(f) for f in files for t in tried), number
 
 
+def test_every_promise_has_a_guard_to_lose() -> None:
+    """Each claim on docs/reliability.md names it, and a test that it is tried by."""
+    page = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
+    section = page.partition("## What holds each promise")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (.+) \| (`.+`) \| (`.+`) \|$", section, re.MULTILINE)
+    assert len(rows) == section.count("\n| ") - 1 > 20, "all but the head"
+    guards = {m.name: m.tests.partition(" -")[0] for m in MUTANTS}
+    for claim, tests, names in rows:
+        files = [f if "/" in f else f"tests/faults/{f}" for f in re.findall(r"`([^`]+)`", tests)]
+        tried = [shlex.split(guards[name]) for name in re.findall(r"`([^`]+)`", names)]
+        assert all(any(f.startswith(t) for f in files for t in words) for words in tried), claim
+        assert all(any(f.startswith(t) for words in tried for t in words) for f in files), claim
+
+
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the tree, to be mutated."""

@@ -45,7 +45,7 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     try:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
             yield
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
+    except (HydraException, OmegaConfBaseException, ValueError, RecursionError) as error:
         text = _plain(error, plugins, overrides)
         raise ConfigError(text + plugins.registry.absent()) from error
     finally:
@@ -67,7 +67,7 @@ def readable(override: str) -> str:
     def reads(text: str) -> bool:
         try:
             return not parser.parse_override(f"{key}={text}").is_sweep_override()
-        except HydraException:
+        except (HydraException, RecursionError):
             return False
 
     def quoted(text: str) -> str:
@@ -134,8 +134,8 @@ def _check(override: str, plugins: Plugins) -> None:
         parsed = OverridesParser.create().parse_override(override)
         several = parsed.is_sweep_override()
         chosen = parsed.value() if equals and not several and not parsed.is_delete() else None
-    except HydraException as error:
-        raise ConfigError(f"{override} cannot be read. Check brackets and quotes.") from error
+    except (HydraException, RecursionError) as error:
+        raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
     group = parsed.key_or_group
     if group not in _VALUES and ("/" in group or "." not in group):  # its value names a file
         names = chosen if isinstance(chosen, list) else [chosen]

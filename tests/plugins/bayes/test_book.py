@@ -162,6 +162,9 @@ def test_trials_of_another_search_are_refused() -> None:
         b.recall(Trial("trial0", point={"a.x": 0.1, "a.y": 0.1}, fidelity=0.0))
     with pytest.raises(ConfigError, match="at another point when this search began"):
         b.recall(Trial("trial1", point={"a.x": 0.1}))
+    for x in (math.nan, -1.0, 1e300):  # of a scale that has no logarithm of it, or anywhere
+        with pytest.raises(ConfigError, match="at another point when this search began"):
+            b.recall(Trial("trial1", point={**trial.point, "a.x": x}, fidelity=0.0))
 
 
 def test_a_search_none_of_whose_trials_can_begin_is_wrong() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,13 @@ def test_a_scene_without_end_is_refused(tmp_path: Path) -> None:
     path.write_text("[" * 100_000)
     with pytest.raises(FileError, match="is no scene of boxes with a camera"):
         read_room(path)
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "room.json")
+    with pytest.raises(FileError, match="it is no file"):
+        read_room(tmp_path / "room.json")
 
 
 @pytest.mark.parametrize("above", [3.0, -3.0])

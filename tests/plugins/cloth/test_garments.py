@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from sheets import run, sheet, simulator, tube
+from worlds import little_memory
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
@@ -206,10 +207,17 @@ BAD: dict[str, tuple[Change, str]] = {
     ),
     "a mesh elsewhere": (lambda x, f, n: (x, f, {**n, "mesh": "../sleeve.obj"}), "same folder"),
     "a mesh that is absolute": (lambda x, f, n: (x, f, {**n, "mesh": "/etc/passwd"}), "same folder"),
+    "a mesh of no name": (lambda x, f, n: (x, f, {**n, "mesh": "a\0.obj"}), "same folder"),
+    "loops without end": (
+        lambda x, f, n: (x, f, {**n, "loops": {str(k): {"hole": 0} for k in range(101)}}), "at most 100",
+    ),
+    "patches without end": (
+        lambda x, f, n: (x, f, {**n, "patches": {str(k): [1] for k in range(98)}}), "at most 100",
+    ),
     "a mesh of another kind": (lambda x, f, n: (x, f, {**n, "mesh": "sleeve.yaml"}), "no OBJ"),
     "a mesh that is not there": (lambda x, f, n: (x, f, {**n, "mesh": "shirt.obj"}), "cannot be read"),
     "no YAML": (lambda x, f, n: (x, f, "mesh: ["), "no YAML"),
-    "very deep YAML": (lambda x, f, n: (x, f, "[" * 5000), "no YAML"),
+    "very deep YAML": (lambda x, f, n: (x, f, "[" * 5000), "more than 8 deep"),
     "a list": (lambda x, f, n: (x, f, "[1, 2]"), "names no garment"),
     "an empty file": (lambda x, f, n: (x, f, ""), "names no garment"),
     "aliases": (
@@ -266,6 +274,29 @@ def test_a_mesh_that_is_too_fine_is_refused_before_it_is_looked_at(tmp_path: Pat
     x, faces = sheet(181, 181, LARGEST / 200)
     with pytest.raises(FileError, match="coarser"):
         read_garment(write(tmp_path, x, faces, naming()))
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("name", ["sleeve.yaml", "sleeve.obj"])
+def test_a_pipe_is_not_waited_for(name: str, tmp_path: Path) -> None:
+    path = write(tmp_path, X, FACES, naming())
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(FileError, match=f"{name} cannot be read"):
+        read_garment(path)
+
+
+def test_many_vertices_in_one_place_take_no_memory(tmp_path: Path) -> None:
+    """They are some 200 million pairs."""
+    x = appended(X, *np.zeros((20_000, 3)))
+    path = write(tmp_path, x, FACES, naming())
+    with (
+        little_memory(),
+        pytest.raises(
+            FileError, match="199990000 pairs of vertices in one place, the first 108 and 109"
+        ),
+    ):
+        read_garment(path)
 
 
 @pytest.mark.parametrize("kind", ["an edge of three triangles", "a flipped face", "a face twice"])

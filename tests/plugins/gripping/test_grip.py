@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ import pytest
 from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
 from understudy_gripping.balance import balance
-from understudy_gripping.grip import Grip, find_grip, load_grip, standard
+from understudy_gripping.grip import Grip, _kept, find_grip, load_grip, standard
 from understudy_gripping.hold import placed
 from understudy_gripping.styles import NAMED
 from understudy_hand.scene import FIRM, HandScene
@@ -140,6 +142,8 @@ def change(key: str, value: Any) -> str:
         ('{"version": 2}', "it is not of version 1"),
         ('{"version": 1}', "it has no 'hand'"),
         (change("hand", {"fingers": 9, "finger_length": 1, "size": 1}), "fingers=9"),
+        (change("hand", {"fingers": math.inf, "finger_length": 1, "size": 1}), "is no grip"),
+        (change("hand", {"fingers": 5, "finger_length": 10**400, "size": 1}), "is no grip"),
         (change("hand", [1]), "is no grip"),
         (change("style", "12112"), "cross"),
         (change("places", [0.1]), "places are not 4 finite numbers"),
@@ -151,7 +155,7 @@ def change(key: str, value: Any) -> str:
         (change("targets", [[1e9] * 29] * 5), "larger than any"),
         (change("hinges", ["a", "a"]), "not named each once"),
         ("[" * 100_000, "is no grip"),
-        ("x" * (1 << 21), "too large"),
+        ("x" * (1 << 21), "larger than 1 MiB"),
     ],
 )
 def test_files_that_are_none_are_refused(text: str, said: str, tmp_path: Path) -> None:
@@ -159,6 +163,19 @@ def test_files_that_are_none_are_refused(text: str, said: str, tmp_path: Path) -
     with pytest.raises(FileError, match="is no grip") as error:
         load_grip(tmp_path / "grip.json")
     assert said in str(error.value)
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "grip.json")
+    with pytest.raises(FileError, match="it is no file"):
+        load_grip(tmp_path / "grip.json")
+
+
+def test_a_run_that_keeps_no_grip_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "against.txt").write_text(json.dumps({"grip": "it falls"}))
+    with pytest.raises(FileError, match="it leaves none"):
+        _kept(tmp_path, ["grip"])
 
 
 def test_a_missing_file_is_said() -> None:

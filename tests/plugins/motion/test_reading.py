@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 import torch
 from motion_files import WRITE
+from worlds import little_memory
 
 import understudy_motion
 from understudy.errors import FileError
@@ -102,3 +104,19 @@ def test_every_recorded_clip_is_a_person_in_motion(registry: Registry) -> None:
         lowest = positions[..., 2].amin(dim=1)
         assert torch.quantile(lowest, 0.1) > -0.3, path
         assert torch.quantile(lowest, 0.1) < 0.5, path
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("what", ["/dev/zero", "pipe", "long"])
+def test_a_licence_without_end_is_not_read(tmp_path: Path, what: str) -> None:
+    licence = tmp_path / reading.LICENCE
+    if what == "pipe":
+        os.mkfifo(licence)
+    elif what == "long":
+        licence.write_text("CC0 " * 10**6)
+    else:
+        licence.symlink_to(what)
+    with little_memory():
+        said = reading.licence_beside(tmp_path / "clip.txt")
+    assert len(said) < 300
+    assert said.startswith("CC0" if what == "long" else "unknown")

@@ -343,6 +343,30 @@ def test_a_skill_whose_overrides_are_no_words_is_refused(overrides: object, tmp_
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("seed=${oc.env:SECRET}", "would be read from this machine"),
+        ("+run={dir: '${oc.decode:${oc.env:SECRET}}'}", "would be read from this machine"),
+        ("hydra.searchpath=[pkg://os]", "cannot be configured"),
+        ("experiment=../../secret", "names no option"),
+        ("a=" + "[" * 2000 + "]" * 2000, "cannot be read"),
+        ("+scene._target_=os.getcwd", "_target_"),
+    ],
+)
+def test_words_of_a_strangers_skill_read_and_run_nothing(
+    word: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SECRET", "4711")
+    skill = open_skill("sitting/walk")
+    card = {**skill.card, "overrides": [*skill.card["overrides"], word]}
+    pack(dataclasses.replace(skill, card=card), tmp_path / "bad", {})
+    with pytest.raises(ConfigError, match=said) as error:
+        open_skill(str(tmp_path / "bad.json"), ["control.decision=1"])
+    assert "4711" not in str(error.value)
+    assert len(str(error.value)) < 1000
+
+
 def test_packing_keeps_the_overrides_that_made_a_run_and_no_folder(tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert main(["play", "sitting/walk", "--unpack", str(run)]) == 0

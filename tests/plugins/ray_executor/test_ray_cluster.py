@@ -80,6 +80,12 @@ def below(process: int) -> list[int]:
     return [number for child in map(int, found) for number in (child, *below(child))]
 
 
+def has_a_trial(node: Any) -> bool:
+    """Ray calls a worker by what it carries."""
+    titles = (Path(f"/proc/{number}/cmdline") for number in below(raylet_of(node)))
+    return any(b"Carrier" in title.read_bytes() for title in titles if title.exists())
+
+
 def table(folder: Path) -> dict[str, dict[str, str]]:
     """What is told of each trial, less how long it took."""
     with open(folder / "trials.csv", encoding="utf-8") as file:
@@ -95,6 +101,10 @@ def test_a_node_is_killed_one_is_slow_and_the_driver_is_killed(
     _, lost, slow = [cluster.head_node, *cluster.worker_nodes]
     driver = drive(cluster.address, folder)
     wait_for(folder, 12, driver)
+    deadline = time.monotonic() + 60
+    while not (has_a_trial(lost) and has_a_trial(slow)):
+        assert time.monotonic() < deadline, "there is nothing to lose on these nodes"
+        time.sleep(0.02)
     stopped = below(raylet_of(slow))
     for number in stopped:
         os.kill(number, signal.SIGSTOP)

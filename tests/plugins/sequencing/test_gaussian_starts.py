@@ -66,6 +66,10 @@ def test_another_scenes_bank_is_refused(tmp_path: Path) -> None:
         ({"positions": torch.zeros(4, 2, 2), "velocities": torch.zeros(4, 1, 2)}, "does not fit"),
         ({"positions": torch.zeros(4, 1, 2)}, "'velocities' is missing there"),
         ({"positions": torch.zeros(1, 1, 2), "velocities": torch.zeros(1, 1, 2)}, "no spread"),
+        (
+            {"positions": torch.zeros(10_001, 1, 2), "velocities": torch.zeros(10_001, 1, 2)},
+            "at most 10000",
+        ),
     ):
         bank.save(tmp_path / bank.NAME, states, {})
         with pytest.raises(ConfigError, match=sentence):

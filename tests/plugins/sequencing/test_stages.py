@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,12 @@ import torch
 from miniatures import QUICK
 
 from understudy.command.cli import main
+from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_sequencing.stages import Stage, Stages, Until
+from understudy_skills import controller as controllers
+from understudy_skills.controller import Controller
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +76,6 @@ def test_one_after_another(place: Path) -> None:
 
 def test_it_acts_as_the_run_alone_does(place: Path, slow: Path) -> None:
     """The first stage, from the same start, moves as its own task's policy does."""
-    from understudy_skills.controller import Controller
-
     for run, decision in ((place, 1), (slow, 3)):
         built = build(stages(run, place), "num_worlds=4")
         environment, context = built.environment, built.context
@@ -100,6 +102,44 @@ def test_it_acts_as_the_run_alone_does(place: Path, slow: Path) -> None:
                 )[at_first],
                 wanted[at_first],
             )
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -float("inf"), 1e12, -3.0])
+def test_a_stage_that_went_wrong_stays_in_its_world(place: Path, wrong: float) -> None:
+    environment = build(stages(place, place), "num_worlds=3").environment
+    environment.reset()
+    part, table = environment.parts.actuation.part, environment.table
+    fields = dict(table.pick(environment.parts.actuation.reads))
+
+    def found(stage: torch.Tensor) -> list[torch.Tensor]:
+        made = part.advance(torch.zeros(3, 1), **{**fields, "stage": stage})
+        return [*made.values(), part.control(torch.zeros(3, 1), **{**fields, **made})]
+
+    stage = torch.tensor([0.0, 1.0, 0.0])
+    sound, bad = found(stage), found(torch.where(torch.arange(3) == 1, wrong, stage))
+    for own, others in zip(sound, bad, strict=True):
+        assert torch.equal(own[[0, 2]], others[[0, 2]])
+
+
+def test_a_run_that_stands_in_itself_is_refused(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "endless"
+    shutil.copytree(place, run)
+    info = json.loads((run / "run.json").read_text())
+    own = {"run": str(run), "until": {"field": "distance", "at_most": 1.0}}
+    info["config"]["actuation"] = {"name": "sequencing/stages", "stages": [own]}
+    (run / "run.json").write_text(json.dumps(info))
+    context = build(stages(place, place), "num_worlds=1").context
+    with monkeypatch.context() as patch:
+        patch.setattr(controllers, "_MOST", 10**6)
+        with pytest.raises(ConfigError, match="perhaps it stands in itself"):
+            Controller.load(str(run), context, any_rate=True)
+    own["run"] = str(place)
+    info["config"]["actuation"]["stages"] = [own] * 101
+    (run / "run.json").write_text(json.dumps(info))
+    with pytest.raises(ConfigError, match="100 in all"):
+        Controller.load(str(run), context, any_rate=True)
 
 
 def test_a_criterion_has_to_last(place: Path) -> None:

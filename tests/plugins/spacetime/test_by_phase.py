@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +12,12 @@ import torch
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
+from understudy.records.runs import Run
 from understudy.task import Context
 from understudy_characters.scene import reference_motion
 from understudy_doctor.letting_go import LettingGo
 from understudy_spacetime import initial_states
-from understudy_spacetime.by_phase import by_part, drawn, sentence
+from understudy_spacetime.by_phase import by_part, drawn, measured, sentence
 from understudy_spacetime.initial_states import Flyable, Phases
 
 
@@ -80,3 +83,10 @@ def test_parts_are_read_in_order_and_as_many_as_there_are() -> None:
     assert by_part(found) == [0.25, 0.5]
     assert by_part(judged(success_rate=1.0)) == []
     assert drawn([0.25, 0.5], [1.0, 0.0]).count("<path") >= 2
+
+
+@pytest.mark.parametrize("size", [3, 40 * 2**30])
+def test_an_evaluation_that_is_none_has_no_parts(tmp_path: Path, size: int) -> None:
+    (tmp_path / "evaluation.json").touch()
+    os.truncate(tmp_path / "evaluation.json", size)
+    assert measured(Run(tmp_path, {})) == {}

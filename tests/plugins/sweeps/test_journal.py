@@ -43,7 +43,7 @@ STRANGE = ["x" * 300, "\ud800", "", 3, ["a"], None]
     [
         *({"key": key} for key in STRANGE),
         *({"measures": m} for m in (None, ["f"], {"f": "x"}, {"f": 10**400})),
-        {"status": None}, {"objective": "x"}, {"cost": True}, {"run": 1}, {"else": 1},
+        {"status": None}, {"objective": "x"}, {"cost": True}, {"cost": math.nan}, {"cost": math.inf}, {"run": 1}, {"else": 1},
     ],
 )  # fmt: skip
 def test_reports_of_other_types_are_left_out(report: dict[str, Any], tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_reports_of_other_types_are_left_out(report: dict[str, Any], tmp_path: P
     [
         *({"key": key} for key in STRANGE),
         *({"overrides": o} for o in (None, [1], 3)),
-        {"point": {"x": "1"}}, {"point": None}, {"fidelity": "1"}, {"seed": [1]}, {"start": 3}, {"variant": None},
+        {"point": {"x": "1"}}, {"point": {"x": math.nan}}, {"fidelity": math.inf}, {"point": None}, {"fidelity": "1"}, {"seed": [1]}, {"start": 3}, {"variant": None},
     ],
 )  # fmt: skip
 def test_trials_of_other_types_are_left_out(trial: dict[str, Any], tmp_path: Path) -> None:

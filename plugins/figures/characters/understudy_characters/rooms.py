@@ -25,12 +25,14 @@ import mujoco
 import numpy as np
 
 from understudy.errors import FileError
+from understudy.folders import read
 from understudy_characters.staging import make_solid
 
 __all__ = ["Box", "Camera", "RoomScene", "add_boxes", "read_room", "seen_from"]
 
 #: Objects that a scene may have; a detector reports some dozens.
 MOST = 64
+_LARGEST = 1 << 24  #: bytes of its file
 _COLOURS = {
     "wall": (0.86, 0.84, 0.8, 1.0),
     "table": (0.6, 0.45, 0.32, 1.0),
@@ -91,7 +93,7 @@ def read_room(path: Path, needs: str | None = None) -> RoomScene:
         if it is missing, no such JSON, lacks what is needed, or has numbers that are none.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read(path, _LARGEST))
         boxes = tuple(_box(item) for item in data["objects"])
         camera = _camera(data["camera"], path.parent)
     except (

@@ -175,9 +175,7 @@ def load_grip(path: Path) -> Grip:
     FileError: the file is missing, or no grip.
     """
     try:
-        if path.stat().st_size > _LARGEST:
-            raise ValueError("it is too large for a grip")
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = json.loads(read(path, _LARGEST))
         if not isinstance(values, dict) or values.get("version") != _VERSION:
             raise ValueError(f"it is not of version {_VERSION}")
         measures = Measures(
@@ -204,7 +202,9 @@ def load_grip(path: Path) -> Grip:
             raise ValueError("the lower stick's rotation is no unit quaternion")
     except FileNotFoundError as error:
         raise FileError(f"There is no grip at {path}.") from error
-    except (OSError, ValueError, TypeError, KeyError, RecursionError, ConfigError) as error:
+    except (
+        OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError, ConfigError
+    ) as error:  # fmt: skip
         reason = f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
         raise FileError(f"{path} is no grip: {reason}.") from error
     return grip
@@ -382,6 +382,8 @@ def _kept(folder: Path, names: Sequence[str]) -> Grips:
             raise ValueError("it has no sentences")
     except (OSError, ValueError, RecursionError) as error:
         raise FileError(f"{path} is not what a run keeps of its grips: {error}.") from error
+    if not set(names) - against.keys():
+        raise FileError(f"{path} is not what a run keeps of its grips: it leaves none.")
     return Grips(
         {name: load_grip(folder / f"{name}.json") for name in names if name not in against},
         {name: against[name] for name in names if name in against},

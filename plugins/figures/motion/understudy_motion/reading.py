@@ -37,6 +37,7 @@ RECORD_SUFFIX = ".provenance.json"
 LICENCE = "LICENSE"
 MAX_RECORD_BYTES = 2**16
 MAX_RECORD_LINE = 2000
+MAX_LICENCE_BYTES = 2**16
 MAX_JOINTS = 1000
 MAX_NAME = 200
 MAX_ROTATIONS = 8_000_000
@@ -280,8 +281,10 @@ def read_record(path: Path) -> dict[str, str]:
 def licence_beside(path: Path) -> str:
     """The first line of a LICENSE file beside the clip, if there is one."""
     try:
-        with path.with_name(LICENCE).open(encoding="utf-8", errors="replace") as file:
-            first = next((line.strip() for line in file if line.strip()), "")
-    except OSError:
+        text = read_bytes(path.with_name(LICENCE), MAX_LICENCE_BYTES, whole=False).decode(
+            errors="replace"
+        )
+    except FileError:
         return "unknown"
+    first = next((line.strip() for line in text.splitlines() if line.strip()), "")
     return f"{first[:200]}; see LICENSE beside the clip" if first else "unknown"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,28 @@ from understudy.task.terms import Wired, renamed
 from understudy_skills.skill import copy_run, open_skill
 
 __all__ = ["Controller"]
+
+#: Controllers within one, whose parts may be controllers: how deep, and how many in all.
+_DEPTH, _MOST = 4, 100
+#: How deep a controller is being built, and the names of those within the outermost so far.
+_BUILDING: ContextVar[tuple[int, list[str]] | None] = ContextVar("building", default=None)
+
+
+@contextlib.contextmanager
+def _within(source: str) -> Iterator[None]:
+    """Build `source`. Raises ConfigError if it stands in itself, or in too much else."""
+    depth, names = _BUILDING.get() or (0, [])
+    names.append(source)
+    if depth > _DEPTH or len(names) > _MOST:
+        raise ConfigError(
+            f"{source} is a controller within others, more than {_DEPTH} deep or {_MOST} in all; perhaps it "
+            "stands in itself. Choose another run."
+        )
+    token = _BUILDING.set((depth + 1, names))
+    try:
+        yield
+    finally:
+        _BUILDING.reset(token)
 
 
 class Controller(nn.Module):
@@ -48,10 +72,16 @@ class Controller(nn.Module):
         Raises
         ------
         ConfigError
-            if there is no such run or skill, or its parts do not fit this task's scene or simulator.
+            if there is no such run or skill, its parts do not fit this task's scene or simulator, or it is
+            within itself.
         RunError
             if it is damaged, or its checkpoint does not fit its configuration.
         """
+        with _within(source):
+            return cls._load(source, context, any_rate)
+
+    @classmethod
+    def _load(cls, source: str, context: Context, any_rate: bool) -> Controller:
         assert context.registry is not None
         asked, place, path = f"controller {source}", source, Path(source)
         if path.suffix == ".json":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 from understudy.records.runs import Run
 from understudy_report.charts import Axes, grid, svg
 from understudy_report.section import ReportSection
-from understudy_report.values import mapping
+from understudy_report.values import mapping, read_evaluation
 from understudy_spacetime.initial_states import fall_of
 from understudy_spacetime.section import context_of
 
@@ -41,10 +40,7 @@ class ByPhaseSection(ReportSection):
 
 def measured(run: Run) -> Mapping[str, Any]:
     """The measures of the last evaluation of `run`."""
-    path = run.path / "evaluation.json"
-    if not path.is_file():
-        return {}
-    return mapping(mapping(json.loads(path.read_text(encoding="utf-8"))).get("measures"))
+    return mapping(read_evaluation(run).get("measures"))
 
 
 def by_part(found: Mapping[str, Any]) -> list[float]:

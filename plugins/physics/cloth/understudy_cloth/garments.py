@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from understudy.errors import FileError, UnderstudyError
+from understudy.folders import read
 from understudy.options import check_range, make_options
 from understudy_cloth.checking import check_mesh, pieces_of
 from understudy_cloth.mesh import edges_of, face_areas
@@ -23,6 +24,10 @@ from understudy_cloth.mesh import edges_of, face_areas
 MOST_BYTES, MOST_NAMING_BYTES = 64 << 20, 1 << 20
 #: Vertices of a garment; a shirt has some 3 000, and each one more makes every sub-step longer.
 MOST_VERTICES = 30_000
+#: Loops and patches of a garment, together; each one is looked for in the whole mesh.
+MOST_NAMES = 100
+#: Levels of the file that names them, which has three.
+_DEEPEST = 8
 #: m, across a garment the longest way.
 SMALLEST, LARGEST = 0.15, 3.0
 #: m: vertices nearer to each other are one that was not merged.
@@ -64,6 +69,10 @@ class Naming:
 
     def __post_init__(self) -> None:
         check_range(self, "unit", above=0)
+        if (count := len(self.loops) + len(self.patches)) > MOST_NAMES:
+            raise ValueError(
+                f"loops and patches are {count}, and a garment has at most {MOST_NAMES}."
+            )
 
 
 @dataclass(frozen=True)
@@ -97,7 +106,10 @@ def read_garment(path: Path) -> Garment:
     """
     naming = _naming(path)
     mesh = path.parent / naming.mesh
-    inside = mesh.resolve().is_relative_to(path.parent.resolve())
+    try:
+        inside = mesh.resolve().is_relative_to(path.parent.resolve())
+    except ValueError:  # what no file can be named
+        inside = False
     if not inside or mesh.suffix.lower() != ".obj":
         raise FileError(f"{path}: mesh={naming.mesh!r} is no OBJ file in the same folder.")
     positions, faces = read_obj(mesh)
@@ -137,9 +149,16 @@ def read_garment(path: Path) -> Garment:
 def _naming(path: Path) -> Naming:
     text = _text(path, MOST_NAMING_BYTES)
     try:
-        # an alias may stand for itself many times over
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
-            raise FileError(f"{path} has aliases; write them out.")
+        depth = 0
+        for event in yaml.parse(text, yaml.SafeLoader):
+            if isinstance(event, yaml.AliasEvent):  # it may stand for itself many times over
+                raise FileError(f"{path} has aliases; write them out.")
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > _DEEPEST:  # each level takes as much longer as there are above it
+                raise FileError(
+                    f"{path} is no YAML of a garment: it is nested more than {_DEEPEST} deep."
+                )
         names = [
             (key.value, key.start_mark.line + 1)
             for section in _sections(yaml.compose(text, yaml.SafeLoader))
@@ -181,9 +200,7 @@ class _Key:
 
 def _text(path: Path, most: int) -> str:
     try:
-        if path.stat().st_size > most:
-            raise FileError(f"{path} has more than {most >> 20} MiB: it is no garment.")
-        return path.read_bytes().decode("utf-8", errors="replace")
+        return read(path, most).decode("utf-8", errors="replace")
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}.") from error
 
@@ -245,12 +262,15 @@ def _check_size(positions: np.ndarray, faces: np.ndarray, what: str) -> None:
             f"{what} is {across:.3g} m across, and garments are {SMALLEST:g} to {LARGEST:g} m; {guess}, say "
             f"unit: {unit} in the file that names its loops."
         )
-    pairs = cKDTree(positions).query_pairs(_SAME, output_type="ndarray")
-    if len(pairs):
-        i, j = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))][0]
+    tree = cKDTree(positions)
+    # how many, and not which: those of a mesh all in one place take gigabytes
+    near = tree.query_ball_point(positions, _SAME, return_length=True)
+    if (near > 1).any():
+        i = int(np.argmax(near > 1))
+        j = min(k for k in tree.query_ball_point(positions[i], _SAME) if k != i)
         raise FileError(
-            f"{what} has {len(pairs)} pairs of vertices in one place, the first {i} and {j}: merge them, "
-            "or the cloth is open there."
+            f"{what} has {int((near - 1).sum()) // 2} pairs of vertices in one place, the first {i} and {j}: merge "
+            "them, or the cloth is open there."
         )
 
 

@@ -99,7 +99,7 @@ class Book:
 
     def recall(self, trial: Trial) -> bool:
         """Note a trial that was asked for before; always wanted."""
-        if self.trials.get(trial.key, trial) != trial or self.space.missing(trial.point):
+        if self.trials.get(trial.key, trial) != trial or not self.space.has(trial.point):
             raise ConfigError(
                 f"Trial '{trial.key}' was at another point when this search began. Give run.dir another "
                 "folder."

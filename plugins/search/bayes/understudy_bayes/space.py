@@ -104,6 +104,9 @@ class Space:
         taken = [self.unit(self.point(row)) for row in x.detach().clamp(0.0, 1.0).tolist()]
         return torch.where(torch.tensor(whole), x + (torch.tensor(taken).to(x) - x).detach(), x)
 
-    def missing(self, point: Mapping[str, float]) -> bool:
-        """Whether `point` lacks one of the options."""
-        return any(name not in point for name in self._parameters)
+    def has(self, point: Mapping[str, float]) -> bool:
+        """Whether `point` has all of the options, each within its range."""
+        return all(
+            name in point and parameter.low <= point[name] <= parameter.high
+            for name, parameter in self._parameters.items()
+        )

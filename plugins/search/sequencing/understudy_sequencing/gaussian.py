@@ -15,6 +15,9 @@ from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates, Shape
 from understudy_skills import bank
 
+#: States of a bank: so many numbers are drawn for each world.
+_MOST = 10_000
+
 
 class Gaussian(InitialStates):
     """Draws from N(μ, α Σ), where μ and Σ are the mean and the covariance of a bank's states (section 5,
@@ -45,6 +48,11 @@ class Gaussian(InitialStates):
             raise ConfigError(
                 f"initial_states: the bank {options.file} has one state, which has no spread. Keep more "
                 "(job.count=…)."
+            )
+        if count > _MOST:
+            raise ConfigError(
+                f"initial_states: the bank {options.file} has {count} states, and a Gaussian is drawn from at "
+                f"most {_MOST}. Keep fewer (job.count=…)."
             )
         for name in simulator.state_fields:
             own = simulator.fields[name]

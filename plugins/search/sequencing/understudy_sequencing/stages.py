@@ -145,7 +145,7 @@ class Stages(Actuation):
         **fields: Tensor,
     ) -> dict[str, Tensor]:
         fresh = episode_step == 0
-        at = stage.long()
+        at = self._number(stage)
         holds = torch.zeros_like(fresh)
         lasting = torch.zeros_like(stage)
         for number, one in enumerate(self._stages):
@@ -163,7 +163,8 @@ class Stages(Actuation):
         done = holds & ~fresh & (lasted >= lasting - 0.5 * self._dt)
         stage = stage + done
         seconds = torch.where(done, 0.0, stage_seconds + passed)
-        acting = stage.long().clamp(max=len(self._stages) - 1)
+        now = self._number(stage)
+        acting = now.clamp(max=len(self._stages) - 1)
         decides = fresh | done | (stage_age >= self._decisions[acting])
         chosen = stage_action
         for number, size in enumerate(self._sizes):
@@ -173,7 +174,7 @@ class Stages(Actuation):
         return {
             "stage": stage,
             "stage_seconds": seconds,
-            "stage_limit": self._limits[stage.long()],
+            "stage_limit": self._limits[now],
             "stage_count": self._zeros() + len(self._stages),
             "stage_lasted": torch.where(done, 0.0, lasted),
             "stage_age": torch.where(decides, 1.0, stage_age + 1.0),
@@ -181,7 +182,7 @@ class Stages(Actuation):
         }
 
     def control(self, action: Tensor, stage: Tensor, stage_action: Tensor, **fields: Tensor) -> Tensor:  # fmt: skip
-        acting = stage.long().clamp(max=len(self._stages) - 1)
+        acting = self._number(stage).clamp(max=len(self._stages) - 1)
         found: Tensor | None = None
         for number, size in enumerate(self._sizes):
             own = self._controllers[number].control(
@@ -190,6 +191,10 @@ class Stages(Actuation):
             found = own if found is None else torch.where((acting == number)[:, None], own, found)
         assert found is not None
         return found
+
+    def _number(self, stage: Tensor) -> Tensor:
+        """(N,) as an index, of a world whose numbers went wrong, too."""
+        return stage.long().clamp(0, len(self._stages))
 
     def _fields_of(self, number: int, fields: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         """The fields, under the names that a stage's parts know."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -126,8 +127,8 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
     _check(str | None, trial.initial_states)
     _check(Mapping | None, trial.start)
     _check(int | None, trial.seed)
-    _check_numbers(trial.point.values())
-    _check_numbers([] if trial.fidelity is None else [trial.fidelity])
+    _check_finite(trial.point.values())
+    _check_finite([] if trial.fidelity is None else [trial.fidelity])
     return trial
 
 
@@ -136,7 +137,8 @@ def _report(row: Mapping[str, Any]) -> Report:
     _check_name(report.key)
     _check(str, report.status, report.run, report.outcome)
     _check_numbers(report.measures.values())
-    _check_numbers([report.cost, *([] if report.objective is None else [report.objective])])
+    _check_numbers([] if report.objective is None else [report.objective])
+    _check_finite([report.cost])
     return report
 
 
@@ -159,3 +161,9 @@ def _check_numbers(values: Iterable[Any]) -> None:
         if isinstance(value, bool):
             raise TypeError(f"{value!r}")
         float(value)  # too large an integer has none
+
+
+def _check_finite(values: Iterable[Any]) -> None:
+    _check_numbers(values := list(values))
+    if not all(map(math.isfinite, values)):
+        raise ValueError(f"{values}")
