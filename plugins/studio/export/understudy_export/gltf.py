@@ -155,6 +155,7 @@ def _add(document: dict[str, Any], shown: Shown, buffer: Buffer) -> None:
 
 
 def material(colour: tuple[float, float, float, float]) -> dict[str, Any]:
+    """A dull material of linear RGBA `colour`."""
     look = {"baseColorFactor": list(colour), "metallicFactor": 0.0, "roughnessFactor": 0.7}
     return {"pbrMetallicRoughness": look, **({"alphaMode": "BLEND"} if colour[3] < 1.0 else {})}
 
