@@ -26,6 +26,7 @@ GROUPS = ("policy", "learner", "termination", "initial_states", "curriculum", "r
 #: What an option's file leaves to be given. RUNS stands for the folder of the stages' runs.
 GIVEN = {
     "initial_states=bank": ("initial_states.file=RUNS/bank",),
+    "initial_states=sequencing/gaussian": ("initial_states.file=RUNS/bank",),
     "curriculum=linear": ("curriculum.samples=1000",),
     "curriculum=adaptive": ("curriculum.threshold=0.5",),
     "initial_states=sitting/where_others_ended": ("initial_states.banks=[RUNS/bank]",),

@@ -33,6 +33,8 @@ NEITHER = {
     "seeds": "name random streams",
     "fields/miniature/body.number": "an index",
     "measure/morphology/normalised.steps": "a divisor",
+    "measure/sequencing/completed.number": "an index, compared with what there is",
+    "termination/sequencing/overtime.only": "an index, compared with what there is",
     "resolution.substeps": "at most control.substeps",
 }
 

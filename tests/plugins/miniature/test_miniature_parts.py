@@ -94,7 +94,7 @@ def test_a_harvest_of_any_ending_has_states_of_episodes_that_failed_too(built_on
         training = prepared(*overrides_of("sleeve_bank", built_on), f"job.ending={ending}")
         training.iterate()
         assert isinstance(training.job, Harvest)
-        positions = training.job._found["positions"][:, 0]
+        positions = training.job.state_dict()["found"]["positions"][:, 0]
         harvests[ending] = (positions - torch.tensor([1.5, 0.0])).norm(dim=1)
     assert (harvests["success"] <= 0.2).all()
     assert (harvests["any"] > 0.2).any()

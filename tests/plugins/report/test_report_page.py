@@ -184,7 +184,7 @@ def test_says_what_a_measure_means_that_decides_success(tmp_path: Path) -> None:
     run.write_json("evaluation.json", evaluation)
     page, _ = report(run)
     assert (
-        "An episode succeeds if its within_all_bounds (1 inside all bounds and without a fall, else 0, "
+        "An episode succeeds if its within_all_bounds (1 in all bounds, no fall, "
         "the least of the episode counts) is at least 1." in page.text
     )
 

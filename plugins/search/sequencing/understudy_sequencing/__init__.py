@@ -9,21 +9,33 @@ from understudy.setup.registry import Registrar
 #: Plugins that this one builds on.
 REQUIRES = ("skills", "sweeps")
 
-_HERE = "understudy_sequencing"
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "outer_loop": {
+        "algorithm_1": ("algorithm:Algorithm1", "subtasks that end where the next begins"),
+    },
+    "initial_states": {
+        "sequencing/gaussian": ("gaussian:Gaussian", "as a Gaussian fits a bank"),
+    },
+    "reward": {
+        "sequencing/next_start": ("terms:NextStart", "near the mean of the next one's starts"),
+    },
+    "actuation": {
+        "sequencing/stages": ("stages:Stages", "other runs' policies, one after another"),
+    },
+    "termination": {
+        "sequencing/finished": ("terms:finished", "all stages are done"),
+        "sequencing/overtime": ("terms:overtime", "a stage took too long"),
+    },
+    "measure": {
+        "sequencing/completed": ("terms:completed", "whether a stage was done"),
+    },
+}
 
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
-    for kind, name, target, summary in (
-        ("outer_loop", "algorithm_1", "algorithm:Algorithm1", "subtasks that end where the next begins"),
-        ("initial_states", "sequencing/gaussian", "gaussian:Gaussian", "as a Gaussian fits a bank"),
-        ("reward", "sequencing/next_start", "terms:NextStart", "near the mean of the next one's starts"),
-        ("actuation", "sequencing/stages", "stages:Stages", "other runs' policies, one after another"),
-        ("termination", "sequencing/finished", "terms:finished", "all stages are done"),
-        ("termination", "sequencing/overtime", "terms:overtime", "a stage took too long"),
-        ("measure", "sequencing/completed", "terms:completed", "whether a stage was done"),
-    ):  # fmt: skip
-        register.component(kind, name, f"{_HERE}.{target}", summary)
+    register.parts(__name__, PARTS)
     register.citation(
         "sequencing",
         "Clegg, Yu, Tan, Liu, Turk 2018. Learning to dress: synthesizing human dressing motion via deep "
