@@ -161,7 +161,10 @@ def _mesh(shape: Shape) -> trimesh.Trimesh:
         radii = (shape.radius,) * 2 if isinstance(shape, Capsule) else shape.radii
         ends = zip(radii, (-shape.half_length, shape.half_length), strict=True)
         balls = [
-            [*trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices, 0, 0, height]
+            np.add(
+                trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices,
+                (0.0, 0.0, height),
+            )
             for radius, height in ends
         ]
         mesh = trimesh.convex.convex_hull(np.concatenate(balls))
