@@ -112,6 +112,13 @@ def alone(scene: Scene, dt: float, substeps: int) -> Any:
     ))  # fmt: skip
 
 
+def test_it_says_what_each_of_its_members_is() -> None:
+    found = context(cook=Cook, other=Towel).scene
+    assert found is not None
+    assert found.identity() == {**Cook().identity(), **Towel().identity()}
+    assert found.identity().keys() == {"qpos", "cloth_position"}
+
+
 @pytest.mark.parametrize("other", [Grains, Towel])
 def test_conforms(other: type[Scene]) -> None:
     found = composite(cook=Cook, other=other, steps={"cook": 2, "other": 3})

@@ -25,6 +25,11 @@ class Scene(ABC):
     def describe(self) -> dict[str, Any]:
         """Facts for provenance: sizes, masses, names."""
 
+    def identity(self) -> Mapping[str, str]:
+        """By state field, of which thing it is the state, in words that differ where the thing does: so that a
+        state of another garment or body is not taken for one of this."""
+        return {}
+
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
     ) -> Iterator[np.ndarray]:

@@ -15,7 +15,9 @@ from understudy_dressing.sleeve import SleeveScene, geodesic
 from understudy_dressing.state import centre_and_normal, passes
 
 pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
-COARSE = SleeveScene.Options(around=0.56, length=0.44, edge=0.0257, fabric=Fabric(bending=0.0))
+COARSE = SleeveScene.Options(
+    around=0.56, length=0.44, edge=0.0257, held=75.0, fabric=Fabric(bending=0.0)
+)
 
 
 def ring(points: int = 24, radius: float = 0.1) -> Tensor:

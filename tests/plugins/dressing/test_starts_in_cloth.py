@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+import torch
 
 from understudy.command.cli import main
-from understudy_dressing.initial_states import depth_in_person
-from understudy_dressing.person import PersonScene
+from understudy_dressing.initial_states import Track, depth_in_person
+from understudy_dressing.person import PersonScene, limb
+from understudy_dressing.sleeve import SleeveScene
+from understudy_dressing.state import passes
 
 
 def test_depth_in_the_neutral_person() -> None:
@@ -21,6 +25,46 @@ def test_depth_in_the_neutral_person() -> None:
     assert found[1] == pytest.approx(0.0575 - 0.1, abs=1e-3)
     assert found[2] < -0.8
     assert found[3] == pytest.approx(0.10), "the middle of the head's upper sphere"
+
+
+def test_the_track_ends_above_the_shoulder() -> None:
+    """Section 8.3: the gown moves toward the location of the shoulder when the task began."""
+    model = PersonScene(PersonScene.Options()).spec().compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shoulder = data.body(limb("right")[4][0]).xpos
+    assert Track.Options().end[:2] == pytest.approx(shoulder[:2])
+
+
+@pytest.mark.parametrize(("held", "deepest"), [(20.0, -0.02), (75.0, 0.02)])
+def test_what_is_held_passes_the_person(held: float, deepest: float) -> None:
+    """Vertices that are held yield to nobody. Held along the top they pass above the shoulder; the upper half of the
+    entrance would go into the collarbone, and the arm could never be in by three quarters."""
+    scene = SleeveScene(SleeveScene.Options(held=held))
+    vertices = scene.mesh[0][np.asarray(scene.model().grips[0].vertices)]
+    depth = depth_in_person(PersonScene(PersonScene.Options()))
+    way = [np.add(Track.Options().end, (x, 0.0, 0.0)) for x in np.linspace(0.0, 0.3, 31)]
+    found = max(float(depth(vertices + place).max()) for place in way)
+    assert found == pytest.approx(deepest, abs=0.012)
+
+
+def test_three_quarters_are_in_only_near_the_shoulder() -> None:
+    """Of 0.96 m from the fingertip to the neck, 0.75 m are before the shoulder: success (0.75) is 3 cm before it, a
+    track that ends 10 cm before it gives 0.68."""
+    bones = np.array(
+        [[0.75, 0, 0], [0.69, 0, 0], [0.65, 0, 0], [0.30, 0, 0], [0, 0, 0], [0, 0.21, 0]]
+    )
+    angle = 2 * np.pi * np.arange(24) / 24
+    ring = np.stack([0 * angle, 0.073 * np.cos(angle), 0.073 * np.sin(angle)], axis=1)
+
+    def progress(x: float) -> float:
+        loop = torch.tensor(np.add(ring, (x, 0, 0)))[None]
+        through, depth = passes(torch.tensor(bones)[None], loop)
+        assert through[0].sum() == 1
+        return float(depth[through]) / 0.96
+
+    assert progress(0.1) == pytest.approx(0.677, abs=0.001)
+    assert progress(0.030) == pytest.approx(0.75, abs=0.001)
 
 
 @pytest.mark.parametrize(

@@ -223,6 +223,7 @@ def scene_of(experiment: Experiment, sections: Mapping[str, Any]) -> Any:
         registry=experiment.registry,
         inputs=experiment.inputs,
         sections=dict(sections),
+        chosen=experiment.choices,
     )
     return experiment.need("scene").build(context)
 

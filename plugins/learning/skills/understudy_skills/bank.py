@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
-from understudy.errors import FileError, RunError
+from understudy.errors import ConfigError, FileError, RunError
 from understudy.records import checkpoint
+from understudy.task import Context, Scene
 
-__all__ = ["files", "load"]
+__all__ = ["files", "fitting", "load"]
 
 #: The bank that a harvest leaves in its run folder.
 NAME = "bank"
 
 
-def save(path: Path, states: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
-    """Write `states`, fields (M, …) by name, and where they come from, as the bank `path`."""
-    checkpoint.save(path, {"states": dict(states)}, {"bank": dict(about)})
+def save(
+    path: Path, states: Mapping[str, Tensor], about: Mapping[str, Any], scene: Scene | None = None
+) -> None:
+    """Write `states` of `scene`, fields (M, …) by name, and where they come from, as the bank `path`."""
+    of = {} if scene is None else dict(scene.identity())
+    checkpoint.save(path, {"states": dict(states)}, {"bank": {**about, "of": of}})
 
 
 def files(path: str | Path) -> list[Path]:
@@ -36,8 +40,36 @@ def load(path: str | Path) -> dict[str, Tensor]:
     FileError
         if it is missing, damaged, empty, or no bank.
     """
+    return _read(path)[0]
+
+
+def fitting(
+    path: str | Path, context: Context, what: str, leave: Collection[str] = ()
+) -> dict[str, Tensor]:
+    """The same, less the fields `leave`, of a bank that is an input of a run; `what` takes it.
+
+    Raises
+    ------
+    ConfigError
+        if it says that a field is of another thing than the task's: a garment, a body.
+    FileError
+        as :func:`load` does.
+    """
+    states, of = _read(context.inputs.file(f"bank {path}", lambda: files(path)))
+    states = {name: value for name, value in states.items() if name not in leave}
+    for name, own in (context.scene.identity() if context.scene else {}).items():
+        if name in states and of.get(name, own) != own:
+            raise ConfigError(
+                f"{what}: the bank {path} does not fit this task: its '{name}' is of {of[name]}, and here it is of "
+                f"{own}. Harvest it in a task of this scene."
+            )
+    return states
+
+
+def _read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """The states, and of what they are where it says so."""
     try:
-        state, _ = checkpoint.load(files(path)[0])
+        state, about = checkpoint.load(files(path)[0])
     except RunError as error:
         raise FileError(f"The bank {path} cannot be used: {error}") from error
     states = state.get("states")
@@ -46,4 +78,8 @@ def load(path: str | Path) -> dict[str, Tensor]:
     lengths = {len(v) if v.dim() else 0 for v in states.values()}
     if len(lengths) != 1 or 0 in lengths:
         raise FileError(f"The bank {path} has no states, or not equally many of each field.")
-    return states
+    made = about.get("bank")
+    of = made.get("of", {}) if isinstance(made, dict) else {}
+    if not isinstance(of, dict) or not all(isinstance(text, str) for text in of.values()):
+        raise FileError(f"{path} is no bank of states.")
+    return states, of

@@ -28,14 +28,8 @@ class Bank(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         simulator = context.simulator
         assert simulator is not None
-        states = bank.load(
-            context.inputs.file(f"bank {options.file}", lambda: bank.files(options.file))
-        )
-        self._states = {
-            name: value.to(context.device)
-            for name, value in states.items()
-            if name not in options.leave
-        }
+        states = bank.fitting(options.file, context, "initial_states", options.leave)
+        self._states = {name: value.to(context.device) for name, value in states.items()}
         for name in simulator.state_fields:
             shape, own = self._shape(name), simulator.fields[name]
             if shape != own:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation, Measured
-from understudy.task import State
+from understudy.task import Scene, State
 from understudy_skills import bank
 
 
@@ -47,11 +47,11 @@ class Gathered:
         states = torch.tensor([float(min(self.count, self._wanted))])
         return Evaluation(episodes=1, measures={"states": Measured.of("last", states)})
 
-    def save(self, run: Run, about: Mapping[str, Any]) -> None:
-        """Leave them, if there are any, as the bank of `run`."""
+    def save(self, run: Run, about: Mapping[str, Any], scene: Scene | None) -> None:
+        """Leave them, states of `scene`, if there are any, as the bank of `run`."""
         if self.count:
             states = {name: value[: self._wanted] for name, value in self._states.items()}
-            bank.save(run.path / bank.NAME, states, about)
+            bank.save(run.path / bank.NAME, states, about, scene)
 
     def state_dict(self) -> State:
         return {"found": dict(self._states), "barren": self.barren}

@@ -211,7 +211,7 @@ class Harvest(Job):
     def products(self, run: Run) -> None:
         options = self.options
         about = {"run": options.run, "moment": options.moment, "kept": self._wanted()}
-        self._gathered.save(run, about)
+        self._gathered.save(run, about, self._built.scene if self._built else None)
 
     def sources(self) -> Mapping[str, Any]:
         return {**self._source.info["sources"], "bank": {"run": self.options.run}}

@@ -95,7 +95,8 @@ class Settle(Job):
         return self._gathered.evaluation()
 
     def products(self, run: Run) -> None:
-        self._gathered.save(run, {"settled": f"{self.options.seconds:g} s"})
+        scene = self._built.scene if self._built else None
+        self._gathered.save(run, {"settled": f"{self.options.seconds:g} s"}, scene)
 
     def report(self) -> Mapping[str, int]:
         return self._built.environment.parts.simulator.report() if self._built else {}

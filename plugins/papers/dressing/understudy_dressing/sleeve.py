@@ -23,8 +23,8 @@ _MOST = 10_000
 
 class SleeveScene(ClothScene):
     """A tube of cloth along x, open at both ends, around the axis that lies its radius below the gripper;
-    the person puts a hand in at x = 0. The gripper holds the upper part of the entrance and a strip along
-    the top, as if it hung from a rail."""
+    the person puts a hand in at x = 0. The gripper holds a strip along the top, as if it hung from a rail; and as
+    much of the entrance as is asked for, which is then a stiff hoop that cannot be drawn over the shoulder."""
 
     @dataclass(frozen=True)
     class Options:
@@ -34,7 +34,7 @@ class SleeveScene(ClothScene):
         middle: float = (
             0.06  #: m, from the entrance to the loop that is observed (facts of the shirt)
         )
-        held: float = 75.0  #: degrees, to either side of the top, of the entrance that is held
+        held: float = 20.0  #: degrees, to either side of the top, of the entrance that is held
         strip: float = 20.0  #: degrees, to either side of the top, held all along
         #: what it is made of; without bending the hinges cost nothing
         fabric: Fabric = field(default_factory=Fabric)

@@ -132,8 +132,7 @@ class Harvested(InitialStates):
         who = "initial_states 'jumping/harvested'"
         scene, device = context.need_scene(CharacterScene, who), context.device
         self._arena, self._distance = arena_of(context, who), options.distance
-        path = context.inputs.file(f"bank {options.file}", lambda: bank.files(options.file))
-        states = bank.load(path)
+        states = bank.fitting(options.file, context, "initial_states")
         sizes = {"qpos": scene.model.nq, "qvel": scene.model.nv}
         for name, size in sizes.items():
             if name not in states or tuple(states[name].shape[1:]) != (size,):

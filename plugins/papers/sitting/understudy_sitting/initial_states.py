@@ -156,11 +156,7 @@ def _banked(
     ConfigError
         if one is of another figure, or has no chair.
     """
-
-    def load(given: str) -> dict[str, Tensor]:
-        return bank.load(context.inputs.file(f"bank {given}", lambda: bank.files(given)))
-
-    found = [load(file) for file in banks]
+    found = [bank.fitting(file, context, "initial_states") for file in banks]
     wanted = {
         "qpos": scene.model.nq,
         "qvel": scene.model.nv,

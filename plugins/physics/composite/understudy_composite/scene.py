@@ -74,6 +74,9 @@ class CompositeScene(Scene):
             for name, scene in self.members.items()
         }
 
+    def identity(self) -> Mapping[str, str]:
+        return {k: v for scene in self.members.values() for k, v in scene.identity().items()}
+
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 640, height: int = 360
     ) -> Iterator[np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -158,6 +159,17 @@ class ParticleScene(Scene):
             "materials": len(model.materials),
             "tools": len(model.tools),
         }
+
+    def identity(self) -> Mapping[str, str]:
+        """The particles': their radii, materials, and which are tied how far apart, to 1 µm."""
+        model = self.model()
+        count, springs = len(model.positions), model.springs
+        radius = np.broadcast_to(np.asarray(model.radius, float), count)
+        material = np.broadcast_to(np.asarray(model.material), count)
+        found = hashlib.sha256()
+        for part in (1e6 * radius, material, springs.pairs, 1e6 * np.asarray(springs.lengths)):
+            found.update(np.rint(part).astype("<i8").tobytes())
+        return {"particle_position": f"{count} particles ({found.hexdigest()[:12]})"}
 
     def draw(
         self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540

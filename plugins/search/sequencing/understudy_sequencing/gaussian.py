@@ -40,9 +40,7 @@ class Gaussian(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         simulator = context.simulator
         assert simulator is not None
-        states = bank.load(
-            context.inputs.file(f"bank {options.file}", lambda: bank.files(options.file))
-        )
+        states = bank.fitting(options.file, context, "initial_states")
         count = len(next(iter(states.values())))
         if count < 2:
             raise ConfigError(

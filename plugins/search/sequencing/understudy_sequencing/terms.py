@@ -21,9 +21,7 @@ class NextStart:
         field: str = "qpos"  #: of the bank, the same as is read
 
     def __init__(self, options: Options, context: Context) -> None:
-        states = bank.load(
-            context.inputs.file(f"bank {options.file}", lambda: bank.files(options.file))
-        )
+        states = bank.fitting(options.file, context, "reward 'sequencing/next_start'")
         if options.field not in states:
             raise ConfigError(
                 f"reward 'sequencing/next_start': the bank {options.file} has no '{options.field}', but "

@@ -4,7 +4,7 @@ from understudy import hookimpl
 from understudy.setup.registry import Registrar
 
 #: Plugins that this one builds on.
-REQUIRES = ("skills", "characters", "motion", "mujoco", "report", "credits", "play")
+REQUIRES = ("skills", "characters", "cloth", "motion", "mujoco", "report", "credits", "play")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

@@ -104,6 +104,19 @@ class Export(Command):
             return _policy(options)
         if options.destination.suffix.lower() == PAGE:
             return _page(options)
+        from understudy_export.cloth import garment_of, write_cloth
+
+        garment = garment_of(options.source)
+        if garment is not None:
+            _refuse_options(options, "is of a garment", but=("rate", "seconds"))
+            destination, line = options.destination, in_a_line(open_made(options.source))
+            licence = "; ".join(filter(None, line))
+            print(
+                write_cloth(
+                    options.source, garment, destination, options.rate, options.seconds, licence
+                )
+            )
+            return 0
         registry = installed().registry
         clip, character = _moving(options, registry)
         if options.character == BONES:
@@ -136,8 +149,8 @@ def _page(options: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_options(options: argparse.Namespace, why: str) -> None:
-    for name in OF_MOTIONS:
+def _refuse_options(options: argparse.Namespace, why: str, but: Sequence[str] = ()) -> None:
+    for name in (one for one in OF_MOTIONS if one not in but):
         if getattr(options, name) not in (None, False):
             raise ConfigError(
                 f"--{name.replace('_', '-')} is of motions, and {options.destination} {why}: leave it out."

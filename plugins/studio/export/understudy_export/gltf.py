@@ -23,15 +23,34 @@ from understudy_export.figure import Figure, figure, notice, origin, printable
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.writing import ClipWriter, Shape, Shown
 
-_UP_Y_FACING_Z = [1, 2, 0]
+UP_Y_FACING_Z = [1, 2, 0]
 """(x, y, z) -> (y, z, x): of vectors, and of quaternions' vector parts."""
 _SHORTEST = 0.01
 """m: a tip nearer to its joint shows no direction."""
 
 _COMPONENT_TYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
-_VERTICES, _FACES = 34962, 34963
 _GLB_VERSION = 2
+
+
+def binary(document: dict[str, Any], buffer: bytes) -> bytes:
+    """A single binary file."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    chunks = b"".join(
+        struct.pack("<I4s", len(padded), kind) + padded
+        for kind, padded in (
+            (b"JSON", text + b" " * (-len(text) % 4)),
+            (b"BIN\0", buffer + bytes(-len(buffer) % 4)),
+        )
+    )
+    return struct.pack("<4sII", b"glTF", _GLB_VERSION, 12 + len(chunks)) + chunks
+
+
+def embedded(document: dict[str, Any], buffer: bytes) -> bytes:
+    """A JSON file that contains its buffer."""
+    content = base64.b64encode(buffer).decode()
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{content}"
+    return (json.dumps(document, indent=1) + "\n").encode()
 
 
 class GlbWriter(ClipWriter):
@@ -43,16 +62,7 @@ class GlbWriter(ClipWriter):
         self.write_all([Shown(clip, shapes)], path)
 
     def write_all(self, figures: Sequence[Shown], path: Path) -> None:
-        document, buffer = _gltf(figures)
-        text = json.dumps(document, separators=(",", ":")).encode()
-        chunks = b"".join(
-            struct.pack("<I4s", len(padded), kind) + padded
-            for kind, padded in (
-                (b"JSON", text + b" " * (-len(text) % 4)),
-                (b"BIN\0", buffer + bytes(-len(buffer) % 4)),
-            )
-        )
-        path.write_bytes(struct.pack("<4sII", b"glTF", _GLB_VERSION, 12 + len(chunks)) + chunks)
+        path.write_bytes(binary(*_gltf(figures)))
 
 
 class GltfWriter(ClipWriter):
@@ -64,14 +74,13 @@ class GltfWriter(ClipWriter):
         self.write_all([Shown(clip, shapes)], path)
 
     def write_all(self, figures: Sequence[Shown], path: Path) -> None:
-        document, buffer = _gltf(figures)
-        content = base64.b64encode(buffer).decode()
-        document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{content}"
-        path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        path.write_bytes(embedded(*_gltf(figures)))
 
 
-class _Buffer:
+class Buffer:
     """The file's one buffer, and the accessors of the arrays in it."""
+
+    VERTICES, FACES = 34962, 34963  #: targets of views
 
     def __init__(self) -> None:
         self.content = bytearray()
@@ -100,7 +109,7 @@ class _Buffer:
 
 def _gltf(figures: Sequence[Shown]) -> tuple[dict[str, Any], bytes]:
     """The document, which lacks only its buffer's place, and the buffer."""
-    buffer, first = _Buffer(), figures[0].clip
+    buffer, first = Buffer(), figures[0].clip
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"understudy {__version__}", **_copyright(first)},
         "scene": 0,
@@ -110,6 +119,11 @@ def _gltf(figures: Sequence[Shown]) -> tuple[dict[str, Any], bytes]:
     }
     for shown in figures:
         _add(document, shown, buffer)
+    return finished(document, buffer)
+
+
+def finished(document: dict[str, Any], buffer: Buffer) -> tuple[dict[str, Any], bytes]:
+    """The document with what it says of the buffer, and the buffer's bytes."""
     document |= {
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
@@ -118,7 +132,7 @@ def _gltf(figures: Sequence[Shown]) -> tuple[dict[str, Any], bytes]:
     return document, bytes(buffer.content)
 
 
-def _add(document: dict[str, Any], shown: Shown, buffer: _Buffer) -> None:
+def _add(document: dict[str, Any], shown: Shown, buffer: Buffer) -> None:
     """One more figure: its joints and tips, the node above them, and the surface."""
     clip, body = shown.clip, figure(shown.clip, shown.shapes)
     base, number = len(document["nodes"]), len(document["skins"])
@@ -127,7 +141,7 @@ def _add(document: dict[str, Any], shown: Shown, buffer: _Buffer) -> None:
     above = {
         "name": printable(clip.name),
         "children": [base],
-        "translation": place[_UP_Y_FACING_Z].tolist(),
+        "translation": place[UP_Y_FACING_Z].tolist(),
         "extras": notice(clip),
     }
     surface = {"name": "surface" if number == 0 else f"surface {number + 1}"}
@@ -136,11 +150,12 @@ def _add(document: dict[str, Any], shown: Shown, buffer: _Buffer) -> None:
     document["skins"].append(_skin(positions, base, buffer))
     primitives = _primitives(body, len(document["materials"]), buffer)
     document["meshes"].append({"primitives": primitives})
-    document["materials"] += [_material(surface.colour) for surface in body.surfaces]
+    document["materials"] += [material(surface.colour) for surface in body.surfaces]
     _animate(document["animations"][0], clip, base, buffer)
 
 
-def _material(colour: tuple[float, float, float, float]) -> dict[str, Any]:
+def material(colour: tuple[float, float, float, float]) -> dict[str, Any]:
+    """A dull material of linear RGBA `colour`."""
     look = {"baseColorFactor": list(colour), "metallicFactor": 0.0, "roughnessFactor": 0.7}
     return {"pbrMetallicRoughness": look, **({"alphaMode": "BLEND"} if colour[3] < 1.0 else {})}
 
@@ -165,7 +180,7 @@ def _joint_nodes(
             name += "_"
         names.append(name)
     nodes: list[dict[str, Any]] = [
-        {"name": name, "translation": step[_UP_Y_FACING_Z].tolist()}
+        {"name": name, "translation": step[UP_Y_FACING_Z].tolist()}
         for name, step in zip(names, steps, strict=True)
     ]
     for node, parent in enumerate([*skeleton.parents[1:], *tips], start=1):
@@ -192,15 +207,15 @@ def _tips(skeleton: Skeleton, shapes: Sequence[Shape]) -> dict[int, np.ndarray]:
     return tips
 
 
-def _skin(positions: np.ndarray, base: int, buffer: _Buffer) -> dict[str, Any]:
+def _skin(positions: np.ndarray, base: int, buffer: Buffer) -> dict[str, Any]:
     """The skin's inverse bind matrices, which are column-major, undo the rest positions (N, 3)."""
     inverse = np.tile(np.eye(4, dtype=np.float32), (len(positions), 1, 1))
-    inverse[:, 3, :3] = -positions[:, _UP_Y_FACING_Z]
+    inverse[:, 3, :3] = -positions[:, UP_Y_FACING_Z]
     nodes = list(range(base, base + len(positions)))
     return {"joints": nodes, "inverseBindMatrices": buffer.add(inverse)}
 
 
-def _primitives(body: Figure, material: int, buffer: _Buffer) -> list[dict[str, Any]]:
+def _primitives(body: Figure, material: int, buffer: Buffer) -> list[dict[str, Any]]:
     """The surfaces, whose materials are `material` and those after it."""
     found = []
     for number, surface in enumerate(body.surfaces, start=material):
@@ -209,22 +224,22 @@ def _primitives(body: Figure, material: int, buffer: _Buffer) -> list[dict[str, 
         weights = np.zeros((len(surface.joints), 4), np.float32)
         weights[:, 0] = 1.0
         attributes = {
-            "POSITION": surface.positions[:, _UP_Y_FACING_Z].astype(np.float32),
-            "NORMAL": surface.normals[:, _UP_Y_FACING_Z].astype(np.float32),
+            "POSITION": surface.positions[:, UP_Y_FACING_Z].astype(np.float32),
+            "NORMAL": surface.normals[:, UP_Y_FACING_Z].astype(np.float32),
             "JOINTS_0": joints,
             "WEIGHTS_0": weights,
         }
         found.append(
             {
-                "attributes": {k: buffer.add(v, _VERTICES) for k, v in attributes.items()},
-                "indices": buffer.add(surface.faces.astype(np.uint32).reshape(-1), _FACES),
+                "attributes": {k: buffer.add(v, Buffer.VERTICES) for k, v in attributes.items()},
+                "indices": buffer.add(surface.faces.astype(np.uint32).reshape(-1), Buffer.FACES),
                 "material": number,
             }
         )
     return found
 
 
-def _animate(animation: dict[str, Any], clip: Clip, base: int, buffer: _Buffer) -> None:
+def _animate(animation: dict[str, Any], clip: Clip, base: int, buffer: Buffer) -> None:
     """Add the root's translation and every joint's rotation."""
     times = clip.times.numpy().astype(np.float32)
     if not (np.diff(times) > 0.0).all():
@@ -234,7 +249,7 @@ def _animate(animation: dict[str, Any], clip: Clip, base: int, buffer: _Buffer) 
         )
     path = clip.root_position.numpy() - origin(clip)
     quaternions = clip.rotations.numpy()[..., [2, 3, 1, 0]]  # wxyz as xyzw, turned as vectors are
-    values = [("translation", 0, path[:, _UP_Y_FACING_Z])]
+    values = [("translation", 0, path[:, UP_Y_FACING_Z])]
     values += [("rotation", joint, quaternions[:, joint]) for joint in range(quaternions.shape[1])]
     at = buffer.add(times)
     for what, joint, value in values:
