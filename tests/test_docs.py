@@ -19,6 +19,7 @@ from understudy.command.cli import main
 from understudy.setup.composition import compose_raw, load_experiment
 from understudy.setup.plugins import Plugins, installed, load
 from understudy.testing import check_plugin
+from understudy_sweeps.command import expanded
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -31,10 +32,11 @@ EXTERNAL = ROOT / "tests" / "external" / "understudy-balance"
 
 
 def commands(page: Path) -> list[list[str]]:
-    """The overrides of every train and sweep command of `page`."""
+    """The overrides of every train and sweep command of `page`, as the command composes them."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-    found = re.findall(r"(?:^[ \t]*|`)understudy (?:train|sweep) ([^`\n]+)", text, re.M)
-    return [shlex.split(line.rstrip("& "), comments=True) for line in found]
+    found = re.findall(r"(?:^[ \t]*|`)understudy (train|sweep) ([^`\n]+)", text, re.M)
+    words = [(command, shlex.split(line.rstrip("& "), comments=True)) for command, line in found]
+    return [expanded(given) if command == "sweep" else given for command, given in words]
 
 
 COMMANDS = [

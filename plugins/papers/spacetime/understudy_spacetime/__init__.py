@@ -36,10 +36,7 @@ PARTS = {
         "spacetime/survival": ("rewards:survival", "1 within the bounds, else 0"),
     },
     "measure": {
-        "spacetime/within_all_bounds": (
-            "rewards:within_all_bounds",
-            "1 in all bounds, no fall",
-        ),
+        "spacetime/within_all_bounds": ("rewards:within_all_bounds", "1 in all bounds, no fall"),
         "spacetime/com_deviation": ("rewards:com_deviation", "from the reference's centre of mass"),
         "spacetime/joint_deviation": ("rewards:joint_deviation", "the farthest joint's, in rad"),
     },
