@@ -144,6 +144,7 @@ MUTANTS = (
     Mutant("a file is not synced", CHECKPOINT, "            sync(file.fileno())\n", "", f"{F07} -k order"),
     Mutant("a folder is not synced", CHECKPOINT, "            sync(folder)\n", "            pass\n", f"{F07} -k order"),
     Mutant("a file is not flushed", CHECKPOINT, "            file.flush()\n", "", f"{F07} -k order"),
+    Mutant("a page is written in place", "plugins/studio/export/understudy_export/page.py", "write_atomically(path, html_page(", "path.write_bytes(html_page(", "tests/faults/test_32_killed_commands.py"),
     Mutant("something partial stays", CHECKPOINT, "temporary.unlink(missing_ok=True)", "pass", f"{F07} -k partial"),
     Mutant("tensors have no digest", CHECKPOINT,
            'if digest != document.get("sha256"):', "if False:", f"{F09} {F20}"),

@@ -8,6 +8,7 @@ longer than a step are changed in place, so that a step can be captured and repl
 from __future__ import annotations
 
 import functools
+import math
 import operator
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -210,6 +211,21 @@ class Environment:
     @property
     def observation_shapes(self) -> dict[str, Shape]:
         return {name: encoder.part.shape for name, encoder in self.parts.encoders.items()}
+
+    @property
+    def observation_columns(self) -> dict[str, tuple[str, ...]]:
+        """By observation the names of its columns, in order, flattened; numbers where it has none."""
+        return {
+            name: tuple(e.part.columns) or tuple(map(str, range(math.prod(e.part.shape))))
+            for name, e in self.parts.encoders.items()
+        }
+
+    def __repr__(self) -> str:
+        sees = ", ".join(f"{name} {list(s)}" for name, s in self.observation_shapes.items())
+        return (
+            f"Environment({self.num_worlds} worlds on {self.device}, {1 / self.control_dt:g} Hz; "
+            f"sees {sees}; acts {self.action_size})"
+        )
 
     @property
     def difficulty(self) -> float:

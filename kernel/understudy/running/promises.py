@@ -97,6 +97,11 @@ def check_shapes(parts: Parts, table: FieldTable, action: Tensor) -> None:
     for encoder in parts.encoders.values():
         value = encoder.part.encode(**table.pick(encoder.reads))
         check(n, encoder.where, value, encoder.part.shape)
+        names = encoder.part.columns
+        if names and (len(names),) != encoder.part.shape:
+            raise ConfigError(
+                f"{encoder.where} names {len(names)} columns; its shape is {encoder.part.shape}."
+            )
     for term in (*parts.rewards, *parts.terminations, *parts.measures):
         value = term.function(**table.pick(term.reads), **term.options)
         check(n, term.where, value, ())

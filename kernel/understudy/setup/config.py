@@ -39,7 +39,7 @@ class Chosen:
         return {"name": self.component.name, **options, **extras}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Experiment:
     """A validated configuration: every component found, every option of the right type."""
 
@@ -67,6 +67,11 @@ class Experiment:
                 + suggestion("", self.registry.names(kind))
             )
         return chosen
+
+    def __repr__(self) -> str:
+        slots = (f"{slot}={'+'.join(c.component.name for c in self.choices[slot])}"
+                 for slot in self.choices if self.choices[slot])  # fmt: skip
+        return f"Experiment({', '.join(slots)}; seed {self.root.seed})"
 
     def components(self) -> Iterator[Component]:
         """Every component in use."""

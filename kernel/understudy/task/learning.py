@@ -11,7 +11,7 @@ from torch import Tensor
 from understudy.task.base import State
 
 
-@dataclass
+@dataclass(repr=False)
 class Rollout:
     """T decisions of N worlds, time first. ``values`` and ``returns`` are the learner's to fill."""
 
@@ -35,6 +35,14 @@ class Rollout:
     def ended(self) -> Tensor:
         """(T, N) bool: terminated or truncated."""
         return self.terminated | self.truncated
+
+    def __repr__(self) -> str:
+        steps, worlds = self.rewards.shape
+        sees = ", ".join(f"{name} {list(o.shape)}" for name, o in self.observations.items())
+        return (
+            f"Rollout({steps} decisions of {worlds} worlds on {self.rewards.device}; {sees}; actions "
+            f"{list(self.actions.shape)})"
+        )
 
 
 class Learner(ABC):

@@ -10,7 +10,7 @@ step waits for the device.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from torch import Tensor
@@ -43,6 +43,8 @@ class Encoder(ABC):
     reads: tuple[str, ...]
     #: Shape of the observation without N.
     shape: Shape
+    #: Of an observation (N, D) the names of its D columns; without them they are numbered.
+    columns: Sequence[str] = ()
 
     @abstractmethod
     def encode(self, *args: Any, **fields: Any) -> Tensor:

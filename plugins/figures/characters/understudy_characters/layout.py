@@ -18,12 +18,26 @@ from understudy.errors import ConfigError, suggestion
 from understudy_characters.character import Character
 from understudy_tensors import rotations
 
-__all__ = ["Layout", "layout_of"]
+__all__ = ["LINK_COLUMNS", "XYZ", "Layout", "columns", "layout_of"]
+
+XYZ = ("x", "y", "z")
+#: By field of the links the columns of one link: a rotation is the components of its x axis, then of its z axis.
+LINK_COLUMNS = {
+    "link_positions": XYZ,
+    "link_rotations": ("xx", "xy", "xz", "zx", "zy", "zz"),
+    "link_linear_velocities": XYZ,
+    "link_angular_velocities": XYZ,
+}
 
 #: A chain of bodies is a limb if it has this share of the longest one's length …
 LIMB_LENGTH = 0.3
 #: … and so many joints of its own. Heads and fingers are shorter or simpler than that.
 LIMB_JOINTS = 2
+
+
+def columns(what: str, of: Sequence[str], parts: Sequence[str] = XYZ) -> list[str]:
+    """Names of the columns of a field (N, len(of), len(parts)), flattened: ``link_positions/chest/x``."""
+    return [f"{what}/{one}/{part}" for one in of for part in parts]
 
 
 @dataclass(frozen=True)

@@ -178,6 +178,11 @@ class Worlds:
             self.environment.load_state_dict(worlds)
 
     @property
+    def columns(self) -> dict[str, tuple[str, ...]]:
+        """By observation the names of its columns, in order; side by side they are those of ``flat=True``."""
+        return self.environment.observation_columns
+
+    @property
     def _decision(self) -> int:
         return self.environment.decision
 

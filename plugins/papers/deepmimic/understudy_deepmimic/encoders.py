@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
+from understudy_characters.layout import LINK_COLUMNS, columns
 from understudy_characters.scene import CharacterScene
 from understudy_tensors.rotations import turn_matrix
 
@@ -39,8 +40,13 @@ class StateEncoder(Encoder):
         )  # fmt: skip
         if options.deviation:
             self.reads += ("root_heading", "reference_root_position", "reference_root_heading")
-        size = 4 + len(layout.link_names) * (3 + 6 + 3 + 3)
-        self.shape = (size + (4 if options.deviation else 0),)
+        self.columns = ["phase", "phase/sin", "phase/cos", "root_position/z"]
+        for field, parts in LINK_COLUMNS.items():
+            self.columns += columns(field, layout.link_names, parts)
+        if options.deviation:
+            away = "root_position-reference", "root_heading-reference"
+            self.columns += [f"{away[0]}/x", f"{away[0]}/y", f"{away[1]}/sin", f"{away[1]}/cos"]
+        self.shape = (len(self.columns),)
 
     def encode(
         self,

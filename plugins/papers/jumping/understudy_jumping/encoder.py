@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
+from understudy_characters.layout import LINK_COLUMNS, XYZ, columns
 from understudy_characters.scene import CharacterScene
 from understudy_tensors import rotations
 
@@ -36,8 +37,16 @@ class GlobalState(Encoder):
         )  # fmt: skip
         if options.takeoff:
             self.reads += ("takeoff_features",)
-        size = 3 + 2 + len(self._links) * (3 + 6 + 3 + 3)
-        self.shape = (size + (5 if options.takeoff else 0),)
+        self.columns = [
+            *(f"root_position/{axis}" for axis in XYZ),
+            "obstacle_height",
+            "obstacle_width",
+        ]
+        for field, parts in LINK_COLUMNS.items():
+            self.columns += columns(field, layout.link_names, parts)
+        if options.takeoff:
+            self.columns += [f"takeoff_features/{k}" for k in range(5)]
+        self.shape = (len(self.columns),)
 
     def encode(
         self,

@@ -211,6 +211,7 @@ class Reach(Encoder):
 
     reads = ("offset", "velocity")
     shape = (4,)
+    columns = ("offset/x", "offset/y", "velocity/x", "velocity/y")
 
     def __init__(self, options: None, context: Context) -> None:
         pass
@@ -224,6 +225,7 @@ class Motion(Encoder):
 
     reads = ("velocity",)
     shape = (2,)
+    columns = ("velocity/x", "velocity/y")
 
     def __init__(self, options: None, context: Context) -> None:
         pass

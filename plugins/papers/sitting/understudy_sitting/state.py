@@ -18,7 +18,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Context, Encoder, Fields, Shape
-from understudy_characters.layout import Layout
+from understudy_characters.layout import XYZ, Layout
 from understudy_characters.scene import CharacterScene
 from understudy_sitting.chair import BODY, FEET, SEAT, SEATED, THICKNESS, Chair
 from understudy_tensors import rotations
@@ -46,6 +46,14 @@ class Joints:
     def velocities(self, qvel: Tensor) -> Tensor:
         """(N, U)"""
         return qvel[:, self._dofs]
+
+    def names(self, scene: CharacterScene) -> list[str]:
+        """Of the U numbers, after the joints of the model."""
+        model, layout = scene.model, scene.layout
+        at = {int(model.jnt_qposadr[j]): model.joint(j).name for j in range(model.njnt)}
+        hinges = [at[address] for address in self._hinges.tolist()]
+        balls = [layout.joint_names[row] for row in layout.ball_rows.tolist()]
+        return hinges + [f"{ball}/{axis}" for ball in balls for axis in XYZ]
 
 
 def torso_link(context: Context, name: str, who: str) -> tuple[CharacterScene, int]:
@@ -318,14 +326,22 @@ class State(Encoder):
         chair: bool = False  #: the 7 numbers of the chair
 
     def __init__(self, options: Options, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "encoder 'sitting/state'").layout
-        count = Joints(layout, context.device).count
+        scene = context.need_scene(CharacterScene, "encoder 'sitting/state'")
+        joints = Joints(scene.layout, context.device).names(scene)
+        self.columns = [
+            *(f"joint_coordinates/{name}" for name in joints),
+            *(f"joint_velocities/{name}" for name in joints),
+            "torso_position/z", *(f"torso_velocity/{part}" for part in ("ahead", "left", "up")),
+            "torso_angles/pitch", "torso_angles/roll", *(f"{foot}/touches" for foot in FEET),
+            *((f"goal_direction/{part}" for part in ("sin", "cos")) if options.goal else ()),
+            *((f"chair_state/{k}" for k in range(7)) if options.chair else ()),
+        ]  # fmt: skip
         self.reads = (
             "proprioception",
             *(("goal_direction",) if options.goal else ()),
             *(("chair_state",) if options.chair else ()),
         )
-        self.shape = (2 * count + 8 + 2 * options.goal + 7 * options.chair,)
+        self.shape = (len(self.columns),)
 
     def encode(self, **parts: Tensor) -> Tensor:
         return torch.cat([parts[name] for name in self.reads], dim=1)

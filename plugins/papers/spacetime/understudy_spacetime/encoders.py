@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Encoder, Shape
+from understudy_characters.layout import LINK_COLUMNS, XYZ, columns
 from understudy_characters.scene import CharacterScene
 from understudy_tensors.rotations import turned
 
@@ -39,8 +40,13 @@ class StateEncoder(Encoder):
 
     def __init__(self, options: None, context: Context) -> None:
         layout = context.need_scene(CharacterScene, "encoder 'spacetime/state'").layout
-        links, effectors = len(layout.link_names), len(layout.end_effectors)
-        self.shape = (3 + 3 + 1 + 2 + links * (3 + 6 + 3 + 3) + effectors * 3,)
+        self.columns = (
+            "phase", "phase/sin", "phase/cos", "root_position/z", "heading_deviation/sin", "heading_deviation/cos",
+            *(f"root_position-reference/{axis}" for axis in XYZ),
+            *(c for field, parts in LINK_COLUMNS.items() for c in columns(field, layout.link_names, parts)),
+            *columns("aligned_end_effector_positions", layout.end_effectors),
+        )  # fmt: skip
+        self.shape = (len(self.columns),)
 
     def encode(
         self,
@@ -76,8 +82,10 @@ class FeedforwardEncoder(Encoder):
     reads = ("reference_joint_targets",)
 
     def __init__(self, options: None, context: Context) -> None:
-        layout = context.need_scene(CharacterScene, "encoder 'spacetime/feedforward'").layout
-        self.shape: Shape = (layout.num_actuators,)
+        model = context.need_scene(CharacterScene, "encoder 'spacetime/feedforward'").model
+        names = [model.actuator(k).name or str(k) for k in range(model.nu)]
+        self.columns = [f"reference_joint_targets/{name}" for name in names]
+        self.shape: Shape = (model.nu,)
 
     def encode(self, reference_joint_targets: Tensor) -> Tensor:
         return reference_joint_targets

@@ -13,7 +13,7 @@ from understudy.command.command import Command
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_inspect.catalogue import offers
-from understudy_inspect.describe import describe
+from understudy_inspect.describe import describe, observed
 from understudy_inspect.origins import all_origins
 from understudy_inspect.replay import replay_step
 
@@ -102,9 +102,14 @@ class Describe(Command):
         parser.add_argument(
             "part", help="KIND/NAME, as in learner/ppo or experiment/spacetime/walk"
         )
+        parser.add_argument(
+            "--columns",
+            action="store_true",
+            help="of a task or an experiment: what each column of its observations is, in order",
+        )
 
     def run(self, options: argparse.Namespace) -> int:
-        print(describe(options.part, installed()))
+        print((observed if options.columns else describe)(options.part, installed()))
         return 0
 
 

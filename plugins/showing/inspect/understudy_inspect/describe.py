@@ -16,6 +16,8 @@ import yaml
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import REQUIRED, Option, in_words, options_of, schema_of, sentences
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
 from understudy.setup.root import Root
@@ -64,6 +66,31 @@ def describe(name: str, plugins: Plugins) -> str:
         + (suggestion(name, typed) if "Did you" in suggestion(name, typed) else "")
         + registry.absent()
     )
+
+
+def observed(name: str, plugins: Plugins) -> str:
+    """What each column of the observations of the task or experiment `name` is, in order. Builds one world.
+
+    Raises
+    ------
+    ConfigError
+        if it is no task or experiment, or cannot be built.
+    """
+    group, _, rest = name.partition("/")
+    if group not in ("task", "experiment"):
+        raise ConfigError(
+            f"--columns is of a task or an experiment, and {name} is none: write task/spacetime/walk, say."
+        )
+    experiment = load_experiment([f"{group}={rest}"], plugins)
+    environment = build_environment(experiment, num_worlds=1).environment
+    try:
+        lines = []
+        for observation, columns in environment.observation_columns.items():
+            lines.append(f"{observation} {list(environment.observation_shapes[observation])}")
+            lines += [f"  {number:>4}  {column}" for number, column in enumerate(columns)]
+    finally:
+        environment.close()
+    return "\n".join(lines)
 
 
 def names(plugins: Plugins) -> list[str]:

@@ -208,7 +208,8 @@ def metadata(skill: Skill, built: Built, acting: Acting) -> dict[str, str]:
 
     - ``task``, ``samples`` it learned from, ``success`` rate of its last evaluation and what that means;
     - ``control``: ``frequency`` Hz at which the policy is to be asked, ``servo_timestep`` s;
-    - ``observations``: by input its ``shape``, ``encoder``, what that is made of, and the fields it reads;
+    - ``observations``: by input its ``shape``, the names of its ``columns``, its ``encoder``, what that is made of,
+      and the fields it reads;
     - ``action``: its ``parts`` (name and size), the ``actuation`` that takes it, what that does with it,
       and the fields that this needs besides (none, where the model has the output ``control``);
     - ``controls``: for each column of ``control`` the ``actuator`` and its ``joint``, ``axis`` of a ball
@@ -234,6 +235,7 @@ def metadata(skill: Skill, built: Built, acting: Acting) -> dict[str, str]:
         "observations": {
             name: {
                 "shape": list(shapes[name]),
+                "columns": list(environment.observation_columns[name]),
                 **_made_of(encoders[name], type(parts.encoders[name].part)),
                 "reads": {
                     field: list(environment.table.shapes[field])

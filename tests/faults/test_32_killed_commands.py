@@ -1,0 +1,155 @@
+"""Fault 32: a command that shows or writes something dies at any of its writes. What was there is untouched,
+what it makes is whole or not there, and the same command afterwards makes it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from worlds import python
+
+from understudy.records import runs
+from understudy.setup.composition import load_experiment
+from understudy_report.motion import FIGURES, Figures
+
+#: Carries a command out in processes that die at one of its writes each, in a new copy of the folder, until one
+#: lives to the end. Prints each one's status, and what is there then, by digest. It is carried out once before,
+#: so that they need not import. The clock stands, so that a page's date is the same in all of them.
+_KILLER = """
+import hashlib, json, os, shutil, sys, time
+from pathlib import Path
+import torch
+torch.set_num_threads(1)
+from understudy.command.cli import main
+import understudy.running.training
+made, work = Path(sys.argv[1]), Path(sys.argv[2])
+time.strftime = lambda *_: "2026-01-01 00:00"
+
+def found():
+    return {str(p.relative_to(work)): hashlib.sha256(p.read_bytes()).hexdigest()
+            for p in sorted(work.rglob("*")) if p.is_file()}
+
+def dying(after):
+    left = [after]
+    def hook(event, arguments):
+        writes = event in ("os.rename", "os.mkdir", "os.remove", "os.link") or (
+            event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR))
+        if writes and os.path.realpath(str(arguments[0])).startswith(str(work)):
+            if left[0] == 0:
+                os._exit(9)
+            left[0] -= 1
+    return hook
+
+answers = os.dup(1)
+nowhere = os.open("/dev/null", os.O_WRONLY)
+for words in json.loads(sys.argv[3]):
+    rows = []
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(made, work)
+    os.chdir(work)
+    os.dup2(nowhere, 1)
+    main(words)
+    while not rows or rows[-1][0] == 9 and len(rows) < 100:
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(made, work)
+        os.chdir(work)
+        process = os.fork()
+        if process == 0:
+            os.dup2(nowhere, 2)
+            sys.addaudithook(dying(len(rows)))
+            status = 1
+            try:
+                status = main(words)
+            finally:
+                os._exit(status)
+        rows.append([os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), found()])
+    sys.stdout.flush()
+    os.write(answers, json.dumps(rows).encode() + b"\\n")
+"""
+
+#: By command, the files that it makes.
+QUICK = {
+    "export runs/a page.html": ("page.html",),
+    "export runs/a old.html --overwrite": ("old.html",),
+}
+THOROUGH = {
+    "runs runs": (),
+    "cite runs/a": (),
+    "licence runs/a --for research": (),
+    "compare runs/a runs/b --no-film": ("comparison.html",),
+    "compare runs/a runs/b --no-film --overwrite --page old.html": ("old.html",),
+    "export walk walk.glb --seconds 0.5": ("walk.glb",),
+    "export walk old.glb --seconds 0.5 --overwrite": ("old.glb",),
+    "export walk walk.bvh --seconds 0.5": ("walk.bvh",),
+    "export walk walk.npz --seconds 0.5": ("walk.npz",),
+    "motion check walk": (),
+    "evaluate runs/a episodes=1": ("runs/a/evaluation-episodes-1.json",),
+}
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in folder.rglob("*")
+        if p.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with something to show, nothing of it learned, and files of another day."""
+    folder = tmp_path_factory.mktemp("killed")
+    words = ["experiment=miniature/go", f"run.dir={folder}/runs/a"]
+    runs.create(load_experiment(words), words, {}).unlock()
+    lines = np.zeros((5, 3, 2, 3), np.float32)
+    lines[:, :, 1, 2] = 1.0
+    Figures(lines, None, 1 / 30).save(folder / "runs/a" / FIGURES)
+    for name in ("old.html", "old.glb"):
+        (folder / name).write_text("of another day")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trained(made: Path) -> Path:
+    """The same with two short trainings."""
+    code = "import sys; from understudy.command.cli import main; sys.exit(main(sys.argv[1:]))"
+    shutil.rmtree(made / "runs")
+    words = ["experiment=miniature/go", "budget.samples=256", "run.video_seconds=0"]
+    ended = python(code, "train", *words, f"run.dir={made}/runs/a", cwd=made)
+    assert ended.returncode == 0, ended.stderr
+    shutil.copytree(made / "runs/a", made / "runs/b")
+    return made
+
+
+def check_killed(made: Path, work: Path, commands: dict[str, tuple[str, ...]]) -> None:
+    before = digests(made)
+    words = json.dumps([command.split() for command in commands])
+    ended = python(_KILLER, str(made), str(work.resolve()), words, cwd=made)
+    assert ended.returncode == 0, ended.stderr
+    for (command, files), line in zip(commands.items(), ended.stdout.splitlines(), strict=True):
+        *killed, (status, after) = json.loads(line)
+        assert status == 0, command
+        assert {n for n in after if after[n] != before.get(n)} == set(files), command
+        assert len(killed) >= 2 * len(files), f"{command} writes, so it can die of it"
+        for status, found in killed:
+            assert status == 9, command
+            for name, digest in before.items():
+                allowed = (digest, after[name]) if name in files else (digest,)
+                assert found.get(name) in allowed, f"{command}: {name} was there"
+            for name in found.keys() - before.keys():  # or begun, under a name that nothing reads
+                begun = any(part.startswith(".") for part in Path(name).parts)
+                assert begun or found[name] == after.get(name), f"{command}: {name} is half made"
+
+
+def test_what_was_there_is_untouched(made: Path, tmp_path: Path) -> None:
+    check_killed(made, tmp_path / "work", QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", THOROUGH)
+def test_every_other_command(trained: Path, tmp_path: Path, command: str) -> None:
+    check_killed(trained, tmp_path / "work", {command: THOROUGH[command]})
