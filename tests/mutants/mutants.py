@@ -531,8 +531,6 @@ MUTANTS = (
     Mutant("runs within runs without end", CONTROLLER, " or len(names) > _MOST:", ":", "tests/plugins/sequencing/test_stages.py -k stands_in_itself"),
     Mutant("a packed skill's words are resolved", "plugins/learning/skills/understudy_skills/skill.py",
            "        refuse_resolvers(words[: len(words) - len(overrides)], name)\n", "", "tests/plugins/play/test_play.py -k words_of"),
-    Mutant("a packed skill's words name code", "plugins/learning/skills/understudy_skills/skill.py", '        refuse_code(card["config"])\n', "",
-           "tests/plugins/play/test_play.py -k words_of"),
     Mutant("Hydra itself is configured", COMPOSITION, 'if override.lstrip("+~\'\\" ").startswith("hydra"):', "if False:",
            "tests/plugins/play/test_play.py -k words_of"),
     Mutant("overrides of any depth", COMPOSITION, "    except (HydraException, RecursionError) as error:", "    except HydraException as error:",

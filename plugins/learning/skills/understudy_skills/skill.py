@@ -23,7 +23,7 @@ from understudy.setup.composition import compose_raw, refuse_resolvers, replaced
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
-from understudy.setup.validation import refuse_code, validate
+from understudy.setup.validation import validate
 from understudy.task import Policy
 
 __all__ = ["Skill", "names", "open_skill", "pack", "rounded", "unpack"]
@@ -158,7 +158,6 @@ def _packed(
         for key in ("config", "sources", "evaluation"):
             if not isinstance(card.get(key) or {}, Mapping):
                 raise TypeError(f"{key} is no mapping")
-        refuse_code(card["config"])
         tensors = {key: _unpacked(value) for key, value in state["policy"].items()}
         samples = int(card["samples"])
         experiment = validate(_less(card["config"], without), registry)
