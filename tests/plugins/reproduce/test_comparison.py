@@ -135,7 +135,8 @@ def search(tmp_path: Path, *events: Trial | Report) -> Found:
         "search=cmfbo/toy", "outer_loop.parameters={seed: {low: 0, high: 9}}",
         "outer_loop.sample_scale=null", "outer_loop.trials=4",
     ]  # fmt: skip
-    point = {p: 1.0 for p in load_experiment(options).need("outer_loop").options.parameters}
+    parameters = load_experiment(options).need("outer_loop").options.parameters
+    point = {name: parameter.low for name, parameter in parameters.items()}
     journal.events = [
         Trial(e.key, point=point, fidelity=e.fidelity) if isinstance(e, Trial) else e
         for e in journal.events
