@@ -21,7 +21,7 @@ def test_round_trip(tmp_path: Path) -> None:
     bank.save(tmp_path / bank.NAME, STATES, {"run": "a"})
     for path in (tmp_path / "bank", tmp_path, str(tmp_path), tmp_path / "bank.json"):
         assert_same_state(bank.load(path), STATES)
-    assert checkpoint.load(tmp_path / "bank")[1] == {"bank": {"run": "a"}}
+    assert checkpoint.load(tmp_path / "bank")[1] == {"bank": {"run": "a", "of": {}}}
 
 
 @pytest.mark.parametrize("ending", [".json", ".safetensors"])
