@@ -15,18 +15,23 @@ PARTS = {
     "scene": {
         "dressing/person": ("person:PersonScene", "a torso with arms, and a gripper"),
         "dressing/sleeve": ("sleeve:SleeveScene", "a sleeve that a gripper holds"),
+        "dressing/shirt": ("shirt:ShirtScene", "a T-shirt whose hem hands can hold"),
     },
     "fields": {
         "dressing/sleeve_state": ("state:SleeveState", "touch and limb in a sleeve"),
+        "dressing/shirt_state": ("shirt_state:ShirtState", "hem, collar, and arm under the hem"),
     },
     "encoder": {
         "dressing/sleeve": ("parts:SleeveObservation", "equations 2 to 7"),
+        "dressing/body": ("parts:BodyObservation", "pose, velocity, and what is felt"),
+        "dressing/reach": ("parts:Reach", "where a hand is to grip"),
     },
     "actuation": {
         "dressing/torques": ("parts:Torques", "the joints' torques"),
     },
     "initial_states": {
         "dressing/track": ("initial_states:Track", "a sleeve on its way"),
+        "dressing/worn_shirt": ("initial_states:WornShirt", "a shirt on the shoulders"),
     },
     "reward": {
         "dressing/deformation": ("terms:deformation", "equation 13: stretched cloth"),

@@ -6,11 +6,14 @@ person looks along x, its left is y, the base of its neck is the origin.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import mujoco
 import numpy as np
+import torch
+from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context
@@ -213,3 +216,31 @@ class PersonScene(MujocoScene):
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         motor.gear[0] = hinge.torque
         motor.ctrllimited, motor.ctrlrange = True, [-1, 1]
+
+
+def neutral_pose(person: PersonScene) -> Tensor:
+    """(Q,) rad: all 0, elbows 0.21."""
+    return torch.tensor([0.21 if hinge.name.endswith("elbow") else 0.0 for hinge in person.hinges])
+
+
+def depth_in(person: PersonScene, pose: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """The function from points (P, 3), m, world frame, to how deep each is in the person in that pose (Q,) rad,
+    (P,) m; negative outside."""
+    model = person.spec().compile()
+    data = mujoco.MjData(model)
+    data.qpos[: len(pose)] = pose
+    mujoco.mj_kinematics(model, data)
+
+    def depth(points: np.ndarray) -> np.ndarray:
+        deepest = np.full(len(points), -np.inf)
+        for link in LINKS:
+            body = data.body(link.name)
+            local = (points - body.xpos) @ body.xmat.reshape(3, 3)
+            for ra, a, rb, b in link.shapes:
+                way = np.subtract(b, a)
+                share = np.clip((local - a) @ way / (way @ way), 0.0, 1.0)
+                away = np.linalg.norm(local - a - share[:, None] * way, axis=1)
+                deepest = np.maximum(deepest, ra + share * (rb - ra) - away)
+        return deepest
+
+    return depth

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context
-from understudy_dressing.person import PersonScene
+from understudy_dressing.person import PersonScene, neutral_pose
 
 
 def deformation(
@@ -42,7 +42,7 @@ class TargetPose:
 
     def __init__(self, options: None, context: Context) -> None:
         person = context.need_scene(PersonScene, "reward 'dressing/target_pose'")
-        self._pose = neutral(person).to(context.device)
+        self._pose = neutral_pose(person).to(context.device)
 
     def __call__(self, qpos: Tensor) -> Tensor:
         return -(qpos[:, : len(self._pose)] - self._pose).norm(dim=1)
@@ -67,8 +67,3 @@ class Upright:
 
     def __call__(self, qpos: Tensor) -> Tensor:
         return -qpos[:, self._hinges].abs().sum(dim=1).clamp(max=-self._least)
-
-
-def neutral(person: PersonScene) -> Tensor:
-    """(Q,) rad: all 0, elbows 0.21."""
-    return torch.tensor([0.21 if hinge.name.endswith("elbow") else 0.0 for hinge in person.hinges])
