@@ -22,7 +22,7 @@ _APART, _MOST = 0.05, 16
 
 class Track(InitialStates):
     """The person neutral, and before it the hanging sleeve, which goes in a straight line to the shoulder
-    (section 8.3). The gripper floats there by itself: nothing slows it down."""
+    (section 8.3). The gripper floats there by itself: nothing slows it down. One that is driven begins at rest."""
 
     @dataclass(frozen=True)
     class Options:
@@ -55,6 +55,7 @@ class Track(InitialStates):
             for t in (options.low, options.high, options.end)
         )
         self._low, self._high, self._end = low, high, end
+        self._turns = 3 if person.options.driven else 0
         self._refuse_inside(person, settled)
 
     def _refuse_inside(self, person: PersonScene, settled: np.ndarray) -> None:
@@ -79,10 +80,13 @@ class Track(InitialStates):
         gripper = self._low + drawn[:, :3] * (self._high - self._low)
         noise = self.options.noise * (2.0 * drawn[:, 3:] - 1.0)
         speed = (self._end - gripper) / self.options.seconds
+        if self._turns:  # it begins at rest, and goes where it is driven
+            speed = torch.zeros_like(speed)
+        turns = gripper.new_zeros(len(gripper), self._turns)
         cloth = self._settled + gripper.unsqueeze(1)
         return {
-            "qpos": torch.cat([self._pose + noise[:, :hinges], gripper], dim=1),
-            "qvel": torch.cat([noise[:, hinges:], speed], dim=1),
+            "qpos": torch.cat([self._pose + noise[:, :hinges], gripper, turns], dim=1),
+            "qvel": torch.cat([noise[:, hinges:], speed, turns], dim=1),
             "cloth_position": cloth,
             "cloth_velocity": speed.unsqueeze(1).expand_as(cloth).contiguous(),
         }

@@ -48,6 +48,25 @@ class TargetPose:
         return -(qpos[:, : len(self._pose)] - self._pose).norm(dim=1)
 
 
+class PoseError:
+    """‖q − q̄‖ over the hinges, rad, from the neutral pose, (N,); figure 9's lower curve."""
+
+    def __init__(self, options: None, context: Context) -> None:
+        self._closeness = TargetPose(options, context)
+
+    def __call__(self, qpos: Tensor) -> Tensor:
+        return -self._closeness(qpos)
+
+
+def on_the_way(
+    most_progress: Tensor,
+    *,
+    enough: float = 0.75,  #: progress (section 9: 0.75)
+) -> Tensor:
+    """1 until `enough` was reached for the first time in the episode, (N,): summed, the decisions that it takes."""
+    return (most_progress < enough).float()
+
+
 class Upright:
     """−Σ|q| over the hinges that begin with `part`, not below `least`: the 2018 code's, not in the paper; (N,)."""
 
