@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy.running.reinforcement import Reinforcement
 from understudy.task.terms import Margin
 from understudy_imagination.adjoint import Adjoint, Weights, Window, clean, limited
 from understudy_imagination.errors import model_errors
 from understudy_imagination.learner import Imagination
+from understudy_reinforcement.job import Reinforcement
 
 STEPS = 5
 WEIGHTS = Weights(margins=1.0, actions=0.01, rewards=1.0, norm=8.0, power=2.0)
