@@ -288,9 +288,9 @@ MUTANTS = (
     Mutant("a landing is undone", ATTEMPT, '(wrong & (kept["landed"] == 0))', "wrong", "tests/plugins/jumping/test_attempt.py"),
     Mutant("particles forget what varies", "plugins/physics/warp_torch/understudy_warp_torch/world_state.py",
            "        self._put_varied(worlds, snapshot)\n", "", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
-    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
+    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
     check_within(path)
-""", """        raise RunError(f"{path} is no run folder: it has no run.json.")
+""", """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
 """, LINKS),
     Mutant("links lead out of a new run", RUNS, "            check_within(self.path)\n", "", f"{LINKS} -k new_runs"),
     Mutant("links lead out of a reproduction", "plugins/search/reproduce/understudy_reproduce/command.py",
