@@ -1,10 +1,5 @@
 """Learning to dress (Clegg et al. 2018): a person, a sleeve, and what the two have to do with each other."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = (
     "cloth", "composite", "mujoco", "networks", "ppo", "report", "skills", "tensors", "terms", "warp_torch",
@@ -51,17 +46,10 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "dressing",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "dressing": (
         "Clegg, Yu, Tan, Liu, Turk 2018. Learning to dress: synthesizing human dressing motion via deep "
-        "reinforcement learning. ACM Transactions on Graphics 37(6), 179.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "reinforcement learning. ACM Transactions on Graphics 37(6), 179."
+    ),
+}
