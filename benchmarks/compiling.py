@@ -1,7 +1,7 @@
 """How long Warp's kernels take to compile: the walk on `simulator=mujoco_warp` up to its first iteration.
 
 In fresh processes, each with an empty cache of kernels: one module after the other when it is first
-launched, as Warp does it, and side by side, as `Kernels` does it; then once more with the cache filled.
+launched, as Warp does it, and side by side, as `Kernels` does it; then once more with that cache, which is filled.
 Prints a line for each and appends them to `docs/benchmarks/compiling.jsonl`.
 """
 
@@ -71,9 +71,9 @@ def main() -> None:
         "processors": os.cpu_count(),
         "versions": versions(),
     }
-    for side_by_side in (False, True):
+    for side_by_side, states in ((False, ("empty",)), (True, ("empty", "filled"))):
         with tempfile.TemporaryDirectory() as cache:
-            for state in ("empty", "filled"):
+            for state in states:
                 row = {"cache": state, **alone(side_by_side, cache, options.overrides)}
                 print(json.dumps(row), flush=True)
                 with open(options.out, "a", encoding="utf-8") as file:
