@@ -20,7 +20,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Rollout, Shape, State
 from understudy.task.terms import ranges
-from understudy_chopsticks.plan import AHEAD, GRIPPER, Gripping, gripping
+from understudy_chopsticks.plan import AHEAD, PLANNED, Gripping, gripping, planned
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import upper_pose
 from understudy_tensors import rotations
@@ -218,13 +218,7 @@ class Follow(Fields):
 
     reads = ("plan_row", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
-        "planned_angle": (),
-        "planned_targets": (0,),
-        "planned_pose": (0,),
-        "planned_velocity": (0,),
-        "planned_upper": (7,),
-        "planned_lower": (7,),
-        "plan_ahead": (len(AHEAD), 0),
+        **PLANNED,
         "planned_object": (7,),
         "planned_held": (),
         "object_ahead": (len(AHEAD), 7),
@@ -241,11 +235,7 @@ class Follow(Fields):
     def __init__(self, options: Options, context: Context) -> None:
         self._gripping, self._bank = bank_of(context, "fields 'chopsticks/follow'")
         hinges = self._gripping.scene.hinges
-        self.provides = {
-            **self.provides,
-            **{f"planned_{name}": (hinges,) for name in ("targets", "pose", "velocity")},
-            "plan_ahead": (len(AHEAD), 2 * hinges + GRIPPER),
-        }
+        self.provides = {**self.provides, **planned(hinges)}
         self._squeeze = options.squeeze
         steps = [round(t / DT) for t in AHEAD]
         self._steps = torch.tensor([0, *steps], device=context.device)
