@@ -120,6 +120,10 @@ MUTANTS = (
            "tests/plugins/cloth/test_cloth_simulator.py -k fails_alone"),
     Mutant("what was searched is not kept", f"{CLOTH}/simulator.py", 'hidden["anchor"] = (wp.to_torch(c.anchor), (v, 3))', "pass",
            "tests/plugins/cloth/test_cloth_simulator.py -k bit_for_bit"),
+    Mutant("hinges act longer than a period", f"{CLOTH}/solver.py", "wp.min(c.bending_every, c.substeps - s), 0)",
+           "c.bending_every, 0)", "tests/plugins/cloth/test_cloth_physics.py -k bend_as_in_all"),
+    Mutant("threads side by side wait for each other", f"{CLOTH}/mesh.py", "best = int(cost.argmin())", "best = 0",
+           "tests/plugins/cloth/test_cloth_mesh.py -k banks_of_their_own"),
     Mutant("contact shoots cloth off", f"{CLOTH}/solver.py", "return wp.max(before + change - wp.max(before, 0.0), 0.0)",
            "return 0.0", "tests/plugins/cloth/test_cloth_physics.py -k shot_off"),
     Mutant("what is fast is not looked ahead for", f"{CLOTH}/solver.py", "return time * speed + faster", "return faster",
@@ -288,9 +292,9 @@ MUTANTS = (
     Mutant("a landing is undone", ATTEMPT, '(wrong & (kept["landed"] == 0))', "wrong", "tests/plugins/jumping/test_attempt.py"),
     Mutant("particles forget what varies", "plugins/physics/warp_torch/understudy_warp_torch/world_state.py",
            "        self._put_varied(worlds, snapshot)\n", "", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
-    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
+    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
     check_within(path)
-""", """        raise RunError(f"{path} is no run folder: it has no run.json.")
+""", """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
 """, LINKS),
     Mutant("links lead out of a new run", RUNS, "            check_within(self.path)\n", "", f"{LINKS} -k new_runs"),
     Mutant("links lead out of a reproduction", "plugins/search/reproduce/understudy_reproduce/command.py",

@@ -194,9 +194,9 @@ class Environment:
         #: Called before each control period.
         self.on_period: Callable[[], None] | None = None
         self._controls: list[Tensor] = []
-        #: By term of a product that has an exponent: its least value so far, (N,).
         #: By reward term: what it added to the last decision's reward, or multiplied it with, (N,).
         self.rewarded: dict[str, Tensor] = {}
+        #: By term of a product that has an exponent: its least value so far, (N,).
         self._least = {
             term.where: zeros(())
             for term in parts.rewards

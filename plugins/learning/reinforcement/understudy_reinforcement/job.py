@@ -154,6 +154,7 @@ class Reinforcement(Job):
             "collect_share": collecting,
             "consumed": rollout.rewards.numel() * distributed.size(),
             "reward": float(rollout.rewards.mean()),
+            **{f"reward/{k}": v for k, v in self.collector.rewarded.items()},
             **{f"episode/{k}": v for k, v in episodes.items()},
             **{f"simulator/{k}": v for k, v in self.report().items()},
             **metrics,
