@@ -9,34 +9,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.errors import RunError
 from understudy.records import runs
-from understudy.task import Curriculum, InitialStates, State
+from understudy.task import State
 
-__all__ = ["load_part", "misshapen", "newest_state"]
+__all__ = ["misshapen", "newest_state"]
 
 
 def newest_state(path: str) -> State:
     """The state of the newest intact checkpoint of the run folder `path`."""
     state, _ = runs.open_run(path).newest(lambda text: print(text, file=sys.stderr))
     return state
-
-
-def load_part(part: Curriculum | InitialStates, state: State, name: str, what: str) -> None:
-    """Put what a checkpoint's `state` says of the environment's part `name` into `part`.
-
-    Raises
-    ------
-    RunError
-        if it says nothing that fits; calls it `what`.
-    """
-    try:
-        given = state["environment"][name]
-        for misfit in misshapen(part.state_dict(), given, name):
-            raise ValueError(misfit)
-        part.load_state_dict(given)
-    except (LookupError, ValueError, TypeError, RuntimeError) as error:
-        raise RunError(f"{what} do not fit those of this task: {error}.") from error
 
 
 def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:

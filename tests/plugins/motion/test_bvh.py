@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from itertools import permutations
 from pathlib import Path
 
@@ -345,34 +346,44 @@ def test_encodings(tmp_path: Path, encoding: str, mark: str) -> None:
     torch.testing.assert_close(clip.root_position, read(tmp_path, TEXT).root_position)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "# exported\n\n// by hand\n" + TEXT,
-        TEXT.replace("MOTION", "; numbers\nMOTION\n# of frames"),
-        TEXT.replace("End Site", "End Site LeftFootEnd"),
-        TEXT.replace("End Site", "End Effector"),
-        TEXT.replace("End Site", "EndSite"),
-        TEXT.replace("End Site\n    {", "End\n    {\n"),
-        TEXT.replace("OFFSET 0 20 0", "OFFSET 0 20 0\n      CHANNELS 0"),
-        TEXT.replace("1 90 3 ", "1,0 90 3 ").replace("0.025", "0,025"),
-        TEXT.replace("OFFSET 0 60 0", "OFFSET 0,0 60,0 0,0"),
-        TEXT.replace("OFFSET 0 60 0", "OFFSET 0, 60.0, 0"),
-        TEXT.replace("OFFSET 0 60 0", "OFFSET 0 60 0 # cm"),
-        "/* made by\n a program */\n% and by hand\n" + TEXT,
-        TEXT.replace("End Site", "End_Effector"),
-        TEXT.replace("End Site", "Site"),
-        TEXT.replace("Frames: 2\n", "Frames: 2 "),
-        TEXT.replace("Frames: 2\n", ""),
-        TEXT.replace("Frames: 2", "Frames 2.0"),
-        TEXT.replace("0.025", "2.5e-2 s"),
-        TEXT.replace("Frame Time: 0.025", "FPS: 40"),
-        TEXT.replace("1 90 3 ", "1; 90; 3; "),
-        TEXT.replace("Yposition", "Y_POSITION"),
-        TEXT + "\0",
-        TEXT + "\x1a",
-    ],
-)
+#: What programs write in place of what the clip here has, right of an arrow; ``\n`` is a line's end.
+DIALECTS = r"""
+End Site -> End Site LeftFootEnd
+End Site -> End Effector
+End Site -> EndSite
+End Site\n    { -> End\n    {\n
+End Site -> End_Effector
+End Site -> Site
+OFFSET 0 20 0 -> OFFSET 0 20 0\n      CHANNELS 0
+OFFSET 0 60 0 -> OFFSET 0,0 60,0 0,0
+OFFSET 0 60 0 -> OFFSET 0, 60.0, 0
+OFFSET 0 60 0 -> OFFSET 0 60 0 # cm
+MOTION -> ; numbers\nMOTION\n# of frames
+Frames: 2\n -> Frames: 2\x20
+Frames: 2\n ->
+Frames: 2 -> Frames 2.0
+0.025 -> 2.5e-2 s
+Frame Time: 0.025 -> FPS: 40
+1 90 3 -> 1; 90; 3;
+Yposition -> Y_POSITION
+"""
+
+
+def dialects() -> Iterator[str]:
+    for line in DIALECTS.strip().splitlines():
+        usual, other = line.partition("->")[::2]
+        changed = TEXT.replace(
+            *(side.strip().encode().decode("unicode_escape") for side in (usual, other))
+        )
+        assert changed != TEXT
+        yield changed
+    yield TEXT.replace("1 90 3 ", "1,0 90 3 ").replace("0.025", "0,025")
+    yield "# exported\n\n// by hand\n" + TEXT
+    yield "/* made by\n a program */\n% and by hand\n" + TEXT
+    yield from (TEXT + "\0", TEXT + "\x1a")
+
+
+@pytest.mark.parametrize("text", dialects())
 def test_dialects(tmp_path: Path, text: str) -> None:
     path = tmp_path / "clip.bvh"
     path.write_text(text)

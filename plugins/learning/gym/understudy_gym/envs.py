@@ -122,12 +122,8 @@ class UnderstudyVectorEnv(VectorEnv):
 
     Parameters
     ----------
-    task, overrides, settings
-        as :class:`~understudy_gym.worlds.Worlds` has them.
-    flat
-        observations side by side in one row, in the order of the configuration.
-    render_mode
-        ``rgb_array`` or None.
+    task, overrides, settings, flat, render_mode
+        as :class:`UnderstudyEnv` has them.
     autoreset_mode
         when an ended world begins its next episode, Gymnasium's. ``NEXT_STEP``, its
         default: in the step after, whose action it ignores and whose reward is 0. ``SAME_STEP``:

@@ -9,9 +9,11 @@ from torch import Tensor
 
 from understudy.errors import RunError
 from understudy.records import runs
-from understudy.running.warm_start import load_part, misshapen, newest_state
+from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.root import StartOptions
-from understudy.task import Curriculum, InitialStates, Policy
+from understudy.task import Curriculum, InitialStates, Policy, State
+
+__all__ = ["load_part"]
 
 
 def policy_parts(policy: Policy) -> dict[str, set[str]]:
@@ -67,3 +69,20 @@ def take_over(
     return {
         "run": start.run, "parts": list(start.parts), "samples": samples, "sources": sources
     }  # fmt: skip
+
+
+def load_part(part: Curriculum | InitialStates, state: State, name: str, what: str) -> None:
+    """Put what a checkpoint's `state` says of the environment's part `name` into `part`.
+
+    Raises
+    ------
+    RunError
+        if it says nothing that fits; calls it `what`.
+    """
+    try:
+        given = state["environment"][name]
+        for misfit in misshapen(part.state_dict(), given, name):
+            raise ValueError(misfit)
+        part.load_state_dict(given)
+    except (LookupError, ValueError, TypeError, RuntimeError) as error:
+        raise RunError(f"{what} do not fit those of this task: {error}.") from error

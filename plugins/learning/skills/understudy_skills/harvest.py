@@ -18,10 +18,11 @@ from understudy.running.captured import Captured
 from understudy.running.environment import Environment
 from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
-from understudy.running.warm_start import load_part, newest_state
+from understudy.running.warm_start import newest_state
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Policy, State
+from understudy_reinforcement.start import load_part
 from understudy_skills.gathered import Gathered
 
 

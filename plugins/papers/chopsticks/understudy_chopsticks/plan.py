@@ -137,6 +137,24 @@ def angle_at(amplitude: Tensor, rate: Tensor, time: Tensor) -> tuple[Tensor, Ten
     )
 
 
+#: What plans give; how many hinges there are is not known before there is a hand.
+PLANNED: Mapping[str, Shape] = {
+    "planned_angle": (),
+    "planned_targets": (0,),
+    "planned_pose": (0,),
+    "planned_velocity": (0,),
+    "planned_upper": (7,),
+    "planned_lower": (7,),
+    "plan_ahead": (len(AHEAD), 0),
+}
+
+
+def planned(hinges: int) -> dict[str, Shape]:
+    """:data:`PLANNED`, of a hand on an arm of so many hinges."""
+    of_hinges = {f"planned_{name}": (hinges,) for name in ("targets", "pose", "velocity")}
+    return {**PLANNED, **of_hinges, "plan_ahead": (len(AHEAD), 2 * hinges + GRIPPER)}
+
+
 class Plan(Fields):
     """The plan at each world's time.
 
@@ -149,24 +167,11 @@ class Plan(Fields):
     """
 
     reads = ("motion_amplitude", "motion_rate", "planned_arm", "episode_time")
-    provides: Mapping[str, Shape] = {
-        "planned_angle": (),
-        "planned_targets": (0,),
-        "planned_pose": (0,),
-        "planned_velocity": (0,),
-        "planned_upper": (7,),
-        "planned_lower": (7,),
-        "plan_ahead": (len(AHEAD), 0),
-    }
+    provides: Mapping[str, Shape] = PLANNED
 
     def __init__(self, options: None, context: Context) -> None:
         self._gripping = gripping(context, "fields 'chopsticks/plan'")
-        hinges = self._gripping.scene.hinges
-        self.provides = {
-            **self.provides,
-            **{f"planned_{name}": (hinges,) for name in ("targets", "pose", "velocity")},
-            "plan_ahead": (len(AHEAD), 2 * hinges + GRIPPER),
-        }
+        self.provides = planned(self._gripping.scene.hinges)
         self._ahead = torch.tensor(AHEAD, device=context.device)
 
     def compute(

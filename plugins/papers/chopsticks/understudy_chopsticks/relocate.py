@@ -20,7 +20,7 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, Fields, InitialStates, Rollout, Shape, State
 from understudy.task.terms import ranges
-from understudy_chopsticks.plan import AHEAD, GRIPPER, Gripping, gripping
+from understudy_chopsticks.plan import AHEAD, PLANNED, Gripping, gripping, planned
 from understudy_hand.table import ARM_POSE
 from understudy_hand.tools import upper_pose
 from understudy_tensors import rotations
@@ -227,13 +227,7 @@ class Follow(Fields):
 
     reads = ("plan_row", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
-        "planned_angle": (),
-        "planned_targets": (0,),
-        "planned_pose": (0,),
-        "planned_velocity": (0,),
-        "planned_upper": (7,),
-        "planned_lower": (7,),
-        "plan_ahead": (len(AHEAD), 0),
+        **PLANNED,
         "planned_object": (7,),
         "planned_held": (),
         "object_ahead": (len(AHEAD), 7),
@@ -254,11 +248,7 @@ class Follow(Fields):
     def __init__(self, options: Options, context: Context) -> None:
         self._gripping, self._bank = bank_of(context, "fields 'chopsticks/follow'")
         hinges = self._gripping.scene.hinges
-        self.provides = {
-            **self.provides,
-            **{f"planned_{name}": (hinges,) for name in ("targets", "pose", "velocity")},
-            "plan_ahead": (len(AHEAD), 2 * hinges + GRIPPER),
-        }
+        self.provides = {**self.provides, **planned(hinges)}
         self._squeeze = options.squeeze
         model, arm = self._gripping.scene.model, len(ARM_POSE)
         # A servo whose velocity target is 0 lags by kd / kp: 25 mm at 0.25 m/s. The release's have the plan's.
