@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import CASES, needs_cases
 from robots import robot_file
 
 from understudy.command.cli import main
@@ -128,11 +127,3 @@ def test_it_is_learned_and_checked(
     )
     assert main(["motion", "retarget", "x.csv", "humanoid", "z.npz"]) == 2
     assert "motion check x.csv --character ROBOT.xml --fix OUT.npz" in capsys.readouterr().err
-
-
-@needs_cases
-def test_the_reported_case() -> None:
-    clip = read(CASES / "robot-table-without-header" / "input.csv")
-    assert len(angle_names(clip) or ()) == 29
-    assert clip.root_position[1].tolist() == [0.04, 0.0, 0.9]
-    assert clip.rotations[:, 0].tolist() == [[1.0, 0.0, 0.0, 0.0]] * 6

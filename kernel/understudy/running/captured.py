@@ -35,6 +35,7 @@ class _Capture(Generic[T]):
     result: T
     values: dict[str, Tensor]  #: of the field table after the step
     observations: dict[str, Tensor]
+    rewarded: dict[str, Tensor]
 
 
 class Captured(Generic[T]):
@@ -67,6 +68,7 @@ class Captured(Generic[T]):
             capture.graph.replay()
             environment.table.values = dict(capture.values)
             environment.observations = capture.observations
+            environment.rewarded = capture.rewarded
             return capture.result
         self._calls[kind] = self._calls.get(kind, 0) + 1
         return self._warm(action) if self._calls[kind] <= _WARM_UP else self._take(action, kind)
@@ -101,7 +103,13 @@ class Captured(Generic[T]):
             )
             return self._work(action)
         self._graphs[kind] = _Capture(
-            graph, pool, given, result, dict(environment.table.values), environment.observations
+            graph,
+            pool,
+            given,
+            result,
+            dict(environment.table.values),
+            environment.observations,
+            environment.rewarded,
         )
         graph.replay()
         return result

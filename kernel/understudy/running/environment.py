@@ -28,7 +28,7 @@ from understudy.running.table import FieldTable
 from understudy.task import Context, Memory, Shape, State
 from understudy.task.terms import Term, Wired
 
-__all__ = ["OWN_FIELDS", "Environment", "Step", "rows", "sound"]
+__all__ = ["OWN_FIELDS", "Environment", "Fault", "Step", "rows", "sound", "without_unsound"]
 
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
@@ -194,9 +194,9 @@ class Environment:
         #: Called before each control period.
         self.on_period: Callable[[], None] | None = None
         self._controls: list[Tensor] = []
-        #: By term of a product that has an exponent: its least value so far, (N,).
         #: By reward term: what it added to the last decision's reward, or multiplied it with, (N,).
         self.rewarded: dict[str, Tensor] = {}
+        #: By term of a product that has an exponent: its least value so far, (N,).
         self._least = {
             term.where: zeros(())
             for term in parts.rewards

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from cases import CASES, needs_cases
 from robots import robot_xml
 
 from understudy.errors import ConfigError, FileError
@@ -42,24 +41,6 @@ def floors(model: mujoco.MjModel) -> list[str]:
     """Names of the geoms that stand still and collide."""
     still = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] == 0]
     return [model.geom(g).name for g in still if model.geom_contype[g]]
-
-
-@needs_cases
-@pytest.mark.parametrize(
-    "case",
-    [
-        "mjcf-hinges-of-one-body-apart/robot.xml", "mjcf-prop-before-robot/robot.xml",
-        "mjcf-name-taken-material/robot.xml", "mjcf-name-taken-box/robot.xml",
-        "mjcf-name-taken-plane-in-body/robot.xml", "mjcf-nested-include/robot.xml",
-        "mjcf-meshes-beside-folder//mjcf/robot.xml", "mjcf-suffix/ROBOT.XML", "mjcf-suffix/robot.mjcf",
-        "mjcf-latin1/robot.xml", "mjcf-no-gravity/robot.xml",
-    ],
-)  # fmt: skip
-def test_reported_cases(case: str) -> None:
-    found = CharacterScene(CharacterScene.Options(f"{CASES}/{case}"))
-    assert found.character.joint_names[0] == "pelvis"
-    assert (len(found.character.joints), found.model.nu) == (13, 23)
-    assert floors(found.model) == ["floor"]
 
 
 def test_hinges_of_one_body_apart(tmp_path: Path) -> None:

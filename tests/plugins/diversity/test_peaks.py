@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -126,3 +128,14 @@ def test_a_film_of_the_future_is_of_its_recording_alone(trained: Path, tmp_path:
     kept = again.film.stat().st_ino
     assert take_of(tmp_path / "run", tmp_path, "take", HIGHEST).film is not None
     assert again.film.stat().st_ino == kept, "and it is drawn once"
+
+
+def test_the_gallery_says_nothing_of_sweeps_without_its_libraries() -> None:
+    """It is asked about every sweep, and those of other loops have nothing to show in it."""
+    code = (
+        "import sys; sys.modules.update(botorch=None, gpytorch=None)\n"
+        "from understudy.setup.plugins import installed\n"
+        "installed().registry.find('sweep_page', 'diversity/gallery').factory()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

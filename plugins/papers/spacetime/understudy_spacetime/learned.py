@@ -67,9 +67,10 @@ def learned_clip(path: str) -> Clip:
         return learned
     spans = list(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True))
     if not spans:
+        seconds = math.ceil(3 * learned.duration)
         raise FileError(
             f"{path}: its recording ends before a whole cycle of the clip; make a longer one with "
-            f"`understudy render {path} run.video_seconds={math.ceil(3 * learned.duration)}`."
+            f"`understudy render {path} seconds={seconds}`, and give {path}/renders/seconds-{seconds}."
         )
     cycles = [
         (cut(learned, start, stop), cut(reference, start, min(stop, reference.duration)))

@@ -62,6 +62,10 @@ class Play(Command):
             "--unpack", metavar="FOLDER", type=Path,
             help="write it as a run folder, for actuation.runs, start.run and job.run of other trainings",
         )  # fmt: skip
+        parser.add_argument(
+            "--follow", action="store_true",
+            help="of a run that trains: take up each new checkpoint, and draw its curves",
+        )  # fmt: skip
         add_page_arguments(parser)
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
@@ -76,6 +80,12 @@ class Play(Command):
                 needs = f"; needs the clip {clip}" if clip else ""
                 print(shown(f"{name}: {describe(skill)}{needs}"))
             return 0
+        if options.follow and (options.video or options.pack or options.unpack):
+            raise ConfigError("--follow shows a page. Leave out --video, --pack and --unpack.")
+        if options.follow and not (Path(options.skill) / "run.json").is_file():
+            raise ConfigError(
+                f"--follow takes the folder of a run, as runs/spacetime-walk-001, and {options.skill} is none."
+            )
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
             licence = answer(open_made(options.skill))
@@ -118,15 +128,18 @@ def serve(make: Callable[[], World], options: argparse.Namespace) -> int:
         raise ConfigError(
             "Playing in the browser needs viser: pip install 'understudy[view]', or --video FILE."
         )
+    from understudy_play.following import Following
     from understudy_play.page import Page
     from understudy_play.scene_page import ScenePage
     from understudy_viewer.page import free_port
     from understudy_viewer.serving import serve as serve_page
 
     port = free_port(options.host, options.port)
-    world = make()
+    world, following = make(), None
+    if isinstance(world, Player) and (Path(world.skill.name) / "run.json").is_file():
+        following = Following(world, world.skill.name, growing=options.follow)
     any_scene = isinstance(world.scene, MujocoScene) and not isinstance(world.scene, CharacterScene)
-    page = (ScenePage if any_scene else Page)(world, options.host, port)
+    page = (ScenePage if any_scene else Page)(world, options.host, port, following)
     serve_page(page, f"plays {world.name}", browser=not options.no_browser)
     return 0
 

@@ -16,6 +16,7 @@ from understudy_characters.scene import CharacterScene
 from understudy_characters.shapes import shapes
 from understudy_motion.kinematics import forward_kinematics
 from understudy_play.controls import Controls
+from understudy_play.following import Following
 from understudy_play.player import World
 from understudy_viewer.server import open_server, stop_server
 from understudy_viewer.stage import COLOURS, Colour
@@ -34,7 +35,7 @@ _WAYS = {"← left": (0.0, 1.0), "right →": (0.0, -1.0), "forward": (1.0, 0.0)
 
 class Page:
     """Serves `world` at ``url`` until it is closed, and closes it then. Where it has a target, a click on
-    the floor is the next one.
+    the floor is the next one; `following` says what there is beside of the run that it plays.
 
     Raises
     ------
@@ -42,8 +43,10 @@ class Page:
         if the task's scene is no character.
     """
 
-    def __init__(self, world: World, host: str, port: int) -> None:
-        self._player = world
+    def __init__(
+        self, world: World, host: str, port: int, following: Following | None = None
+    ) -> None:
+        self._player, self._following = world, following
         scene = self._player.scene
         if not isinstance(scene, CharacterScene):
             self._player.close()
@@ -70,6 +73,8 @@ class Page:
 
     def advance(self, after_each: Callable[[], None] = lambda: None) -> None:
         """One decision, after what the visitor asked for; `after_each` of the control periods drawn."""
+        if self._following is not None:
+            self._following.advance()
         with self._lock:
             pushes, sent = self._pushes, self._sent
             self._pushes, self._sent = [], None
@@ -140,6 +145,8 @@ class Page:
         way = gui.add_button_group("Direction", tuple(_WAYS))
         self._ghost = gui.add_checkbox("Reference", False, hint="where the clip is now")
         self._controls.add_to(gui)
+        if self._following is not None:
+            self._following.add_to(gui)
         if self._player.target is not None:
             gui.add_html("<div style='margin:0 .75em'>Click on the floor to send it there.</div>")
             scene.on_click()(self._clicked)

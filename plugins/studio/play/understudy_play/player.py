@@ -153,7 +153,18 @@ class Player(World):
     def __init__(self, skill: Skill, seed: int = 0) -> None:
         super().__init__(skill.name, skill.experiment, seed)
         self.policy = build_policy(skill.experiment, self.context)
+        self.take(skill)
+
+    def take(self, skill: Skill) -> None:
+        """Go on with the policy of `skill`, one of the same task.
+
+        Raises
+        ------
+        RunError
+            if it does not fit; what acted goes on acting.
+        """
         skill.give(self.policy)
+        self.skill = skill
 
     def act(self, observations: Mapping[str, Tensor]) -> Tensor:
         return self.policy.distribution(observations).mode()

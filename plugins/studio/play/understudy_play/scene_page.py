@@ -12,6 +12,7 @@ import viser
 
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.controls import Controls
+from understudy_play.following import Following
 from understudy_play.player import World
 from understudy_viewer.server import open_server, stop_server
 
@@ -22,9 +23,11 @@ _ENDLESS = 5.0
 class ScenePage:
     """Serves `world`, whose scene is a :class:`MujocoScene`, at ``url`` until it is closed, and closes it then."""
 
-    def __init__(self, world: World, host: str, port: int) -> None:
+    def __init__(
+        self, world: World, host: str, port: int, following: Following | None = None
+    ) -> None:
         assert isinstance(world.scene, MujocoScene)
-        self._world = world
+        self._world, self._following = world, following
         self._model = world.scene.shown().compile()
         self._data = mujoco.MjData(self._model)
         self._controls = Controls()
@@ -38,6 +41,8 @@ class ScenePage:
 
     def advance(self, after_each: Callable[[], None] = lambda: None) -> None:
         """One decision, after what the visitor asked for; `after_each` of the control periods drawn."""
+        if self._following is not None:
+            self._following.advance()
         if self._controls.taken_again():
             self._world.restart()
         for shown in self._world.step():
@@ -76,6 +81,8 @@ class ScenePage:
         gui.add_html(f"<div style='margin:0 .75em'><b>{escape(self._world.name)}</b></div>")
         self._told = gui.add_html("")
         self._controls.add_to(gui)
+        if self._following is not None:
+            self._following.add_to(gui)
 
     def _draw(self, qpos: np.ndarray) -> None:
         self._data.qpos[:] = qpos

@@ -11,6 +11,8 @@ from understudy.random import WorldStreams
 from understudy.running.environment import Environment, without_unsound
 from understudy.task import Policy, Rollout
 
+__all__ = ["Collector"]
+
 
 class Collector:
     """Steps an environment with a policy, and keeps what a learner needs: the `fields` before each action,
@@ -27,6 +29,8 @@ class Collector:
         self.environment, self.policy = environment, policy
         self._fields, self._next_fields = tuple(dict.fromkeys(fields)), tuple(next_fields)
         self.streams = WorldStreams(seed, "actions", environment.num_worlds, environment.device)
+        #: By reward term, where there are several: what it gave to the steps of the last rollout, on average.
+        self.rewarded: dict[str, float] = {}
 
     @torch.no_grad()
     def collect(self, steps: int) -> Rollout:
@@ -52,6 +56,7 @@ class Collector:
             next_fields={name: empty(environment.table[name]) for name in self._next_fields},
         )
         environment.next_fields = self._next_fields
+        given: dict[str, Tensor] = {}
         for t in range(steps):
             observations = environment.observations
             for name, value in observations.items():
@@ -64,6 +69,8 @@ class Collector:
             rollout.log_probs[t] = distribution.log_prob(action)
             step = environment.step(action)
             rollout.rewards[t] = step.rewards
+            for name, value in environment.rewarded.items():
+                given.setdefault(name, empty())[t] = value
             rollout.terminated[t] = step.terminated
             rollout.truncated[t] = step.truncated
             rollout.failed[t] = step.failed
@@ -76,4 +83,6 @@ class Collector:
                 values = policy.value(step.final_observations)
                 rollout.final_values[t] = torch.where(step.truncated, values, 0.0)
         rollout.last_observations = {k: v.clone() for k, v in environment.observations.items()}
+        several = given if len(given) > 1 else {}
+        self.rewarded = {k: float(without_unsound(v.flatten()).mean()) for k, v in several.items()}
         return rollout
