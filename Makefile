@@ -91,6 +91,11 @@ bench-gpu: install
 mutants: install
 	$(BIN)/python -m pytest tests/mutants -m 'slow or not slow' --timeout=900
 
+# Poison every number of one world in every shipped experiment; none may reach another.
+.PHONY: poison
+poison: install
+	OMP_NUM_THREADS=1 $(BIN)/python tests/poison.py
+
 # Train for an hour and print by how much memory, threads, descriptors and speed change. One thread: those that
 # wait for one another would spend processor time.
 soak: install

@@ -141,6 +141,7 @@ def composed(*overrides: str, plugins: Plugins | None = None) -> Any:
         (["policy.hidden=[300000, 300000]"], r"^policy\.hidden=.*the network would be too large"),
         ([f"policy.hidden={[16] * 101}"], r"^policy\.hidden=.*the network would be too large"),
         (["policy.hidden=[50000000]"], "network of layers of .* is too large"),
+        (["control.frequency=1e-300"], r"^control\.frequency=1e-300 .* at least 0\.001"),
         (["control.substeps=100000"], r"^control\.substeps=100000 .* at most 10000"),
         (["control.substeps=5000", "control.decision=100"], r"^control\.decision=100 .* 100000 steps of physics"),
         (["evaluation.seconds=1e6", "control.frequency=1000"], r"^evaluation\.seconds=1e\+06 .* 1000000 decisions"),

@@ -39,6 +39,7 @@ __all__ = [
 @contextlib.contextmanager
 def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     """Inside, Hydra composes from the options of the kernel and of `plugins`; its errors become ours."""
+    _check_length("".join(overrides), 10)
     for override in overrides:
         _check(override, plugins)
     GlobalHydra.instance().clear()
@@ -54,7 +55,17 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
 
 #: ``[1] walk.bvh``: more than a list, a mapping or a quotation.
 _MORE = r"""(\[[^\[\]]*\]|\{[^{}]*\}|'[^']*'|"[^"]*")[^\s,'"\]}][^,]*|(\[[^\[\]]*\]|\{[^{}]*\})\s[^,:]*"""
+_LONGEST = 10_000  #: characters of an override
 _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
+
+
+def _check_length(text: str, overrides: int = 1) -> None:
+    """Raise :class:`ConfigError` if it is longer than so many overrides may be: Hydra's reading of one takes
+    the square of its length."""
+    if len(text) > overrides * _LONGEST:
+        raise ConfigError(
+            f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are read. Shorten it."
+        )
 
 
 def readable(override: str) -> str:
@@ -62,6 +73,7 @@ def readable(override: str) -> str:
     key, equals, value = override.partition("=")
     if not equals or _PLAIN.fullmatch(override) or key != key.strip():
         return override
+    _check_length(override)
     parser = OverridesParser.create()
 
     def reads(text: str) -> bool:

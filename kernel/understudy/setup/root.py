@@ -23,7 +23,7 @@ class ControlOptions:
     decision: int = 1  #: control periods that one decision of the policy lasts
 
     def __post_init__(self) -> None:
-        check_range(self, "frequency", above=0, most=1e5)
+        check_range(self, "frequency", least=1e-3, most=1e5)
         check_range(self, "substeps", least=1, most=10_000)
         check_range(self, "decision", least=1, most=10_000)
         if self.substeps * self.decision > _STEPS:

@@ -70,6 +70,15 @@ def test_each_world_follows_its_own_plan(built: Built) -> None:
     assert (late[:, 15] == 0).all(), "released at the end"
 
 
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, 1e12, -1.0])
+def test_a_plan_of_no_number_stays_in_its_world(built: Built, wrong: float) -> None:
+    _, bank = parts(built)
+    rows, frames = torch.tensor([1.0, wrong, 2.0]), torch.tensor([3.0, 3.0, wrong])
+    found = bank.at(rows.long(), frames.long()[:, None])
+    assert torch.equal(found[0, 0], bank.frames[1, 3])
+    assert found.isfinite().all()
+
+
 def test_sticks_press_while_they_hold(plugins: Plugins) -> None:
     targets = {}
     for squeeze in (0.0, 0.05):

@@ -352,6 +352,7 @@ def test_a_skill_whose_overrides_are_no_words_is_refused(overrides: object, tmp_
         ("experiment=../../secret", "names no option"),
         ("a=" + "[" * 2000 + "]" * 2000, "cannot be read"),
         ("+scene._target_=os.getcwd", "_target_"),
+        (f"policy.hidden={[16] * 10_000}", "characters, and at most 10000 are read"),
     ],
 )
 def test_words_of_a_strangers_skill_read_and_run_nothing(

@@ -113,7 +113,9 @@ class Bank:
         raise ConfigError(f"None of {_TRIES} tasks drawn in a row has a plan: {why}")
 
     def at(self, row: Tensor, frame: Tensor) -> Tensor:
-        """(N, …, _FRAME) of the plans `row` (N,) at the frames `frame` (N, …), the last one after their end."""
+        """(N, …, _FRAME) of the plans `row` (N,) at the frames `frame` (N, …), the last one after their end;
+        of a world whose numbers went wrong those of some plan."""
+        row, frame = row.clamp(0, len(self.lengths) - 1), frame.clamp(min=0)
         own = row.view(-1, *[1] * (frame.dim() - 1)).expand_as(frame)
         return self.frames[own, torch.minimum(frame, self.lengths[own])]
 
