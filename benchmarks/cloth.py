@@ -280,7 +280,10 @@ def main() -> None:
     parser.add_argument("--substeps", type=int, default=20, help="of 10 ms")
     parser.add_argument("--self-contact", action="store_true")
     parser.add_argument("--traversal", choices=("block", "launches"), default="block")
-    parser.add_argument("--threads", type=int, default=512, help="of a block, at most")
+    parser.add_argument("--threads", type=int, help="of a block; default: the simulator's choice")
+    parser.add_argument(
+        "--bending-every", type=int, help="sub-steps between sweeps over hinges; default: same"
+    )
     parser.add_argument("--newton-worlds", type=int, help="default: as many, at most 256; 0: none")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
@@ -291,7 +294,7 @@ def main() -> None:
     for worlds in options.worlds or [1024 if on_gpu else 1]:
         ours = Ours(
             device, worlds, options.substeps, self_contact=options.self_contact,
-            traversal=options.traversal, threads=options.threads,
+            traversal=options.traversal, threads=options.threads, bending_every=options.bending_every,
         )  # fmt: skip
         speeds = {"cloth": measure(ours, worlds, device)}
         record: dict[str, Any] = {
@@ -303,6 +306,7 @@ def main() -> None:
             "self_contact": options.self_contact,
             "traversal": options.traversal,
             "threads": options.threads,
+            "bending_every": options.bending_every,
             "report": ours.simulator.report(),
             "versions": {**versions(), "newton": _version("newton")},
         }

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import importlib
 import json
 import math
 import tempfile
@@ -30,8 +31,6 @@ import torch
 from understudy import random
 from understudy.options import make_options
 from understudy_bayes import draws
-from understudy_diversity.map_elites import MapElites
-from understudy_diversity.search import DiversitySearch, RandomDiversity
 from understudy_diversity.strategies import alike, distances, nearest_rotation
 from understudy_sweeps.intervals import mean_of
 from understudy_sweeps.loops import OuterLoop, Report, Trial, Work
@@ -55,10 +54,11 @@ OVERRIDES = (
 )  # fmt: skip
 ROTATION = [f"strategy_{axis}_{i}" for axis in ("forward", "up") for i in "xyz"]
 SUCCESS = 0.5  #: share of attempts from which on a take-off shows a strategy
-LOOPS: dict[str, Any] = {
-    "bayesian": DiversitySearch,
-    "random": RandomDiversity,
-    "map_elites": MapElites,
+#: Imported where a search runs, since each needs packages (BoTorch, pyribs) that noise and table do without.
+LOOPS = {
+    "bayesian": "understudy_diversity.search:DiversitySearch",
+    "random": "understudy_diversity.search:RandomDiversity",
+    "map_elites": "understudy_diversity.map_elites:MapElites",
 }
 
 
@@ -132,7 +132,9 @@ def loop_of(name: str, seed: int, trials: int, distinct: float) -> OuterLoop:
         "metric": "rotation", "distinct": distinct, "trials": trials, "success": SUCCESS,
     }  # fmt: skip
     given |= {"cells": 4} if name == "map_elites" else {}
-    return LOOPS[name](make_options(LOOPS[name].Options, given, "outer_loop"), seed)
+    module, _, kind = LOOPS[name].partition(":")
+    loop = getattr(importlib.import_module(module), kind)
+    return loop(make_options(loop.Options, given, "outer_loop"), seed)
 
 
 def search(name: str, seed: int, trials: int, repeats: int, distinct: float, until: float) -> int:

@@ -120,6 +120,45 @@ def test_registering(register: Any, reason: str) -> None:
     assert_isolated(loaded(module(understudy_register=register)), reason)
 
 
+PART = {"learner": {"stranger/learner": ("parts:Learner", "learns")}}
+
+
+@pytest.mark.parametrize(
+    ("tables", "reason"),
+    [
+        ({"KINDS": ["stranger_kind"]}, "table KINDS is not as tables are. Write KINDS = {"),
+        ({"KINDS": {"stranger_kind": 5}}, "registers the kind 'stranger_kind'"),
+        ({"SLOTS": {"stranger_slot": ("learner", "x")}}, "Write SLOTS = {"),
+        ({"SLOTS": {"stranger_slot": {"sort": "learner"}}}, "Write SLOTS = {"),
+        ({"SLOTS": {"job": {"kind": "job", "summary": "x"}}}, "slot 'job', which exists already"),
+        ({"PARTS": {"learner": "parts:Learner"}}, "Write PARTS = {"),
+        ({"PARTS": {"learner": {"stranger/other": "parts:Other"}}}, "Write PARTS = {"),
+        ({"PARTS": {"learner": {"ppo": ("parts:PPO", "learns")}}}, "register the learner 'ppo'"),
+        ({"PARTS": {"learner": {"stranger/other": (5, "learns")}}}, "registers 5 as the learner"),
+        ({"PARTS": {"lerner": {"x": ("parts:X", "learns")}}}, "Did you mean 'learner'?"),
+        ({"SECTIONS": {"stranger": "section:Build"}}, "Write SECTIONS = {"),
+        ({"SECTIONS": {"seed": ("s:Options", "s:build")}}, "the section 'seed', which is taken"),
+        ({"TASKS": "stranger/task"}, "Write TASKS = {"),
+        ({"TASKS": {"stranger/task": None}}, "registers the task 'stranger/task'"),
+        ({"CITATIONS": {"stranger": ("Stranger", "2001")}}, "registers the citation"),
+        ({"CITATION": {"stranger": "Stranger 2001."}}, "Did you mean 'CITATIONS'?"),
+        ({"PART": PART}, "its table 'PART' is none. Did you mean 'PARTS'?"),
+    ],
+)  # fmt: skip
+def test_tables(tables: dict[str, Any], reason: str) -> None:
+    stranger = ModuleType("stranger")
+    vars(stranger).update({"PARTS": PART, **tables})
+    assert_isolated(loaded(stranger), reason)
+
+
+def test_a_hook_that_breaks_takes_the_tables_along() -> None:
+    stranger = module(understudy_register=raises)
+    vars(stranger).update(
+        KINDS={"stranger_kind": "of its own"}, TASKS={"stranger/task": "learned"}, ITEMS={"a": 1}
+    )
+    assert_isolated(loaded(stranger), "RuntimeError: no")
+
+
 def test_misspelled_hook() -> None:
     def register(register: Registrar) -> None:
         register.component("learner", "stranger/learner", object)

@@ -184,7 +184,7 @@ def check(clip: Clip) -> None:
 def read_mutants(format: str, count: int, seed: int) -> dict[str, Any]:
     """How `count` mutants end: numbers of clips and refusals, what went wrong, the slowest in s."""
     registry = Registry()
-    understudy_motion.understudy_register(Registrar(registry, "motion"))
+    Registrar(registry, "motion").tables(understudy_motion)
     known = readers(registry)
     rng = random.Random(f"{format} {seed}")
     ends: dict[str, Any] = {"clips": 0, "refused": 0, "wrong": [], "slowest": 0.0}

@@ -2,31 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from all_at_once import ROOT, command, copy_of_the_tree, environment, verdict
 from mutants import MUTANTS, Mutant
 
-ROOT = Path(__file__).resolve().parents[2]
-#: What the tests need.
-COPIED = (
-    "kernel",
-    "plugins",
-    "tests",
-    "conf",
-    "benchmarks",
-    "docs",
-    "pyproject.toml",
-    "hatch_build.py",
-    "README.md",
-    "Makefile",
-)
 BY_NAME = pytest.mark.parametrize(
     "mutant", MUTANTS, ids=[m.name.replace(" ", "-") for m in MUTANTS]
 )
@@ -68,32 +52,30 @@ def test_every_promise_has_a_guard_to_lose() -> None:
         assert all(any(f.startswith(t) for words in tried for t in words) for f in files), claim
 
 
+def test_a_missing_package_notices_nothing() -> None:
+    """Only a test that passes with all guards can; where there is none, the mutant could not run."""
+    passes = {"status": 0, "passed": ["a"], "failed": [], "skipped": [], "missing": []}
+    fails = {**passes, "status": 1, "passed": [], "failed": ["a"], "missing": ["viser"]}
+    assert verdict(passes, fails) == ("noticed", "a")
+    assert verdict(passes, {**passes, "status": -9}) == ("noticed", "status -9")
+    assert verdict(passes, passes) == ("missed", "")
+    assert verdict(passes, {**passes, "status": 2})[0] == "unclear"
+    assert verdict(fails, None) == (
+        "could not run", "1 of its tests fail anyway, not installed: viser"
+    )  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the tree, to be mutated."""
-    copy = tmp_path_factory.mktemp("tree")
-    for name in COPIED:
-        source = ROOT / name
-        if source.is_dir():
-            shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-        else:
-            shutil.copy(source, copy / name)
-    return copy
+    return copy_of_the_tree(tmp_path_factory.mktemp("trees") / "tree")
 
 
 def run(tree: Path, tests: str) -> subprocess.CompletedProcess[str]:
     """The tests in the copy, whose modules come before the installed ones."""
-    files, _, options = tests.partition(" -")
-    chosen = ["-" + options[0], options[1:].strip()] if options else []
-    if options.startswith("m slow -k "):
-        chosen = ["-m", "slow", "-k", options.removeprefix("m slow -k ")]
-    path = [tree / "kernel", *sorted((tree / "plugins").glob("*/*")), tree / "tests"]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--timeout=300",
-         *shlex.split(files), *chosen],
-        cwd=tree, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "PYTHONDONTWRITEBYTECODE": "1"},
-    )  # fmt: skip
+        [*command(tests), "-x"], cwd=tree, capture_output=True, text=True, env=environment(tree)
+    )
     if done.returncode == pytest.ExitCode.NO_TESTS_COLLECTED:
         pytest.skip(f"{tests} need what is not installed here")
     return done

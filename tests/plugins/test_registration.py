@@ -1,4 +1,5 @@
-"""Plugins register their parts by one table: name, place and sentence of each stand in one line."""
+"""Plugins are data: name, place and sentence of each part stand in one line of a table, and a hook does only what
+is none."""
 
 from __future__ import annotations
 
@@ -22,6 +23,8 @@ MODULES = sorted(
 WIDTH = 100
 #: Kinds whose parts are files beside the code, found by listing their folder.
 LISTED = {"skill"}
+#: Calls that a hook may make: what it registers has to be found out.
+FOUND_OUT = {"register_skills"}
 
 
 def faults(text: str) -> Iterator[str]:
@@ -30,6 +33,10 @@ def faults(text: str) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and node.attr == "component":
             yield f"line {node.lineno}: register.component; write a row of PARTS"
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("understudy_"):
+            calls = {getattr(c.func, "id", "") for c in ast.walk(node) if isinstance(c, ast.Call)}
+            if not calls & FOUND_OUT:
+                yield f"line {node.lineno}: {node.name} does what a table can; write a table"
     for kinds in tables(tree):
         for rows in kinds.values:
             if not isinstance(rows, ast.Dict):
@@ -95,6 +102,17 @@ def test_others_are_refused(row: str, fault: str | None) -> None:
     text = f'PARTS = {{\n    "reward": {{\n        {row}\n    }},\n}}\n'
     found = list(faults(text))
     assert (found == []) if fault is None else any(fault in line for line in found)
+
+
+def test_hooks_that_a_table_replaces_are_refused() -> None:
+    for text in (
+        'def understudy_register(register):\n    register.task("a/b", "c")\n',
+        'def understudy_config_directory():\n    return Path(__file__).parent / "conf"\n',
+        "def understudy_run_observers():\n    return [Watcher()]\n",
+    ):
+        assert [line for line in faults(text) if "write a table" in line]
+    listed = "def understudy_register(register):\n    register_skills(register, Path())\n"
+    assert list(faults(listed)) == []
 
 
 def test_single_calls_are_refused() -> None:

@@ -1,7 +1,9 @@
-"""Plugin loading: entry points, pluggy hooks, and the config directories plugins contribute.
+"""Plugin loading: entry points, tables and pluggy hooks, and the config directories plugins contribute.
 
-A plugin is a module named in the entry-point group ``understudy``. It implements any of the hooks
-below with ``@understudy.hookimpl``. The bundled plugins are loaded exactly like a stranger's.
+A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in tables
+(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. What is
+no data, one of the hooks below does, marked with ``@understudy.hookimpl``. The bundled plugins are loaded
+exactly like a stranger's.
 """
 
 from __future__ import annotations
@@ -36,16 +38,16 @@ class Hooks:
 
     @hookspec
     def understudy_register(self, register: Registrar) -> None:
-        """Register components, tasks, sections, kinds and citations."""
+        """Register what has to be found out, such as the files of a folder."""
 
     @hookspec
     def understudy_config_directory(self) -> str | Path | None:
-        """A directory of config options (``task/…``, ``policy/…``) added to the search path."""
+        """A directory of config options (``task/…``, ``policy/…``), if it is not ``conf`` beside the module."""
         raise NotImplementedError
 
     @hookspec
     def understudy_run_observers(self) -> Iterable[RunObserver]:
-        """Observers of every training run (loggers, live views)."""
+        """Observers of every training run (loggers, live views), beside the components of that kind."""
         raise NotImplementedError
 
 
@@ -76,13 +78,15 @@ class Plugins:
         from understudy.records.observer import RunObserver
 
         found: list[RunObserver] = []
+        parts = [c for c in self.registry.components.values() if c.kind == "observer"]
         for name, _ in self.manager.list_name_plugin():
             try:
+                own = [part.factory() for part in parts if part.plugin == name]
                 for group in _hook(self.manager, "understudy_run_observers", name)():
-                    own = list(group)
-                    if not all(isinstance(o, RunObserver) for o in own):
-                        raise TypeError(f"{own!r} are not all run observers")
-                    found += own
+                    own += group
+                if not all(isinstance(o, RunObserver) for o in own):
+                    raise TypeError(f"{own!r} are not all run observers")
+                found += own
             except BaseException as error:
                 if is_stop(error):
                     raise
@@ -184,18 +188,26 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
         manager.register(module, name)
         manager.check_pending()
         register = Registrar(plugins.registry, name, distribution, version)
+        register.tables(module)
         _hook(manager, "understudy_register", name)(register=register)
         given = _hook(manager, "understudy_config_directory", name)()
-        if given:
-            plugin = replace(plugin, config_directory=Path(given[0]))
-            if not Path(given[0]).is_dir():
-                raise PluginError(f"its config directory {given[0]} does not exist.")
+        if directory := Path(given[0]) if given else _conf(module):
+            plugin = replace(plugin, config_directory=directory)
+            if not directory.is_dir():
+                raise PluginError(f"its config directory {directory} does not exist.")
     except BaseException as error:  # as at import: named, isolated
         if is_stop(error):
             raise
         _isolate(plugins, plugin, error)
         return
     plugins.loaded.append(plugin)
+
+
+def _conf(module: Any) -> Path | None:
+    """The folder ``conf`` beside a module of a package, if there is one."""
+    file = getattr(module, "__file__", None)
+    beside = Path(file).parent / "conf" if file and getattr(module, "__package__", "") else None
+    return beside if beside and beside.is_dir() else None
 
 
 def _hook(manager: pluggy.PluginManager, hook: str, plugin: str) -> Any:

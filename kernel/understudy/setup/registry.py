@@ -6,6 +6,7 @@ fill it. Components are looked up by name only; a configuration never names Pyth
 
 from __future__ import annotations
 
+import difflib
 import functools
 import importlib
 import re
@@ -54,6 +55,18 @@ KERNEL_SLOTS: tuple[Slot, ...] = (
 KERNEL_KINDS: dict[str, str] = {
     **{slot.kind: slot.summary for slot in KERNEL_SLOTS},
     "command": "a command of the command line",
+    "observer": "is told what happens in every run",
+}
+
+
+#: What a plugin's module can declare as data, and how a row of each is written.
+TABLES: dict[str, str] = {
+    "KINDS": '{"kind": "what its components are"}',
+    "SLOTS": '{"slot": {"kind": "of what fills it", "summary": "what it is", "many": False}}',
+    "PARTS": '{"kind": {"name": ("module:name", "what it is")}}',
+    "SECTIONS": '{"section": ("module:Options", "module:build")}',
+    "TASKS": '{"task": "what is learned"}',
+    "CITATIONS": '{"key": "how to cite it"}',
 }
 
 
@@ -244,7 +257,7 @@ class Registry:
 
 @dataclass(frozen=True)
 class Registrar:
-    """What a plugin's ``understudy_register`` hook is handed; adds parts under the plugin's name."""
+    """Adds what a plugin declares in tables, or registers in its hook, under the plugin's name."""
 
     registry: Registry
     plugin: str
@@ -264,12 +277,38 @@ class Registrar:
             Component(kind, name, target, self.plugin, self.distribution, self.version, summary)
         )
 
-    def parts(self, package: str, table: Mapping[str, Mapping[str, tuple[str, str]]]) -> None:
-        """Register the components of a `table`: by kind and name, where each is in the plugin's
-        `package` (``"module:name"``), and what it is in a sentence."""
-        for kind, rows in table.items():
+    def tables(self, module: Any) -> None:
+        """Register what the plugin's `module` declares as data: its :data:`TABLES`, as far as it has them.
+        A place, ``"module:name"``, is within the module's package."""
+        package = getattr(module, "__package__", None)
+
+        def at(place: Any) -> Any:
+            return f"{package}.{place}" if package and isinstance(place, str) else place
+
+        def parts(kind: str, rows: Mapping[str, tuple[Any, str]]) -> None:
             for name, (place, summary) in rows.items():
-                self.component(kind, name, f"{package}.{place}", summary)
+                self.component(kind, name, at(place), summary)
+
+        added: dict[str, Callable[..., None]] = {
+            "KINDS": self.kind,
+            "SLOTS": lambda name, row: self.slot(name, **row),
+            "PARTS": parts,
+            "SECTIONS": lambda name, row: self.section(name, *map(at, row)),
+            "TASKS": self.task,
+            "CITATIONS": self.citation,
+        }
+        for name in {*filter(str.isupper, dir(module))} - TABLES.keys():
+            meant = difflib.get_close_matches(name, TABLES, n=1, cutoff=0.8)
+            if meant and isinstance(getattr(module, name), Mapping):
+                raise PluginError(f"its table '{name}' is none. Did you mean '{meant[0]}'?")
+        for title, form in TABLES.items():
+            try:
+                for name, row in getattr(module, title, {}).items():
+                    added[title](name, row)
+            except (AttributeError, TypeError, ValueError) as error:
+                raise PluginError(
+                    f"its table {title} is not as tables are. Write {title} = {form}."
+                ) from error
 
     def task(self, name: str, summary: str) -> None:
         """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,13 +100,14 @@ def test_stiffness_does_not_depend_on_the_mesh() -> None:
         assert longer == pytest.approx(expected, rel=0.15), edge
 
 
-def droop(bending: float, substeps: int = 20) -> float:
+def droop(bending: float, substeps: int = 20, **options: Any) -> float:
     """m, of the end of a strip of 4 rows, 0.1 m long."""
     edge = 0.025
     x, faces = sheet(3, 6, edge)
     x[:, 1] -= edge
     model = ClothModel(x, faces, Fabric(bending=bending, damping=5.0), pinned=tuple(range(6)))
-    return float(-run(simulator(model, substeps=substeps, self_contact=False), 120)[:, 2].min())
+    found = simulator(model, substeps=substeps, self_contact=False, **options)
+    return float(-run(found, 120)[:, 2].min())
 
 
 def test_a_strip_droops_as_theory_says() -> None:
@@ -119,6 +121,27 @@ def test_stiffer_cloth_droops_less() -> None:
     droops = [droop(bending) for bending in (1e-5, 1e-4, 1e-3, 1e-2)]
     assert all(b < 0.95 * a for a, b in itertools.pairwise(droops[1:])), droops
     assert droops[1] < droops[0] < 0.11, droops
+
+
+def test_hinges_that_act_in_some_sub_steps_bend_as_in_all() -> None:
+    in_all = droop(1e-4, bending_every=1)
+    assert droop(1e-4, bending_every=4) == pytest.approx(in_all, rel=1e-3)
+    # a period of which 3 is no divisor loses nothing and gains nothing
+    assert droop(1e-4, bending_every=3) == pytest.approx(in_all, rel=1e-3)
+    assert droop(2.5e-5, bending_every=1) != pytest.approx(in_all, rel=0.01), "no bending is seen"
+
+
+def test_hinges_act_as_seldom_as_bending_is_soft_enough_for() -> None:
+    def every(substeps: int, **fabric: float) -> int:
+        x, faces = sheet(6, 6)
+        model = ClothModel(x, faces, Fabric(**fabric))
+        return simulator(model, substeps=substeps, self_contact=False)._cloth.bending_every
+
+    assert every(20) == 4, "2 ms"
+    assert every(40) == 8
+    assert every(4) == 1, "a sub-step is longer"
+    assert every(20, bending=1e-2) == 1, "too stiff"
+    assert 1 < every(20, bending=2e-4) < 4
 
 
 def test_bending_that_a_fabric_has_not_is_no_parameter() -> None:

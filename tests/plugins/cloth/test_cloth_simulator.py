@@ -42,6 +42,18 @@ def test_both_traversals_are_the_same_numbers(model: str) -> None:
         assert torch.equal(value, found[1][name]), name
 
 
+def test_no_result_depends_on_the_order_within_a_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    def positions() -> Tensor:
+        found = simulator(everything())
+        for _ in range(5):
+            found.step(pushed(found))
+        return found.read("cloth_position").clone()
+
+    spread = positions()
+    monkeypatch.setattr("understudy_cloth.mesh.spread", lambda order, colours, groups: order)
+    assert torch.equal(positions(), spread)
+
+
 def test_the_same_bits_again_whatever_other_worlds_do() -> None:
     def fallen(worlds: int) -> Tensor:
         found = simulator(everything(), worlds)

@@ -53,6 +53,22 @@ def test_a_sound_recording_is_drawn(trained: Path, tmp_path: Path, first: float)
     assert take.film == tmp_path / "take.mp4" or "drawn" in take.reason  # without an encoder
 
 
+def test_a_film_of_nothing_is_not_taken(trained: Path, tmp_path: Path) -> None:
+    """It is drawn anew, whatever is in its place."""
+    made = taken(trained, tmp_path)
+    if made.film is None or made.still is None:
+        pytest.skip("no encoder")
+    times = made.film.stat().st_atime_ns, made.film.stat().st_mtime_ns
+    for file in (made.film, made.still):
+        sound = file.read_bytes()
+        os.truncate(file, 40 * 2**30)
+        os.utime(made.film, ns=times)
+        assert take_of(tmp_path / "run", tmp_path, "take", HIGHEST).film == made.film
+        assert file.stat().st_size < 2**20
+        file.write_bytes(sound)
+        os.utime(made.film, ns=times)
+
+
 @pytest.mark.parametrize(
     "changed",
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -10,15 +11,20 @@ import pytest
 import torch
 
 from understudy.command.cli import main
-from understudy_dressing.initial_states import Track, depth_in_person
-from understudy_dressing.person import PersonScene, limb
+from understudy_dressing.initial_states import Track
+from understudy_dressing.person import PersonScene, depth_in, limb, neutral_pose
 from understudy_dressing.sleeve import SleeveScene
 from understudy_dressing.state import passes
 
 
+def neutral_depth() -> Callable[[np.ndarray], np.ndarray]:
+    person = PersonScene(PersonScene.Options())
+    return depth_in(person, neutral_pose(person).numpy())
+
+
 def test_depth_in_the_neutral_person() -> None:
     """The upper arm hangs from the shoulder; its radius falls from 65 to 50 mm over 30 cm."""
-    depth = depth_in_person(PersonScene(PersonScene.Options()))
+    depth = neutral_depth()
     points = np.array([[0, -0.21, -0.15], [0.1, -0.21, -0.15], [1.0, 0, 0], [0, 0, 0.325]])
     found = depth(points)
     assert found[0] == pytest.approx(0.0575, abs=1e-3)
@@ -42,7 +48,7 @@ def test_what_is_held_passes_the_person(held: float, deepest: float) -> None:
     entrance would go into the collarbone, and the arm could never be in by three quarters."""
     scene = SleeveScene(SleeveScene.Options(held=held))
     vertices = scene.mesh[0][np.asarray(scene.model().grips[0].vertices)]
-    depth = depth_in_person(PersonScene(PersonScene.Options()))
+    depth = neutral_depth()
     way = [np.add(Track.Options().end, (x, 0.0, 0.0)) for x in np.linspace(0.0, 0.3, 31)]
     found = max(float(depth(vertices + place).max()) for place in way)
     assert found == pytest.approx(deepest, abs=0.012)

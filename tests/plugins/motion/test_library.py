@@ -27,7 +27,7 @@ def still() -> Clip:
 def registry(**clips: Any) -> Registry:
     """What the motion plugin registers, and these generated clips."""
     made = Registry()
-    understudy_motion.understudy_register(Registrar(made, "motion"))
+    Registrar(made, "motion").tables(understudy_motion)
     for name, target in clips.items():
         made.add(Component("clip", name, target, "tests"))
     return made

@@ -21,7 +21,7 @@ from understudy_motion.reading import HEAD_BYTES, UnknownFormatError, read_clip,
 @pytest.fixture(scope="module")
 def registry() -> Registry:
     made = Registry()
-    understudy_motion.understudy_register(Registrar(made, "motion"))
+    Registrar(made, "motion").tables(understudy_motion)
     return made
 
 

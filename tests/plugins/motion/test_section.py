@@ -28,7 +28,7 @@ def step() -> Clip:
 @pytest.fixture
 def registry() -> Registry:
     registry = Registry()
-    understudy_motion.understudy_register(Registrar(registry, "motion"))
+    Registrar(registry, "motion").tables(understudy_motion)
     registry.add(Component("clip", "walk", step, "test"))
     return registry
 

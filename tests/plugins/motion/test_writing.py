@@ -21,7 +21,7 @@ from understudy_motion.writing import ClipWriter, Shape, write_clip
 @pytest.fixture(scope="module")
 def registry() -> Registry:
     made = Registry()
-    understudy_motion.understudy_register(Registrar(made, "motion"))
+    Registrar(made, "motion").tables(understudy_motion)
     return made
 
 

@@ -16,9 +16,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from understudy.errors import FileError, RunError
 from understudy.records.recording import Recording
 from understudy.records.runs import Run
+from understudy.setup.plugins import installed
 from understudy.task import Scene
 from understudy_motion.readers import npz
-from understudy_report import understudy_run_observers
 from understudy_report.maker import HEIGHT, WIDTH, ReportMaker
 from understudy_report.motion import FIGURES, VIDEO, Figures
 from understudy_report.progress import ProgressLine
@@ -156,7 +156,8 @@ def test_the_recording_of_a_run_as_a_file(tmp_path: Path) -> None:
 
 
 def test_the_plugins_observers() -> None:
-    found = [type(o) for o in understudy_run_observers()]
+    known = installed().registry.components.values()
+    found = [c.factory for c in known if (c.kind, c.plugin) == ("observer", "report")]
     assert found == [ProgressLine, TensorBoard, ReportMaker]
 
 

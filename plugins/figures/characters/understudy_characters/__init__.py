@@ -1,11 +1,6 @@
 """Characters: any articulated figure that an MJCF model describes, as a part of tasks. Knows no
 particular one."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "mujoco", "motion")
 
@@ -31,14 +26,8 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("character", "makes the MJCF model specification of a character")
-    register.kind("overlay", "what is drawn over the recorded motion of a run")
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {
+    "character": "makes the MJCF model specification of a character",
+    "overlay": "what is drawn over the recorded motion of a run",
+}

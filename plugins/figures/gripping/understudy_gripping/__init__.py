@@ -1,8 +1,5 @@
 """Grips: how a hand holds two sticks: styles, poses by inverse kinematics, forces that balance. Knows no task."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("hand", "mujoco", "tensors")
 
@@ -16,11 +13,8 @@ PARTS = {
     },
 }
 
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {"grip": "how a hand holds two sticks: a function that gives the file's path"}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("grip", "how a hand holds two sticks: a function that gives the file's path")
-    register.parts(__name__, PARTS)
-    register.section(
-        "grip", "understudy_gripping.grip:GripOptions", "understudy_gripping.grip:build_grips"
-    )
+#: Sections of a configuration: the options, and what is built of them.
+SECTIONS = {"grip": ("grip:GripOptions", "grip:build_grips")}

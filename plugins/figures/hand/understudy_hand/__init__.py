@@ -1,10 +1,5 @@
 """A hand on an arm, of any number of fingers and size, with sticks or tongs, at a table. Knows no paper."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("mujoco", "tensors")
 
@@ -14,13 +9,3 @@ PARTS = {
         "hand": ("scene:HandScene", "a hand on an arm, with a tool"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

@@ -1,10 +1,5 @@
 """The 34-DoF humanoid and the jumper, and motions made for them. Knows no paper."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("mujoco", "motion", "characters")
 
@@ -26,13 +21,3 @@ PARTS = {
         "backflip": ("clips:generated_backflip", "a generated backflip"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

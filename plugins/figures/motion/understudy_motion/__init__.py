@@ -1,8 +1,5 @@
 """Motion clips: reading, checking, sampling. Nothing here knows a particular character."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("tensors",)
 
@@ -27,13 +24,12 @@ PARTS = {
     },
 }
 
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {
+    "clip": "a generated motion clip",
+    "clip_reader": "reads a format of motion clips",
+    "clip_writer": "writes a format of motion clips",
+}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("clip", "a generated motion clip")
-    register.kind("clip_reader", "reads a format of motion clips")
-    register.kind("clip_writer", "writes a format of motion clips")
-    register.parts(__name__, PARTS)
-    register.section(
-        "motion", "understudy_motion.section:MotionOptions", "understudy_motion.section:Motion"
-    )
+#: Sections of a configuration: the options, and what is built of them.
+SECTIONS = {"motion": ("section:MotionOptions", "section:Motion")}

@@ -1,10 +1,5 @@
 """Curricula of a difficulty, and what curricula make of the episodes that end."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
@@ -15,13 +10,3 @@ PARTS = {
         "adaptive": ("curricula:Adaptive", "difficulty by success"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

@@ -1,10 +1,5 @@
 """Learning by derivatives of a learned model of what the character does."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("networks", "tensors", "mujoco")
 
@@ -15,22 +10,14 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "heess2015",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "heess2015": (
         "Heess et al. 2015. Learning continuous control policies by stochastic value gradients. "
-        "arXiv:1510.09142.",
-    )
-    register.citation(
-        "imagination",
+        "arXiv:1510.09142."
+    ),
+    "imagination": (
         "Fussell, Bergamin, Holden 2021. SuperTrack: motion tracking for physically simulated "
-        "characters using supervised learning. ACM Transactions on Graphics 40(6), 197.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "characters using supervised learning. ACM Transactions on Graphics 40(6), 197."
+    ),
+}

@@ -1,10 +1,5 @@
 """Networks, the policies made of them, and what every learner has in common."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
@@ -15,13 +10,3 @@ PARTS = {
         "cnn": ("policies:CNNPolicy", "image and flat observation"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

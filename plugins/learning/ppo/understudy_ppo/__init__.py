@@ -1,10 +1,5 @@
 """Proximal policy optimisation."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("networks",)
 
@@ -15,15 +10,7 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "ppo", "Schulman et al. 2017. Proximal policy optimization algorithms. arXiv:1707.06347."
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: How to cite what is implemented here.
+CITATIONS = {
+    "ppo": "Schulman et al. 2017. Proximal policy optimization algorithms. arXiv:1707.06347.",
+}

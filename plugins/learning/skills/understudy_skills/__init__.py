@@ -1,12 +1,7 @@
 """What one training leaves to another: trained policies as parts, and states to begin in."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("reinforcement",)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
@@ -23,13 +18,5 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("skill", "a trained policy that comes with a plugin")
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {"skill": "a trained policy that comes with a plugin"}

@@ -1,8 +1,5 @@
 """Terms and memories of any field, whatever the task."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
@@ -28,8 +25,3 @@ PARTS = {
         "history": ("memories:History", "a field's last values"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

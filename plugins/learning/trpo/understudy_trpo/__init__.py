@@ -1,10 +1,5 @@
 """Trust region policy optimisation."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("networks",)
 
@@ -15,15 +10,7 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "trpo", "Schulman et al. 2015. Trust region policy optimization. arXiv:1502.05477."
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: How to cite what is implemented here.
+CITATIONS = {
+    "trpo": "Schulman et al. 2015. Trust region policy optimization. arXiv:1502.05477.",
+}

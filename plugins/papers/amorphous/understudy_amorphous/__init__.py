@@ -1,10 +1,5 @@
 """Gathering, spreading and flipping of amorphous materials with a tool (Zhang et al. 2020)."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = (
     "curricula",
@@ -75,23 +70,17 @@ PARTS = {
     },
 }
 
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "amorphous/gather": "a scraper gathers clusters of a material at a goal",
+    "amorphous/spread": "a scraper spreads a pile over a table",
+    "amorphous/flip": "a pan tosses a disk so that it turns over",
+}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    for name, summary in {
-        "gather": "a scraper gathers clusters of a material at a goal",
-        "spread": "a scraper spreads a pile over a table",
-        "flip": "a pan tosses a disk so that it turns over",
-    }.items():
-        register.task(f"amorphous/{name}", summary)
-    register.citation(
-        "amorphous",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "amorphous": (
         "Zhang, Yu, Liu, Kemp, Turk 2020. Learning to manipulate amorphous materials. ACM Transactions "
-        "on Graphics 39(6), 189.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "on Graphics 39(6), 189."
+    ),
+}

@@ -57,20 +57,21 @@ PARTS = {
     },
 }
 
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "chopsticks/open_close": "hold two sticks, and open and close them as planned",
+    "chopsticks/relocate": "take an object with two sticks and put it elsewhere",
+}
+
+#: How to cite what is implemented here.
+CITATIONS = {
+    "yang2022chopsticks": (
+        "Yang, Yin, Liu. Learning to use chopsticks in diverse gripping styles. ACM Transactions on "
+        "Graphics 41(4), 2022."
+    ),
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register_skills(register, Path(__file__).parent / "skills")
-    register.parts(__name__, PARTS)
-    register.task("chopsticks/open_close", "hold two sticks, and open and close them as planned")
-    register.task("chopsticks/relocate", "take an object with two sticks and put it elsewhere")
-    register.citation(
-        "yang2022chopsticks",
-        "Yang, Yin, Liu. Learning to use chopsticks in diverse gripping styles. ACM Transactions on "
-        "Graphics 41(4), 2022.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

@@ -1,10 +1,5 @@
 """Curriculum-based multi-fidelity Bayesian optimisation (thesis, chapter 6)."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("bayes", "sweeps")
 
@@ -15,17 +10,10 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "cmfbo",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "cmfbo": (
         "Yang 2023. Acquiring stylized motor skills for physics-based characters. PhD thesis, Simon "
-        "Fraser University, chapter 6.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "Fraser University, chapter 6."
+    ),
+}

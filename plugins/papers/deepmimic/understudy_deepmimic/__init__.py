@@ -1,10 +1,5 @@
 """DeepMimic (Peng et al. 2018; thesis sections 3.5 and 6.4.2): imitate a clip, term by term."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("curricula", "networks", "tensors", "characters", "humanoid", "motion", "mujoco", "ppo")
 
@@ -32,19 +27,16 @@ PARTS = {
     },
 }
 
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "deepmimic/walk": "imitate a clip: pose, velocity, end-effectors, centre of mass",
+}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.task("deepmimic/walk", "imitate a clip: pose, velocity, end-effectors, centre of mass")
-    register.citation(
-        "deepmimic",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "deepmimic": (
         "Peng, Abbeel, Levine, van de Panne 2018. DeepMimic: Example-guided deep reinforcement "
         "learning of physics-based character skills. ACM Transactions on Graphics 37(4). "
-        "arXiv:1804.02717.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "arXiv:1804.02717."
+    ),
+}

@@ -1,10 +1,5 @@
 """Diversity searches: Bayesian, random, MAP-Elites, novel policies; and a gallery of what they found."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("networks", "tensors", "terms", "bayes", "ppo", "report", "sweeps")
 
@@ -50,23 +45,19 @@ PARTS = {
     },
 }
 
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "diversity/vault": "a body passes over a bar in one way or another",
+}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.task("diversity/vault", "a body passes over a bar in one way or another")
-    register.citation(
-        "diversity",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "diversity": (
         "Yin, Yang, van de Panne, Yin 2021. Discovering diverse athletic jumping strategies. "
-        "ACM Transactions on Graphics 40(4) (SIGGRAPH).",
-    )
-    register.citation(
-        "map_elites",
+        "ACM Transactions on Graphics 40(4) (SIGGRAPH)."
+    ),
+    "map_elites": (
         "Mouret, Clune 2015. Illuminating search spaces by mapping elites. arXiv:1504.04909. "
-        "Through pyribs: Tjanaka et al. 2023, GECCO.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "Through pyribs: Tjanaka et al. 2023, GECCO."
+    ),
+}

@@ -1,13 +1,8 @@
 """Learning to dress (Clegg et al. 2018): a person, a sleeve, and what the two have to do with each other."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = (
-    "cloth", "composite", "mujoco", "networks", "ppo", "report", "tensors", "terms", "warp_torch",
+    "cloth", "composite", "mujoco", "networks", "ppo", "report", "skills", "tensors", "terms", "warp_torch",
 )  # fmt: skip
 
 #: By kind and name: where each part is, and what it is in a sentence.
@@ -15,18 +10,29 @@ PARTS = {
     "scene": {
         "dressing/person": ("person:PersonScene", "a torso with arms, and a gripper"),
         "dressing/sleeve": ("sleeve:SleeveScene", "a sleeve that a gripper holds"),
+        "dressing/shirt": ("shirt:ShirtScene", "a T-shirt whose hem hands can hold"),
     },
     "fields": {
         "dressing/sleeve_state": ("state:SleeveState", "touch and limb in a sleeve"),
+        "dressing/shirt_state": ("shirt_state:ShirtState", "hem, collar, and arm under the hem"),
     },
     "encoder": {
         "dressing/sleeve": ("parts:SleeveObservation", "equations 2 to 7"),
+        "dressing/body": ("parts:BodyObservation", "pose, velocity, and what is felt"),
+        "dressing/reach": ("parts:Reach", "where a hand is to grip"),
+        "dressing/gripper": ("gripper:GripperObservation", "the person's pose and the gripper's"),
     },
     "actuation": {
         "dressing/torques": ("parts:Torques", "the joints' torques"),
+        "dressing/gripper": ("gripper:GripperForces", "a gripper's forces; a run leads the person"),
+    },
+    "measure": {
+        "dressing/pose_error": ("terms:PoseError", "the distance from the neutral pose"),
+        "dressing/on_the_way": ("terms:on_the_way", "1 until the limb was in far enough"),
     },
     "initial_states": {
         "dressing/track": ("initial_states:Track", "a sleeve on its way"),
+        "dressing/worn_shirt": ("initial_states:WornShirt", "a shirt on the shoulders"),
     },
     "reward": {
         "dressing/deformation": ("terms:deformation", "equation 13: stretched cloth"),
@@ -37,17 +43,10 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "dressing",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "dressing": (
         "Clegg, Yu, Tan, Liu, Turk 2018. Learning to dress: synthesizing human dressing motion via deep "
-        "reinforcement learning. ACM Transactions on Graphics 37(6), 179.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "reinforcement learning. ACM Transactions on Graphics 37(6), 179."
+    ),
+}

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,41 +12,17 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates
-from understudy_dressing.person import LINKS, PersonScene
+from understudy_dressing.person import PersonScene, Side, depth_in, neutral_pose
+from understudy_dressing.shirt import ShirtScene, Worn
 from understudy_dressing.sleeve import SleeveScene
-from understudy_dressing.terms import neutral
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16
 
 
-def depth_in_person(person: PersonScene) -> Callable[[np.ndarray], np.ndarray]:
-    """The function from points (P, 3), m, world frame, to how deep each is in the neutral person, (P,) m; negative
-    outside."""
-    model = person.spec().compile()
-    data = mujoco.MjData(model)
-    pose = neutral(person).numpy()
-    data.qpos[: len(pose)] = pose
-    mujoco.mj_kinematics(model, data)
-
-    def depth(points: np.ndarray) -> np.ndarray:
-        deepest = np.full(len(points), -np.inf)
-        for link in LINKS:
-            body = data.body(link.name)
-            local = (points - body.xpos) @ body.xmat.reshape(3, 3)
-            for ra, a, rb, b in link.shapes:
-                way = np.subtract(b, a)
-                share = np.clip((local - a) @ way / (way @ way), 0.0, 1.0)
-                away = np.linalg.norm(local - a - share[:, None] * way, axis=1)
-                deepest = np.maximum(deepest, ra + share * (rb - ra) - away)
-        return deepest
-
-    return depth
-
-
 class Track(InitialStates):
     """The person neutral, and before it the hanging sleeve, which goes in a straight line to the shoulder
-    (section 8.3). The gripper floats there by itself: nothing slows it down."""
+    (section 8.3). The gripper floats there by itself: nothing slows it down. One that is driven begins at rest."""
 
     @dataclass(frozen=True)
     class Options:
@@ -72,7 +46,7 @@ class Track(InitialStates):
         self.options = options
         who = "initial_states 'dressing/track'"
         person = context.need_scene(PersonScene, who)
-        self._pose = neutral(person).to(context.device)
+        self._pose = neutral_pose(person).to(context.device)
         sleeve = context.need_scene(SleeveScene, who)
         settled = context.once("dressing/settled", sleeve.settled)
         self._settled = torch.tensor(settled, dtype=torch.float32, device=context.device)
@@ -81,6 +55,7 @@ class Track(InitialStates):
             for t in (options.low, options.high, options.end)
         )
         self._low, self._high, self._end = low, high, end
+        self._turns = 3 if person.options.driven else 0
         self._refuse_inside(person, settled)
 
     def _refuse_inside(self, person: PersonScene, settled: np.ndarray) -> None:
@@ -89,7 +64,7 @@ class Track(InitialStates):
         counts = np.clip(np.ceil((high - low) / _APART).astype(int) + 1, 1, _MOST)
         sides = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True))
         starts = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
-        depth = depth_in_person(person)
+        depth = depth_in(person, self._pose.cpu().numpy())
         for start in starts:
             deepest = float(depth(settled + start).max())
             if deepest > 0:
@@ -105,10 +80,62 @@ class Track(InitialStates):
         gripper = self._low + drawn[:, :3] * (self._high - self._low)
         noise = self.options.noise * (2.0 * drawn[:, 3:] - 1.0)
         speed = (self._end - gripper) / self.options.seconds
+        if self._turns:  # it begins at rest, and goes where it is driven
+            speed = torch.zeros_like(speed)
+        turns = gripper.new_zeros(len(gripper), self._turns)
         cloth = self._settled + gripper.unsqueeze(1)
         return {
-            "qpos": torch.cat([self._pose + noise[:, :hinges], gripper], dim=1),
-            "qvel": torch.cat([noise[:, hinges:], speed], dim=1),
+            "qpos": torch.cat([self._pose + noise[:, :hinges], gripper, turns], dim=1),
+            "qvel": torch.cat([noise[:, hinges:], speed, turns], dim=1),
             "cloth_position": cloth,
             "cloth_velocity": speed.unsqueeze(1).expand_as(cloth).contiguous(),
+        }
+
+
+class WornShirt(InitialStates):
+    """A shirt on the shoulders, the neck in its collar (section 8.1), and a push of all of it in a random direction; or,
+    so that later subtasks can begin without a bank, its hem held in front and an arm under it."""
+
+    @dataclass(frozen=True)
+    class Options:
+        worn: Worn = (
+            "on_shoulders"  #: how far: `held` by the other hand, `tucked`: the arm under it, too
+        )
+        side: Side = "left"  #: the arm that goes in (the paper's first)
+        push: float = 0.5  #: m/s, of all of the cloth (2018 code: 0.5, of an unknown unit)
+        noise: float = 0.01  #: rad, uniform, of the pose
+        rates: float = (
+            0.1  #: rad/s, uniform, of its velocity (2018 code: 0.1 of the first two subtasks)
+        )
+
+        def __post_init__(self) -> None:
+            check_range(self, "push", "noise", "rates", least=0, most=10)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self.options = options
+        who = "initial_states 'dressing/worn_shirt'"
+        person = context.need_scene(PersonScene, who)
+        if len(person.hinges) != len(PersonScene(PersonScene.Options()).hinges):
+            raise ConfigError(f"{who} needs the whole person: leave scenes.….still empty.")
+        shirt = context.need_scene(ShirtScene, who)
+        key = f"dressing/shirt/{options.worn}/{options.side}"
+        pose, cloth = context.once(key, lambda: shirt.settled(options.worn, options.side))
+        self._pose = torch.tensor(pose, dtype=torch.float32, device=context.device)
+        self._cloth = torch.tensor(cloth, dtype=torch.float32, device=context.device)
+        self._rest = person.spec().compile().nq - len(pose)
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        hinges, options = len(self._pose), self.options
+        drawn = 2.0 * streams.uniform(2 * hinges + 2) - 1.0
+        n = len(drawn)
+        gripper = drawn.new_zeros(n, self._rest)
+        cloth = self._cloth.expand(n, -1, -1).contiguous()
+        up, turn = drawn[:, -2], torch.pi * drawn[:, -1]
+        flat = (1.0 - up * up).clamp(min=0.0).sqrt()
+        push = options.push * torch.stack([flat * turn.cos(), flat * turn.sin(), up], dim=1)
+        return {
+            "qpos": torch.cat([self._pose + options.noise * drawn[:, :hinges], gripper], dim=1),
+            "qvel": torch.cat([options.rates * drawn[:, hinges:-2], gripper], dim=1),
+            "cloth_position": cloth,
+            "cloth_velocity": push.unsqueeze(1).expand_as(cloth).contiguous(),
         }

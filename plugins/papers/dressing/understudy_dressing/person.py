@@ -6,11 +6,14 @@ person looks along x, its left is y, the base of its neck is the origin.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import mujoco
 import numpy as np
+import torch
+from torch import Tensor
 
 from understudy.options import check_range
 from understudy.task import Context
@@ -24,6 +27,8 @@ GRIPPER = "gripper"
 _FREE = 1e3  #: rad, of a hinge without limits
 #: Friction of a body: with the fabric's 0.5, the mean is the 2018 code's.
 _FRICTION = 0.5
+#: Of a driven gripper (2018 code): N s/m and N m s; N and N m, of an action of 1.
+_DRAG, _PULL = 1.0, 2.0
 _SKIN, _STEEL = (0.85, 0.62, 0.45, 1.0), (0.45, 0.50, 0.56, 1.0)
 
 
@@ -145,7 +150,7 @@ def tool_bodies() -> tuple[str, ...]:
 
 
 class PersonScene(MujocoScene):
-    """The person of the 2018 paper, 22 hinges, and a gripper of 1 kg that nothing holds back."""
+    """The person of the 2018 paper, 22 hinges, and a gripper of 1 kg that nothing holds back, or that forces drive."""
 
     recorded = ("qpos",)
 
@@ -154,6 +159,8 @@ class PersonScene(MujocoScene):
         #: hinges that have no torque and no freedom but stay as they are; a prefix names several
         still: tuple[str, ...] = ()
         damping: float | None = 3.0  #: N m s, of all hinges; null is each one's own (gown: 3)
+        #: whether the gripper turns, too, is damped, and has motors of its own after the hinges' (section 8.3)
+        driven: bool = False
 
         def __post_init__(self) -> None:
             check_range(self, "damping", least=0)
@@ -196,11 +203,23 @@ class PersonScene(MujocoScene):
         gripper = spec.worldbody.add_body(name=GRIPPER)
         gripper.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.05, 0.01], mass=1.0,
                          contype=0, conaffinity=0, rgba=_STEEL)  # fmt: skip
-        for axis in np.eye(3):
-            gripper.add_joint(
-                name=f"{GRIPPER}_{'xyz'[int(axis.argmax())]}", axis=axis,
-                type=mujoco.mjtJoint.mjJNT_SLIDE,
-            )  # fmt: skip
+        kinds = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+        for kind, of in zip(kinds[: 1 + self.options.driven], ("", "turn_"), strict=False):
+            for axis in np.eye(3):
+                name = f"{GRIPPER}_{of}{'xyz'[int(axis.argmax())]}"
+                gripper.add_joint(
+                    name=name, axis=axis, type=kind, damping=[_DRAG * self.options.driven, 0, 0],
+                )  # fmt: skip
+                if self.options.driven:
+                    motor = spec.add_actuator(name=name, target=name)
+                    motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+                    motor.gear[0] = _PULL
+                    motor.ctrllimited, motor.ctrlrange = True, [-1, 1]
+        if (
+            self.options.driven
+        ):  # as a body of the size of a hand; a steel box would turn by any touch
+            gripper.explicitinertial, gripper.mass = True, 1.0
+            gripper.inertia = [1e-2] * 3
         return spec
 
     def _add(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, hinge: Hinge) -> None:
@@ -213,3 +232,31 @@ class PersonScene(MujocoScene):
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         motor.gear[0] = hinge.torque
         motor.ctrllimited, motor.ctrlrange = True, [-1, 1]
+
+
+def neutral_pose(person: PersonScene) -> Tensor:
+    """(Q,) rad: all 0, elbows 0.21."""
+    return torch.tensor([0.21 if hinge.name.endswith("elbow") else 0.0 for hinge in person.hinges])
+
+
+def depth_in(person: PersonScene, pose: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """The function from points (P, 3), m, world frame, to how deep each is in the person in that pose (Q,) rad,
+    (P,) m; negative outside."""
+    model = person.spec().compile()
+    data = mujoco.MjData(model)
+    data.qpos[: len(pose)] = pose
+    mujoco.mj_kinematics(model, data)
+
+    def depth(points: np.ndarray) -> np.ndarray:
+        deepest = np.full(len(points), -np.inf)
+        for link in LINKS:
+            body = data.body(link.name)
+            local = (points - body.xpos) @ body.xmat.reshape(3, 3)
+            for ra, a, rb, b in link.shapes:
+                way = np.subtract(b, a)
+                share = np.clip((local - a) @ way / (way @ way), 0.0, 1.0)
+                away = np.linalg.norm(local - a - share[:, None] * way, axis=1)
+                deepest = np.maximum(deepest, ra + share * (rb - ra) - away)
+        return deepest
+
+    return depth

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,14 +15,15 @@ from understudy.options import check_range
 from understudy.task import Context
 from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
 from understudy_cloth.simulator import ClothSimulator
-from understudy_dressing.person import tools
+from understudy_dressing.garment import GarmentScene
+from understudy_dressing.person import Side, tools
 from understudy_warp_torch.tools import Tool
 
 #: The most vertices of a sleeve: as many as a shirt has.
 _MOST = 10_000
 
 
-class SleeveScene(ClothScene):
+class SleeveScene(GarmentScene):
     """A tube of cloth along x, open at both ends, around the axis that lies its radius below the gripper;
     the person puts a hand in at x = 0. The gripper holds a strip along the top, as if it hung from a rail; and as
     much of the entrance as is asked for, which is then a stiff hoop that cannot be drawn over the shoulder."""
@@ -69,9 +71,20 @@ class SleeveScene(ClothScene):
         apart = np.abs((a.ravel() + np.pi) % (2 * np.pi) - np.pi)
         return points, faces, apart
 
-    @cached_property
+    @property
+    def laid_out(self) -> np.ndarray:
+        return self.mesh[0]
+
+    @property
     def faces(self) -> np.ndarray:
         return self.mesh[1]
+
+    @property
+    def corners(self) -> np.ndarray:
+        return self.mesh[0][self.mesh[1]]
+
+    def sleeve(self, side: Side) -> Mapping[str, np.ndarray]:
+        return self.loops
 
     @cached_property
     def loops(self) -> dict[str, np.ndarray]:

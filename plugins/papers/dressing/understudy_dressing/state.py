@@ -11,8 +11,10 @@ import torch
 from torch import Tensor
 
 from understudy.task import Context, Fields, Shape
+from understudy_cloth.mesh import face_areas
+from understudy_dressing.garment import GarmentScene
 from understudy_dressing.person import PersonScene, Side, Vector, limb, sensors
-from understudy_dressing.sleeve import SleeveScene, geodesic
+from understudy_dressing.sleeve import geodesic
 from understudy_tensors import rotations
 
 #: N: a vertex with less force is not touched.
@@ -82,7 +84,7 @@ class SleeveState(Fields):
 
     def __init__(self, options: Options, context: Context) -> None:
         who = "fields 'dressing/sleeve_state'"
-        sleeve = context.need_scene(SleeveScene, who)
+        garment = context.need_scene(GarmentScene, who)
         person = context.need_scene(PersonScene, who)
         device = context.device
         model = person.spec().compile()
@@ -96,14 +98,14 @@ class SleeveState(Fields):
         self._sensors, self._limb = places(felt), places(limb(options.side))
         self._number = torch.arange(len(felt), device=device).unsqueeze(1)
         self._tip = max(i for i, one in enumerate(felt) if one[0] == f"{options.side}_hand")
+        loops = garment.sleeve(options.side)
         self._loops = {
-            name: torch.from_numpy(loop.copy()).to(device) for name, loop in sleeve.loops.items()
+            name: torch.from_numpy(loop.copy()).to(device) for name, loop in loops.items()
         }
-        points, faces, _ = sleeve.mesh
-        rest = torch.tensor(points, dtype=torch.float32, device=device)
-        self._faces = torch.tensor(faces, device=device)
-        self._area = self._areas(rest[None])
-        along = geodesic(points, faces, sleeve.loops["middle"])
+        self._faces = torch.tensor(garment.faces, device=device)
+        area = 2.0 * face_areas(garment.corners)
+        self._area = torch.tensor(area, dtype=torch.float32, device=device)
+        along = geodesic(garment.laid_out, garment.faces, loops["middle"])
         self._distance = torch.tensor(along.distance, dtype=torch.float32, device=device)
         self._towards = torch.tensor(along.towards, device=device)
         vector: Shape = (3,)

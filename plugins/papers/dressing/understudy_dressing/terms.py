@@ -9,7 +9,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.task import Context
-from understudy_dressing.person import PersonScene
+from understudy_dressing.person import PersonScene, neutral_pose
 
 
 def deformation(
@@ -42,10 +42,29 @@ class TargetPose:
 
     def __init__(self, options: None, context: Context) -> None:
         person = context.need_scene(PersonScene, "reward 'dressing/target_pose'")
-        self._pose = neutral(person).to(context.device)
+        self._pose = neutral_pose(person).to(context.device)
 
     def __call__(self, qpos: Tensor) -> Tensor:
         return -(qpos[:, : len(self._pose)] - self._pose).norm(dim=1)
+
+
+class PoseError:
+    """‖q − q̄‖ over the hinges, rad, from the neutral pose, (N,); figure 9's lower curve."""
+
+    def __init__(self, options: None, context: Context) -> None:
+        self._closeness = TargetPose(options, context)
+
+    def __call__(self, qpos: Tensor) -> Tensor:
+        return -self._closeness(qpos)
+
+
+def on_the_way(
+    most_progress: Tensor,
+    *,
+    enough: float = 0.75,  #: progress (section 9: 0.75)
+) -> Tensor:
+    """1 until `enough` was reached for the first time in the episode, (N,): summed, the decisions that it takes."""
+    return (most_progress < enough).float()
 
 
 class Upright:
@@ -67,8 +86,3 @@ class Upright:
 
     def __call__(self, qpos: Tensor) -> Tensor:
         return -qpos[:, self._hinges].abs().sum(dim=1).clamp(max=-self._least)
-
-
-def neutral(person: PersonScene) -> Tensor:
-    """(Q,) rad: all 0, elbows 0.21."""
-    return torch.tensor([0.21 if hinge.name.endswith("elbow") else 0.0 for hinge in person.hinges])

@@ -1,10 +1,5 @@
 """Athletic jumping (thesis, chapter 4): the athlete, the bar, the box, the run-up."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = (
     "networks", "skills", "tensors", "terms", "mujoco", "motion", "characters", "humanoid", "inspect", "ppo", "deepmimic", "pose_vae",
@@ -56,23 +51,20 @@ PARTS = {
     },
 }
 
+#: Sections of a configuration: the options, and what is built of them.
+SECTIONS = {"arena": ("arena:ArenaOptions", "arena:Arena")}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.section(
-        "arena", "understudy_jumping.arena:ArenaOptions", "understudy_jumping.arena:Arena"
-    )
-    register.task("jumping/high", "jump over a bar from a take-off state")
-    register.task("jumping/obstacle", "jump over a box from a take-off state")
-    register.task("jumping/run_up", "imitate a run-up, and arrive at a take-off state")
-    register.citation(
-        "yin2021jumping",
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "jumping/high": "jump over a bar from a take-off state",
+    "jumping/obstacle": "jump over a box from a take-off state",
+    "jumping/run_up": "imitate a run-up, and arrive at a take-off state",
+}
+
+#: How to cite what is implemented here.
+CITATIONS = {
+    "yin2021jumping": (
         "Yin, Yang, van de Panne, Yin. Discovering diverse athletic jumping strategies. ACM Transactions "
-        "on Graphics 40(4), 2021.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "on Graphics 40(4), 2021."
+    ),
+}

@@ -1,10 +1,5 @@
 """Seven small tasks on toy physics, each of the shape of a published system."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sequencing", "sweeps")
 
@@ -75,23 +70,18 @@ PARTS = {
     },
 }
 
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {"poses": "poses to learn from"}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("poses", "poses to learn from")
-    register.slot("poses", "poses", "what an auto-encoder of poses learns from")
-    register.parts(__name__, PARTS)
-    for name, summary in {
-        "go": "a point goes to a target that is drawn anew",
-        "stop": "a point comes to rest",
-        "amorphous": "a tool pushes grains together",
-        "sleeve": "a point reaches a first place",
-        "jumping": "a point jumps over a bar",
-        "chopsticks": "two sticks take two objects to their places",
-    }.items():
-        register.task(f"miniature/{name}", summary)
+#: Slots of a configuration that this one adds.
+SLOTS = {"poses": {"kind": "poses", "summary": "what an auto-encoder of poses learns from"}}
 
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "miniature/go": "a point goes to a target that is drawn anew",
+    "miniature/stop": "a point comes to rest",
+    "miniature/amorphous": "a tool pushes grains together",
+    "miniature/sleeve": "a point reaches a first place",
+    "miniature/jumping": "a point jumps over a bar",
+    "miniature/chopsticks": "two sticks take two objects to their places",
+}

@@ -1,10 +1,5 @@
 """A walker whose links' lengths and radii are parameters (thesis, section 6.4.1)."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("curricula", "networks", "tensors", "terms", "mujoco", "motion", "characters", "ppo")
 
@@ -41,17 +36,12 @@ PARTS = {
     },
 }
 
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "morphology/walk": "walk fast with little torque, whatever the limbs",
+}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.task("morphology/walk", "walk fast with little torque, whatever the limbs")
-    register.citation(
-        "yu2018symmetric",
-        "Yu, Turk, Liu. Learning symmetric and low-energy locomotion. ACM TOG 37(4), 2018.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: How to cite what is implemented here.
+CITATIONS = {
+    "yu2018symmetric": "Yu, Turk, Liu. Learning symmetric and low-energy locomotion. ACM TOG 37(4), 2018.",
+}

@@ -1,10 +1,5 @@
 """A pose auto-encoder as action space (thesis, section 4.4.2)."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("networks", "skills", "tensors", "characters", "inspect", "motion", "report")
 
@@ -33,17 +28,10 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "pose_vae",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "pose_vae": (
         "Yin, Yang, van de Panne, Yin 2021. Discovering diverse athletic jumping strategies. "
-        "ACM Transactions on Graphics 40(4) (SIGGRAPH).",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "ACM Transactions on Graphics 40(4) (SIGGRAPH)."
+    ),
+}

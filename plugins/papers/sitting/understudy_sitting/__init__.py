@@ -83,29 +83,29 @@ PARTS = {
     },
 }
 
+#: Sections of a configuration: the options, and what is built of them.
+SECTIONS = {
+    "chair": ("chair:ChairOptions", "chair:Chair"),
+    "soles": ("chair:SolesOptions", "chair:Soles"),
+    "room": ("room:RoomOptions", "room:Room"),
+}
+
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "sitting/walk": "walk to targets that are drawn anew",
+    "sitting/turn": "turn in place",
+    "sitting/sit": "sit down on a chair behind",
+}
+
+#: How to cite what is implemented here.
+CITATIONS = {
+    "sitting": (
+        "Chao, Yang, Chen, Deng 2021. Learning to sit: synthesizing human-chair interactions via "
+        "hierarchical control. AAAI; here as arXiv:1908.07423, 2019."
+    ),
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register_skills(register, Path(__file__).parent / "skills")
-    register.parts(__name__, PARTS)
-    for section, where in {
-        "chair": "chair:Chair",
-        "soles": "chair:Soles",
-        "room": "room:Room",
-    }.items():
-        register.section(
-            section, f"understudy_sitting.{where}Options", f"understudy_sitting.{where}"
-        )
-    register.task("sitting/walk", "walk to targets that are drawn anew")
-    register.task("sitting/turn", "turn in place")
-    register.task("sitting/sit", "sit down on a chair behind")
-    register.citation(
-        "sitting",
-        "Chao, Yang, Chen, Deng 2021. Learning to sit: synthesizing human-chair interactions via "
-        "hierarchical control. AAAI; here as arXiv:1908.07423, 2019.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

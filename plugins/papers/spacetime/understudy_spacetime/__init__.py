@@ -73,19 +73,20 @@ PARTS = {
     },
 }
 
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "spacetime/walk": "walk within spacetime bounds of a clip, survival reward only",
+}
+
+#: How to cite what is implemented here.
+CITATIONS = {
+    "spacetime": (
+        "Ma, Yang, Tong, Guo, Yin 2021. Learning and exploring motor skills with spacetime bounds. "
+        "Computer Graphics Forum 40(2), 251-263."
+    ),
+}
+
 
 @hookimpl
 def understudy_register(register: Registrar) -> None:
     register_skills(register, Path(__file__).parent / "skills")
-    register.parts(__name__, PARTS)
-    register.task("spacetime/walk", "walk within spacetime bounds of a clip, survival reward only")
-    register.citation(
-        "spacetime",
-        "Ma, Yang, Tong, Guo, Yin 2021. Learning and exploring motor skills with spacetime bounds. "
-        "Computer Graphics Forum 40(2), 251-263.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

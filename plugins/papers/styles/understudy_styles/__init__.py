@@ -1,10 +1,5 @@
 """Styles of motion: energy, volume and the Gram-matrix reward (thesis, section 3.3.3)."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("networks", "skills", "tensors", "terms", "characters", "motion", "spacetime")
 
@@ -30,17 +25,10 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "styles",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "styles": (
         "Holden, Saito, Komura 2016. A deep learning framework for character motion synthesis and "
-        "editing. ACM Transactions on Graphics 35(4).",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "editing. ACM Transactions on Graphics 35(4)."
+    ),
+}

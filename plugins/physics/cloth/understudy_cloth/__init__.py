@@ -1,10 +1,5 @@
 """Cloth by position-based dynamics in small steps, in Warp, N worlds at once."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on: pictures are drawn with the renderer that `mujoco` has chosen.
 REQUIRES = ("mujoco", "warp_torch")
 
@@ -18,17 +13,10 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "cloth",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "cloth": (
         "Macklin, Storey, Lu, Terdiman, Chentanez, Jeschke, Müller 2019. Small steps in physics simulation. "
-        "ACM SIGGRAPH/Eurographics Symposium on Computer Animation.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "ACM SIGGRAPH/Eurographics Symposium on Computer Animation."
+    ),
+}

@@ -19,6 +19,7 @@ from understudy_cloth.checking import check_mesh
 from understudy_cloth.mesh import (
     SHARED_VERTICES,
     WEIGHTED_VERTICES,
+    Hinges,
     distances_of,
     edges_of,
     faces_of_vertices,
@@ -39,6 +40,10 @@ _EXTENT, _SPEED = 1e3, 1e3
 #: Of the mean edge: so thick is a layer, unless the fabric says otherwise. Vertices of one layer then
 #: leave no gap through which one of another fits.
 _THICKNESS = 0.9
+#: Sweeps over hinges are at most so far apart, s; and (ω Δt)² of the stiffest hinge over that time is at most this.
+_BENDING_SECONDS, _SOFT = 0.002, 0.25
+#: Threads of a block are not fewer and not more, unless it is said.
+_THREADS = (128, 512)
 
 
 class ClothSimulator(Simulator):
@@ -74,15 +79,19 @@ class ClothSimulator(Simulator):
     class Options:
         self_contact: bool = True  #: whether layers keep apart; on a GPU 1.7 times the time
         every: int = 10  #: sub-steps between searches for what may touch
+        #: sub-steps from one sweep over hinges to the next, in which they act for all of these at once; null:
+        #: as many as bending is soft enough for, within 2 ms (it costs most of a sub-step)
+        bending_every: int | None = None
         candidates: int = (
             32  #: M, vertices of other layers that one may touch until the next search
         )
         #: `block` keeps a world on one multiprocessor; `launches` has a kernel for each phase
         traversal: Literal["block", "launches"] = "block"
-        threads: int = 512  #: of a block, at most; measured for shirts on an H100
+        #: of a block; null: a quarter of the vertices, 128 to 512, since those of a colour are fewer
+        threads: int | None = None
 
         def __post_init__(self) -> None:
-            check_range(self, "every", "candidates", "threads", least=1)
+            check_range(self, "every", "bending_every", "candidates", "threads", least=1)
             check_range(self, "threads", most=1024)
 
     def __init__(self, options: Options, context: Context) -> None:
@@ -240,6 +249,7 @@ class ClothSimulator(Simulator):
         c.damping, c.gap = fabric.damping, fabric.gap
         c.thickness, c.room = thickness, options.candidates
         c.dt, c.substeps, c.every = self._dt, self._substeps, min(options.every, self._substeps)
+        c.bending_every = options.bending_every or self._bending_every(hinges, inverse)
 
         s, layers = c.tools.shapes, options.self_contact
         some_v, some_f = (v if layers else 0), (f if s else 0)
@@ -264,7 +274,8 @@ class ClothSimulator(Simulator):
             c.apart_start, c.apart = one_each(near, int), one_each(which, int)
 
         on_gpu = self._device.type == "cuda"
-        threads = 32 * math.ceil(min(v, options.threads) / 32)
+        threads = options.threads or min(max(v // 4, _THREADS[0]), _THREADS[1])
+        threads = 32 * math.ceil(min(v, threads) / 32)
         rounded = 256 * math.ceil(v / 256)  # so that garments of similar size share kernels
         shared = v <= SHARED_VERTICES and on_gpu and options.traversal == "block"
         weighted = shared and v <= WEIGHTED_VERTICES
@@ -278,6 +289,16 @@ class ClothSimulator(Simulator):
             threads=threads if on_gpu else 1,
         )
         return c, features, (found.first, hinges.first)
+
+    def _bending_every(self, hinges: Hinges, inverse: np.ndarray) -> int:
+        """As of an oscillator that is pushed every m sub-steps: (m ω Δt)² stays far below 4."""
+        if not len(hinges.quads):
+            return 1
+        fabric = self.model.fabric
+        stiff = (inverse[hinges.quads] * hinges.weights**2).sum(axis=1) / hinges.unit
+        square = float(stiff.max()) * fabric.bending * self._dt**2 / fabric.density
+        most = math.sqrt(_SOFT / max(square, 1e-12))
+        return max(1, min(int(most), int(_BENDING_SECONDS / self._dt + 1e-6)))
 
     @staticmethod
     def _check(model: ClothModel, pinned: np.ndarray, members: Sequence[np.ndarray]) -> None:

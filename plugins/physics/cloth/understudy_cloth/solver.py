@@ -126,6 +126,7 @@ class Cloth:
     dt: float
     substeps: int
     every: int  # sub-steps between searches
+    bending_every: int  # sub-steps from one sweep over hinges to the next
     # working memory
     weight: wp.array(dtype=float)  # 1 / area, 0: held or pinned
     start: wp.array(dtype=wp.vec3)
@@ -627,6 +628,13 @@ def build_kernels(features: Features) -> Kernels:
         return c.density[world] / (k * c.dt * c.dt)
 
     @wp.func
+    def bending_substeps(c: Cloth, world: int) -> int:
+        """For how many sub-steps hinges act in this one, 0: in none. What they do at once then is what they
+        would do to the speed in all of them."""
+        s = c.substep[world]
+        return wp.where(s % c.bending_every == 0, wp.min(c.bending_every, c.substeps - s), 0)
+
+    @wp.func
     def keep_distance(c: Cloth, m: wp.uint64, world: int, k: int, soft: float):
         """XPBD with one iteration (Macklin et al. 2016, equation 18, with λ = 0), masses over density."""
         ends = c.pair[k]
@@ -934,11 +942,13 @@ def build_kernels(features: Features) -> Kernels:
                 for k in range(c.first[colour] + lane, c.first[colour + 1], lanes):
                     keep_distance(c, m, world, k, soft)
                 wait_for_block()
-            soft = softness(c, world, BENDING)
-            for colour in range(c.quad_colours):
-                for k in range(c.quad_first[colour] + lane, c.quad_first[colour + 1], lanes):
-                    keep_flat(c, m, world, k, soft)
-                wait_for_block()
+            bends = bending_substeps(c, world)
+            if bends > 0:
+                soft = softness(c, world, BENDING) / float(bends)
+                for colour in range(c.quad_colours):
+                    for k in range(c.quad_first[colour] + lane, c.quad_first[colour + 1], lanes):
+                        keep_flat(c, m, world, k, soft)
+                    wait_for_block()
             if wp.static(LAYERS):
                 for i in range(lane, n, lanes):
                     find_layers(c, m, world, i)
@@ -1009,7 +1019,9 @@ def build_kernels(features: Features) -> Kernels:
     def hinges_kernel(c: Cloth, colour: int, first: int):
         world, k = wp.tid()
         m = packed_address(c.position, world * c.vertices)
-        keep_flat(c, m, world, first + k, softness(c, world, BENDING))
+        bends = bending_substeps(c, world)
+        if bends > 0:
+            keep_flat(c, m, world, first + k, softness(c, world, BENDING) / float(bends))
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def find_layers_kernel(c: Cloth):

@@ -1,8 +1,5 @@
 """Several simulators as one: a body and cloth, a hand and grains."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on: bodies are named by a MuJoCo model.
 REQUIRES = ("mujoco", "tensors")
 
@@ -19,11 +16,16 @@ PARTS = {
     },
 }
 
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {"coupling": "what one member of a composite does to another"}
 
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("coupling", "what one member of a composite does to another")
-    register.slot("scenes", "scene", "the scenes of a composite, by member", many=True)
-    register.slot("simulators", "simulator", "the simulators of a composite, by member", many=True)
-    register.slot("couplings", "coupling", "what members do to one another", many=True)
-    register.parts(__name__, PARTS)
+#: Slots of a configuration that this one adds.
+SLOTS = {
+    "scenes": {"kind": "scene", "summary": "the scenes of a composite, by member", "many": True},
+    "simulators": {
+        "kind": "simulator",
+        "summary": "the simulators of a composite, by member",
+        "many": True,
+    },
+    "couplings": {"kind": "coupling", "summary": "what members do to one another", "many": True},
+}

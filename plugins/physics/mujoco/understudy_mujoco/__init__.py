@@ -1,10 +1,7 @@
 """MuJoCo on the CPU: all worlds stepped in C threads by ``mujoco.batch.Batch``."""
 
 import os
-from pathlib import Path
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
 from understudy_mujoco import opengl
 
 #: Plugins that this one builds on.
@@ -34,13 +31,3 @@ PARTS = {
         "mjcf": ("scene:MjcfFile", "a scene read from an MJCF file"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

@@ -14,6 +14,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from understudy_warp_torch.compiling import compile_kernels
+
 __all__ = ["Kernels", "put_rows"]
 
 
@@ -56,7 +58,7 @@ class Kernels:
         if device.type == "cuda" and device.index is None:  # Warp wants it said
             device = torch.device("cuda", torch.cuda.current_device())
         self.device = device
-        self._graphs: dict[Hashable, Any] = {}
+        self._graphs: dict[Hashable, Any] = {}  #: None on the CPU, where there are none
         self._outer: list[Any] = []
         self._streams: dict[int, Any] = {}
 
@@ -71,6 +73,9 @@ class Kernels:
         they can be captured, so the first time they run once in vain, and these are put back.
         """
         if self.device.type != "cuda":
+            if key not in self._graphs:
+                self._compile(work, list(state))
+                self._graphs[key] = None
             with self.scope():
                 work()
         elif torch.cuda.is_current_stream_capturing():
@@ -92,9 +97,17 @@ class Kernels:
         """Record all work anew: what it consists of has changed."""
         self._graphs.clear()
 
+    def _compile(self, work: Callable[[], None], state: list[Tensor]) -> None:
+        before = [view.clone() for view in state]
+        with self.scope():
+            compile_kernels(work, wp.device_from_torch(self.device))
+        for view, value in zip(state, before, strict=True):
+            view.copy_(value)
+
     def _capture(self, work: Callable[[], None], state: list[Tensor]) -> Any:
         before = [view.clone() for view in state]
         with self._on_stream():
+            compile_kernels(work, wp.device_from_torch(self.device))
             work()
         for view, value in zip(state, before, strict=True):
             view.copy_(value)

@@ -1,10 +1,5 @@
 """Bayesian optimisation as outer loops: random search, GP-UCB, BOCA."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("sweeps",)
 
@@ -18,22 +13,14 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "gp_ucb",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "gp_ucb": (
         "Srinivas, Krause, Kakade, Seeger 2010. Gaussian process optimization in the bandit setting: "
-        "no regret and experimental design. ICML.",
-    )
-    register.citation(
-        "boca",
+        "no regret and experimental design. ICML."
+    ),
+    "boca": (
         "Kandasamy, Dasarathy, Schneider, Póczos 2017. Multi-fidelity Bayesian optimisation with "
-        "continuous approximations. ICML.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "continuous approximations. ICML."
+    ),
+}

@@ -1,10 +1,5 @@
 """Trials as actors of a Ray cluster, of one machine or of many."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("sweeps",)
 
@@ -14,13 +9,3 @@ PARTS = {
         "ray": ("executor:RayExecutor", "trials on a Ray cluster"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"

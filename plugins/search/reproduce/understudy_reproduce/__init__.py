@@ -1,8 +1,5 @@
 """One command for every table of a paper, and the card that it leaves."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("report", "sweeps")
 
@@ -12,8 +9,3 @@ PARTS = {
         "reproduce": ("command:Reproduce", "run what a paper's table compares, beside its numbers"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

@@ -1,11 +1,6 @@
 """Policies that were trained one by one, in sequence: Algorithm 1 of the dressing paper, and the state machine
 that plays what it trained."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("skills", "sweeps")
 
@@ -32,17 +27,10 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.citation(
-        "sequencing",
+#: How to cite what is implemented here.
+CITATIONS = {
+    "sequencing": (
         "Clegg, Yu, Tan, Liu, Turk 2018. Learning to dress: synthesizing human dressing motion via deep "
-        "reinforcement learning. ACM Transactions on Graphics 37(6), 179. Section 5.",
-    )
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+        "reinforcement learning. ACM Transactions on Graphics 37(6), 179. Section 5."
+    ),
+}

@@ -1,12 +1,7 @@
 """Outer loops over whole runs: the command ``sweep``, its journal, executors, and the plain grid."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
-REQUIRES = ("motion", "report")
+REQUIRES = ("motion", "reinforcement", "report")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
@@ -24,13 +19,5 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("sweep_page", "a page of a finished sweep beside its own")
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {"sweep_page": "a page of a finished sweep beside its own"}

@@ -1,8 +1,5 @@
 """Whom a run is owed to, and on what terms: commands ``cite`` and ``licence``."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("report", "skills")
 
@@ -13,8 +10,3 @@ PARTS = {
         "licence": ("commands:Licence", "say on what terms a run may be used: RUN --for USE"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

@@ -1,21 +1,14 @@
 """Commands that show what there is, and judge and draw what was trained."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
-if TYPE_CHECKING:
-    from understudy.records.observer import RunObserver
-
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
+    "observer": {
+        "origins": ("origins:RecordOrigins", "where a run's files come from"),
+        "code": ("code:RecordCode", "which code a run ran"),
+    },
     "command": {
         "experiments": ("commands:ListExperiments", "list what can be trained"),
         "tasks": ("commands:ListTasks", "list the tasks"),
@@ -28,16 +21,3 @@ PARTS = {
         "completion": ("completion:Completion", "print the completion of bash, zsh or fish"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_run_observers() -> Iterable[RunObserver]:
-    from understudy_inspect.code import RecordCode
-    from understudy_inspect.origins import RecordOrigins
-
-    return [RecordOrigins(), RecordCode()]

@@ -1,21 +1,15 @@
 """What a run shows of itself: a report page, the motion as video, and metrics for TensorBoard."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
-if TYPE_CHECKING:
-    from understudy.records.observer import RunObserver
-
 #: Plugins that this one builds on.
 REQUIRES = ("motion",)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
+    "observer": {
+        "progress": ("progress:ProgressLine", "a line of progress"),
+        "tensorboard": ("tensorboard:TensorBoard", "metrics for TensorBoard"),
+        "report": ("maker:ReportMaker", "report page, pictures and video"),
+    },
     "command": {
         "runs": ("listing:ListRuns", "list runs, newest first, with their results"),
     },
@@ -30,17 +24,5 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.kind("report_section", "a part of a run's report page")
-    register.parts(__name__, PARTS)
-
-
-@hookimpl
-def understudy_run_observers() -> Iterable[RunObserver]:
-    from understudy_report.maker import ReportMaker
-    from understudy_report.progress import ProgressLine
-    from understudy_report.tensorboard import TensorBoard
-
-    return [ProgressLine(), TensorBoard(), ReportMaker()]
+#: Kinds of parts that this one adds, and what each is.
+KINDS = {"report_section": "a part of a run's report page"}

@@ -1,8 +1,5 @@
 """The clip doctor: what is wrong with a clip, and what repairs it."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "characters", "motion", "report")
 
@@ -12,8 +9,3 @@ PARTS = {
         "motion check": ("command:Check", "examine and repair a clip"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

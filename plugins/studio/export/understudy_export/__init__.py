@@ -1,8 +1,5 @@
 """Runs and clips out: motions as BVH, glTF and USD, policies as ONNX."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("skills", "characters", "cloth", "motion", "mujoco", "report", "credits", "play")
 
@@ -20,8 +17,3 @@ PARTS = {
         "usdc": ("usd:UsdcWriter", "USD, binary"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

@@ -1,8 +1,5 @@
 """Trained skills that come with the package, live in the browser."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("skills", "characters", "motion", "mujoco", "report", "credits", "viewer")
 
@@ -12,8 +9,3 @@ PARTS = {
         "play": ("command:Play", "watch a trained policy live in the browser and push it"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

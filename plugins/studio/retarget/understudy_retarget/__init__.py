@@ -1,8 +1,5 @@
 """Retargeting: the motion of any skeleton on any character."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "characters", "doctor", "motion")
 
@@ -12,8 +9,3 @@ PARTS = {
         "motion retarget": ("command:Retarget", "put the motion of any skeleton on a character"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

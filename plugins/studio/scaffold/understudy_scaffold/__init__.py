@@ -1,8 +1,5 @@
 """``understudy new``: a package of one's own to begin with."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
 
@@ -13,8 +10,3 @@ PARTS = {
         "new paper": ("new:NewPaper", "the same, with an experiment, page and table"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

@@ -1,8 +1,5 @@
 """The motion page: clips and runs in the browser."""
 
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: Plugins that this one builds on.
 REQUIRES = ("tensors", "characters", "doctor", "motion", "mujoco")
 
@@ -12,8 +9,3 @@ PARTS = {
         "motion view": ("command:View", "show a clip, or a run and its reference, in the browser"),
     },
 }
-
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)

@@ -1,10 +1,5 @@
 """Standing upright."""
 
-from pathlib import Path
-
-from understudy import hookimpl
-from understudy.setup.registry import Registrar
-
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
     "reward": {
@@ -30,13 +25,7 @@ PARTS = {
     },
 }
 
-
-@hookimpl
-def understudy_register(register: Registrar) -> None:
-    register.parts(__name__, PARTS)
-    register.task("balance/stand", "stand upright after a push")
-
-
-@hookimpl
-def understudy_config_directory() -> Path:
-    return Path(__file__).parent / "conf"
+#: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
+TASKS = {
+    "balance/stand": "stand upright after a push",
+}

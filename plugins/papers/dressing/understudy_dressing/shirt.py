@@ -1,0 +1,247 @@
+"""A T-shirt on a person: how it hangs on the shoulders, and how a hand holds its hem."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import mujoco
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+from scipy.sparse import csr_array
+
+from understudy.errors import ConfigError
+from understudy.options import check_range
+from understudy.task import Context
+from understudy_cloth.garments import Garment
+from understudy_cloth.mesh import edges_of
+from understudy_cloth.patterns import Shirt, t_shirt
+from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
+from understudy_cloth.simulator import ClothSimulator
+from understudy_dressing.garment import GarmentScene
+from understudy_dressing.person import (
+    TIP,
+    PersonScene,
+    Side,
+    depth_in,
+    neutral_pose,
+    tool_bodies,
+    tools,
+)
+from understudy_tensors import rotations
+
+#: How far the shirt is worn: on the shoulders; its hem held in front by the other hand; and this arm under it.
+Worn = Literal["on_shoulders", "held", "tucked"]
+#: m: so high is the neck's highest point of the pattern above the base of the neck, and so far the cloth from skin.
+_NECK, _CLEAR = 0.115, 0.012
+#: m, of the right hand's mirror: where a hand holds the hem, and where the other is under it.
+_HELD_AT = (0.34, -0.03, -0.42)
+_TUCKED_AT = ((0.08, 0.22, -0.60), (0.10, 0.22, -0.45), (0.12, 0.21, -0.32))
+#: s: until the shirt hangs; a hand on its way; until it hangs again.
+_SETTLES, _GOES, _HANGS = 0.8, 0.6, 0.4
+_PERIOD = 0.01
+
+
+class ShirtScene(GarmentScene):
+    """A T-shirt of cut pieces, the size of the 2018 code's. Grips: the right hand's on the right patch of the front
+    hem, then the left hand's on the left one."""
+
+    @dataclass(frozen=True)
+    class Options:
+        edge: float = 0.021  #: m, of triangles, about (2018 code: 22 mm)
+        collar: float = 0.20  #: m, width of the collar
+        fabric: Fabric = field(default_factory=Fabric)  #: what it is made of
+
+        def __post_init__(self) -> None:
+            check_range(self, "edge", least=0.015, most=0.032)
+            check_range(self, "collar", least=0.18, most=0.30)
+
+    def __init__(self, options: Options, context: Context | None = None) -> None:
+        self.options = options
+
+    @cached_property
+    def garment(self) -> Garment:
+        return t_shirt(Shirt(edge=self.options.edge, neck=self.options.collar))
+
+    @property
+    def laid_out(self) -> np.ndarray:
+        return self.garment.positions
+
+    @property
+    def faces(self) -> np.ndarray:
+        return self.garment.faces
+
+    @property
+    def corners(self) -> np.ndarray:
+        assert self.garment.rest is not None
+        return self.garment.rest
+
+    def sleeve(self, side: Side) -> Mapping[str, np.ndarray]:
+        out = 1.0 if side == "left" else -1.0
+        return {
+            part: self._turned(self.garment.loops[f"{side}_{part}"], (0.0, out, 0.0))
+            for part in ("entrance", "middle", "end")
+        }
+
+    @property
+    def collar(self) -> np.ndarray:
+        """Vertices in order, turning so that the head goes through along the thumb."""
+        return self._turned(self.garment.loops["collar"], (0.0, 0.0, 1.0))
+
+    def _turned(self, loop: np.ndarray, way: tuple[float, float, float]) -> np.ndarray:
+        x = self._put_on[loop]
+        area = np.cross(x - x.mean(0), np.roll(x, -1, axis=0) - x.mean(0)).sum(axis=0)
+        return loop if area @ np.array(way) > 0 else loop[::-1].copy()
+
+    @cached_property
+    def _put_on(self) -> np.ndarray:
+        """(V, 3) m: around the neutral person, drawn over it as little as front and back have to be."""
+        x = self.garment.positions.copy()
+        x[:, 2] += _NECK - x[:, 2].max()
+        front = np.sign(self.garment.positions[:, 0])
+        person = PersonScene(PersonScene.Options())
+        depth = depth_in(person, neutral_pose(person).numpy())
+        needed = np.zeros(len(x))
+        for away in np.arange(0.0, 0.30, 0.005):
+            at = np.column_stack([front * away, x[:, 1:]])
+            needed[(depth(at) > -_CLEAR) & (front != 0)] = away + 0.005
+        edges, _ = edges_of(self.faces)
+        both = np.concatenate([edges, edges[:, ::-1]])
+        near = csr_array((np.ones(len(both)), both.T), shape=(len(x), len(x)))
+        count = near.sum(axis=1)
+        height = needed.copy()  # over the plane of the seams, as a membrane over obstacles
+        for _ in range(400):
+            height = np.maximum(needed, (near @ height) / count) * (front != 0)
+        x[:, 0] = front * height
+        return x
+
+    def model(self) -> ClothModel:
+        bodies = tool_bodies()
+        grips = tuple(
+            Grip(bodies.index(f"{side}_hand"), self.garment.patches[f"{side}_hem"])
+            for side in HOLDERS
+        )
+        return ClothModel(
+            self._put_on, self.faces, self.options.fabric, rest=self.corners, tools=tools(), grips=grips
+        )  # fmt: skip
+
+    def settled(self, worn: Worn, side: Side) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (22,) rad of the whole person and vertices (V, 3) m: the shirt, as it hangs after it was put on, a hand
+        took its hem to the front, and the arm of `side` went under it, as far as `worn` says.
+
+        Raises
+        ------
+        ConfigError
+            if the cloth flies apart.
+        """
+        person = PersonScene(PersonScene.Options())
+        moves = _Moves(person, self)
+        moves.hold(_SETTLES, closed=(False, False))
+        holder: Side = "left" if side == "right" else "right"
+        closed = tuple(name == holder for name in HOLDERS)
+        mirrored = np.array([1.0, -1.0 if holder == "left" else 1.0, 1.0])
+        if worn != "on_shoulders":
+            moves.reach(holder, moves.patch(holder), _GOES, (False, False))
+            moves.reach(holder, mirrored * _HELD_AT, _GOES, closed)
+        if worn == "tucked":
+            for place in _TUCKED_AT:  # up along the body, not around the hem
+                moves.reach(side, mirrored * place, _GOES, closed)
+        if worn != "on_shoulders":
+            moves.hold(_HANGS, closed)
+        return moves.found()
+
+
+#: Whose hand each grip is, in the model's order.
+HOLDERS: tuple[Side, Side] = ("right", "left")
+
+
+class _Alone(ClothScene):
+    def __init__(self, model: ClothModel) -> None:
+        self._model = model
+
+    def model(self) -> ClothModel:
+        return self._model
+
+
+class _Moves:
+    """One world of the shirt on the CPU, on a person that is led."""
+
+    def __init__(self, person: PersonScene, scene: ShirtScene) -> None:
+        self._body = person.spec().compile()
+        self._data = mujoco.MjData(self._body)
+        self._pose = neutral_pose(person).numpy().astype(float)
+        self._neutral = self._pose.copy()
+        self._ids = [self._body.body(name).id for name in tool_bodies()]
+        self._garment = scene.garment
+        model = scene.model()
+        fabric = replace(model.fabric, damping=max(model.fabric.damping, 3.0))
+        self._place(self._pose)
+        at = tuple(
+            replace(
+                tool, position=tuple(self._data.xpos[i]), orientation=tuple(self._data.xquat[i])
+            )
+            for tool, i in zip(model.tools, self._ids, strict=True)
+        )
+        alone = _Alone(replace(model, fabric=fabric, tools=at))
+        context = Context(
+            seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=_PERIOD, substeps=10, scene=alone,
+        )  # fmt: skip
+        self._cloth = ClothSimulator(ClothSimulator.Options(), context)
+
+    def _place(self, pose: np.ndarray) -> None:
+        self._data.qpos[:] = 0.0
+        self._data.qpos[: len(pose)] = pose
+        mujoco.mj_kinematics(self._body, self._data)
+
+    def _step(self, pose: np.ndarray, closed: tuple[bool, ...]) -> None:
+        self._place(pose)
+        q = torch.tensor(self._data.xquat[self._ids], dtype=torch.float32)
+        at = torch.tensor(self._data.xpos[self._ids], dtype=torch.float32)
+        control = torch.cat([at, rotations.to_exponential_map(q)], dim=1).flatten()
+        grips = torch.tensor(closed, dtype=torch.float32)
+        self._cloth.step(torch.cat([control, grips])[None])
+
+    def hold(self, seconds: float, closed: tuple[bool, ...]) -> None:
+        for _ in range(round(seconds / _PERIOD)):
+            self._step(self._pose, closed)
+
+    def patch(self, side: Side) -> np.ndarray:
+        """(3,) m: the middle of a patch of the hem."""
+        x = self._cloth.read("cloth_position")[0].double().numpy()
+        return x[self._garment.patches[f"{side}_hem"]].mean(axis=0)
+
+    def reach(
+        self, side: Side, target: np.ndarray, seconds: float, closed: tuple[bool, ...]
+    ) -> None:
+        """Leads the fingertip of that arm to a place, m, and the cloth with it."""
+        names = [self._body.joint(i).name for i in range(len(self._pose))]
+        mine = [i for i, name in enumerate(names) if name.startswith(side)]
+        ranges = self._body.jnt_range[mine]
+        free = ~self._body.jnt_limited[mine].astype(bool)
+        low, high = (np.where(free, sign * 2.0, ranges[:, k]) for k, sign in enumerate((-1, 1)))
+        hand = self._body.body(f"{side}_hand").id
+
+        def off(q: np.ndarray) -> np.ndarray:
+            pose = self._pose.copy()
+            pose[mine] = q
+            self._place(pose)
+            tip = self._data.xpos[hand] + self._data.xmat[hand].reshape(3, 3) @ np.array(TIP)
+            return np.concatenate([tip - target, 0.01 * (q - self._neutral[mine])])
+
+        begin, end = self._pose.copy(), self._pose.copy()
+        end[mine] = least_squares(
+            off, np.clip(begin[mine], low + 1e-3, high - 1e-3), bounds=(low, high)
+        ).x
+        count = round(seconds / _PERIOD)
+        for k in range(count):
+            share = (k + 1) / count
+            self._step(begin + share * share * (3 - 2 * share) * (end - begin), closed)
+        self._pose = end
+
+    def found(self) -> tuple[np.ndarray, np.ndarray]:
+        if bool(self._cloth.failed().any()):
+            raise ConfigError("The shirt flies apart as it is put on: choose another fabric.")
+        return self._pose, self._cloth.read("cloth_position")[0].numpy().astype(np.float64)

@@ -1,0 +1,143 @@
+"""How far a shirt's subtasks are: the hand at the hem, the arm under it, the collar, the sleeves' ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Context, Fields, Shape
+from understudy_dressing.person import (
+    TIP,
+    PersonScene,
+    Side,
+    Vector,
+    limb,
+    neutral_pose,
+    sensors,
+)
+from understudy_dressing.shirt import ShirtScene
+from understudy_dressing.state import passes
+from understudy_tensors import rotations
+
+#: m: the target of a grip is so far outside of the patch's middle (2018 code).
+_OUTSIDE = 0.03
+#: From the base of the neck, hand last in the order of limbs: what the collar has to hold.
+_NECK: tuple[tuple[str, Vector], ...] = (
+    ("head", (0, 0, 0.275)), ("head", (0, 0, 0)), ("neck", (0, 0, 0)), ("torso", (0, 0, 0.2)),
+)  # fmt: skip
+
+
+class ShirtState(Fields):
+    """What subtasks of section 8.1 are about, each field of one number (N,) unless its shape is given.
+
+    =========================  ==================================================================
+    field                      what
+    =========================  ==================================================================
+    ``hand``                   (3,) m, the fingertip that is to grip
+    ``grip_target``            (3,) m, 3 cm outside of the patch on the hem that it is to grip
+    ``grip_distance``          m, between the two: equation 18
+    ``gripped``                1 where that is less than `near`
+    ``tuck``                   equation 19 as the 2018 code has it: 1 while the arm goes through the triangle of
+                               gripping hand and shoulders from below, −1 while it does from above, else minus
+                               the fingertip's distance from its middle, m
+    ``tucked``                 1 while the arm does from below, and its fingertip is touched from inside
+    ``dressed``                1 where `progress` is at least `enough`
+    ``collar_lost``            1 where the collar holds neither neck nor head
+    ``backwards``              1 while the arm goes into the sleeve by its end
+    ``pose_distance``          rad, of the pose from the neutral one
+    ``rested``                 1 where that is less than `rest`
+    =========================  ==================================================================
+    """
+
+    @dataclass(frozen=True)
+    class Options:
+        side: Side = "left"  #: the arm that goes in (the paper's first)
+        hand: Side = "right"  #: the hand that is to grip, or grips
+        near: float = 0.05  #: m, of the grip's target (2018 code)
+        enough: float = 0.6  #: progress (2018 code: 0.6 of the first sleeve, 0.5 of the second)
+        rest: float = 0.5  #: rad, from the neutral pose (2018 code)
+
+        def __post_init__(self) -> None:
+            check_range(self, "near", "rest", above=0)
+            check_range(self, "enough", above=0, most=1)
+
+    reads = ("xpos", "xquat", "qpos", "cloth_position", "progress", "sensor_sign")
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self.options, device = options, context.device
+        who = "fields 'dressing/shirt_state'"
+        shirt = context.need_scene(ShirtScene, who)
+        person = context.need_scene(PersonScene, who)
+        model = person.spec().compile()
+
+        def places(named: Sequence[tuple[str, Vector]]) -> tuple[Tensor, Tensor]:
+            ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name, _ in named]
+            points = torch.tensor([point for _, point in named], dtype=torch.float32)
+            return torch.tensor(ids, device=device), points.to(device)
+
+        def numbers(found: np.ndarray) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(found)).to(device)
+
+        self._hand, self._limb = places([(f"{options.hand}_hand", TIP)]), places(limb(options.side))
+        self._neck = places(_NECK)
+        self._shoulders = places([(f"{side}_upper_arm", (0, 0, 0)) for side in ("left", "right")])
+        patch = shirt.garment.patches[f"{options.hand}_hem"]
+        self._patch, self._collar = numbers(patch), numbers(shirt.collar)
+        self._around = numbers(shirt.faces[np.isin(shirt.faces, patch).any(axis=1)])
+        self._end = numbers(shirt.sleeve(options.side)["end"][::-1])
+        felt = sensors()
+        self._tip = max(i for i, one in enumerate(felt) if one[0] == f"{options.side}_hand")
+        self._pose = neutral_pose(person).to(device)
+        vector: Shape = (3,)
+        one: Shape = ()
+        names = ("grip_distance", "gripped", "tuck", "tucked", "dressed", "collar_lost", "backwards",
+                 "pose_distance", "rested")  # fmt: skip
+        self.provides = {"hand": vector, "grip_target": vector, **dict.fromkeys(names, one)}
+
+    def compute(
+        self, xpos: Tensor, xquat: Tensor, qpos: Tensor, cloth_position: Tensor, progress: Tensor,
+        sensor_sign: Tensor,
+    ) -> Mapping[str, Tensor]:  # fmt: skip
+        def world(places: tuple[Tensor, Tensor]) -> Tensor:
+            bodies, points = places
+            turned = rotations.rotate(xquat[:, bodies], points.expand(len(xpos), -1, -1))
+            return xpos[:, bodies] + turned
+
+        hand, bones = world(self._hand)[:, 0], world(self._limb)
+        a, b, c = (cloth_position[:, self._around[:, k]] for k in range(3))
+        normal = torch.linalg.cross(b - a, c - a).sum(dim=1)
+        normal = torch.nn.functional.normalize(normal, dim=1)
+        target = cloth_position[:, self._patch].mean(dim=1) + _OUTSIDE * normal
+        distance = (hand - target).norm(dim=1)
+
+        # forwards and up along its normal: from outside to between the body and what is held before it
+        triangle = torch.cat([hand.unsqueeze(1), world(self._shoulders)], dim=1)
+        # fingertip to elbow: beyond, the arm ends in a corner of the triangle
+        below = passes(bones[:, :4], triangle)[0].any(dim=1)
+        above = passes(bones[:, :4], triangle.flip(1))[0].any(dim=1)
+        away = (bones[:, 0] - triangle.mean(dim=1)).norm(dim=1)
+        tuck = torch.where(below, 1.0, torch.where(above, -1.0, -away))
+        inside = sensor_sign[:, self._tip] > 0
+
+        lost = ~passes(world(self._neck), cloth_position[:, self._collar])[0].any(dim=1)
+        backwards = passes(bones, cloth_position[:, self._end])[0].any(dim=1)
+        off = (qpos[:, : len(self._pose)] - self._pose).norm(dim=1)
+        return {
+            "hand": hand,
+            "grip_target": target,
+            "grip_distance": distance,
+            "gripped": (distance < self.options.near).float(),
+            "tuck": tuck,
+            "tucked": (below & inside).float(),
+            "dressed": (progress >= self.options.enough).float(),
+            "collar_lost": lost.float(),
+            "backwards": backwards.float(),
+            "pose_distance": off,
+            "rested": (off < self.options.rest).float(),
+        }

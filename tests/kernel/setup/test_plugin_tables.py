@@ -1,0 +1,121 @@
+"""A plugin may be data alone: tables in its module, and options beside it."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from understudy.records.observer import RunObserver
+from understudy.setup.plugins import Plugins, hookimpl, load
+from understudy.setup.registry import TABLES, Registrar
+from understudy.testing import fake
+
+TEXT = """
+REQUIRES = ()
+KINDS = {"paint": "what colours a scene"}
+SLOTS = {
+    "paint": {"kind": "paint", "summary": "the colour of all"},
+    "layers": {"kind": "paint", "summary": "one above the other", "many": True},
+}
+PARTS = {
+    "paint": {"data/red": ("colours:Red", "red")},
+    "observer": {"data/watcher": ("colours:Watcher", "watches")},
+}
+SECTIONS = {"canvas": ("colours:Options", "colours:build")}
+TASKS = {"data/draw": "draw"}
+CITATIONS = {"data": "Newton 1704. Opticks."}
+"""
+
+PARTS = """
+from understudy.records.observer import RunObserver
+
+
+class Red:
+    pass
+
+
+class Watcher(RunObserver):
+    pass
+
+
+class Options:
+    pass
+
+
+def build():
+    pass
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """A package that is installed, with no function in its module."""
+    folder = tmp_path / "house_of_data"
+    (folder / "conf/paint").mkdir(parents=True)
+    (folder / "__init__.py").write_text(TEXT)
+    (folder / "colours.py").write_text(PARTS)
+    (folder / "conf/paint/red.yaml").write_text("name: data/red\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "modules", dict(sys.modules))
+    return importlib.import_module("house_of_data")
+
+
+def loaded(module: object) -> Plugins:
+    found = load(only=(), extra=[("fake", fake), ("data", module)])
+    assert found.registry.broken == {}
+    return found
+
+
+def test_all_tables_are_registered(package: ModuleType) -> None:
+    plugins = loaded(package)
+    registry = plugins.registry
+    assert {title for title in TABLES if hasattr(package, title)} == TABLES.keys()
+    assert registry.kinds["paint"] == "what colours a scene"
+    assert [registry.slots[name].many for name in ("paint", "layers")] == [False, True]
+    assert registry.find("paint", "data/red").target == "house_of_data.colours:Red"
+    section = registry.sections["canvas"]
+    assert (section.options, section.build) == (
+        "house_of_data.colours:Options",
+        "house_of_data.colours:build",
+    )
+    assert registry.tasks["data/draw"].plugin == "data"
+    assert registry.citations["data", "data"] == "Newton 1704. Opticks."
+    assert dict(plugins.config_directories())["data"] == Path(str(package.__file__)).parent / "conf"
+
+
+def test_nothing_is_imported_before_it_is_used(package: ModuleType) -> None:
+    plugins = loaded(package)
+    assert "house_of_data.colours" not in sys.modules
+    watchers = [o for o in plugins.observers(pytest.fail) if isinstance(o, RunObserver)]
+    assert [type(o).__module__ for o in watchers] == ["house_of_data.colours"]
+
+
+def test_a_hook_may_stand_beside_tables(package: ModuleType, tmp_path: Path) -> None:
+    def register(register: Registrar) -> None:
+        register.component("paint", "data/found", object, "found in a folder")
+
+    (tmp_path / "options").mkdir()
+    package.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
+    elsewhere = hookimpl(lambda: tmp_path / "options")
+    package.understudy_config_directory = elsewhere  # type: ignore[attr-defined]
+    plugins = loaded(package)
+    assert plugins.registry.names("paint") == ["data/found", "data/red"]
+    assert dict(plugins.config_directories())["data"] == tmp_path / "options"
+
+
+def test_a_module_in_no_package_has_no_options_by_convention(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "conf").mkdir()  # another's, which lies beside
+    (tmp_path / "house_alone.py").write_text(
+        'PARTS = {"reward": {"alone": ("house_alone:a", "a")}}'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "modules", dict(sys.modules))
+    plugins = loaded(importlib.import_module("house_alone"))
+    assert "data" not in dict(plugins.config_directories())
+    assert plugins.registry.find("reward", "alone").target == "house_alone:a"

@@ -1,0 +1,139 @@
+"""The shirt on the person, and the subtasks of putting it on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from understudy.command.cli import main
+from understudy.errors import ConfigError
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
+from understudy_cloth.mesh import face_areas
+from understudy_dressing.person import PersonScene, depth_in, neutral_pose
+from understudy_dressing.shirt import ShirtScene
+from understudy_dressing.state import centre_and_normal, passes
+from understudy_sweeps.chain import Chain
+
+pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+SHIRT = ShirtScene(ShirtScene.Options(edge=0.032))
+#: As `_shirt` is, on a CPU.
+SMALL = ["device=cpu", "simulators.person.name=mujoco", "scenes.cloth.edge=0.032", "num_worlds=2",
+         "scene.steps.cloth=5", "simulators.cloth.self_contact=false"]  # fmt: skip
+STAGES = ("grip", "tuck", "sleeve", "regrip", "tuck_second", "sleeve_second", "finish")
+
+
+@pytest.fixture(scope="module")
+def on_shoulders() -> tuple[np.ndarray, np.ndarray]:
+    return SHIRT.settled("on_shoulders", "left")
+
+
+@pytest.fixture(scope="module")
+def held() -> tuple[np.ndarray, np.ndarray]:
+    return SHIRT.settled("held", "left")
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("shirt") / "starts"
+    given = [
+        "experiment=dressing/shirt_grip",
+        *SMALL,
+        "job=settle",
+        "job.count=2",
+        "job.seconds=0.04",
+    ]
+    assert main(["train", *given, f"run.dir={folder}"]) == 0
+    return folder
+
+
+def test_sleeves_turn_outwards_and_the_collar_up() -> None:
+    x = torch.tensor(SHIRT._put_on)[None]
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        loops = SHIRT.sleeve(side)  # type: ignore[arg-type]
+        places = [centre_and_normal(x[:, loop]) for loop in loops.values()]
+        assert all(sign * float(normal[0, 1]) > 0.5 for _, normal in places)
+        out = [sign * float(centre[0, 1]) for centre, _ in places]
+        assert out == sorted(out), "entrance, middle, end"
+    assert centre_and_normal(x[:, SHIRT.collar])[1][0, 2] > 0.5
+
+
+def test_it_hangs_on_the_shoulders_around_the_neck(
+    on_shoulders: tuple[np.ndarray, np.ndarray],
+) -> None:
+    pose, x = on_shoulders
+    person = PersonScene(PersonScene.Options())
+    assert pose == pytest.approx(neutral_pose(person).numpy())
+    assert depth_in(person, pose)(x).max() < 0.0, "no cloth in the person"
+    neck = torch.tensor([[[0, 0, 0.4], [0, 0, 0.0], [0, 0, -0.2]]], dtype=torch.float64)
+    assert passes(neck, torch.tensor(x)[None, SHIRT.collar])[0].any()
+    assert -0.75 < x[:, 2].min() < -0.5, "it reaches to the hips"
+    area = face_areas(x[SHIRT.faces]) / face_areas(SHIRT.corners)
+    assert area.max() < 1.5
+
+
+def test_the_right_hand_holds_the_hem_in_front(
+    on_shoulders: tuple[np.ndarray, np.ndarray], held: tuple[np.ndarray, np.ndarray]
+) -> None:
+    patch = SHIRT.garment.patches["right_hem"]
+    before, after = (one[1][patch].mean(axis=0) for one in (on_shoulders, held))
+    assert after[0] > before[0] + 0.1
+    assert after[2] > before[2] + 0.1
+    person = PersonScene(PersonScene.Options())
+    moved = np.abs(held[0] - neutral_pose(person).numpy()) > 1e-6
+    assert {
+        hinge.name.partition("_")[0] for hinge, m in zip(person.hinges, moved, strict=True) if m
+    } == {"right"}
+    assert depth_in(person, held[0])(held[1]).max() < 0.0
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_steps_from_a_bank(stage: str, bank: Path) -> None:
+    given = ["initial_states=bank", f"initial_states.file={bank}"]
+    built = build_environment(
+        load_experiment([f"experiment=dressing/shirt_{stage}", *SMALL, *given])
+    )
+    environment = built.environment
+    try:
+        environment.reset(seed=1)
+        for _ in range(2):
+            step = environment.advance(torch.zeros(2, environment.action_size))
+            assert torch.isfinite(step.rewards).all()
+            assert not step.ended.any()
+        table = environment.table
+        assert (table["collar_lost"] == 0).all()
+        grips = [stage in ("tuck", "sleeve", "regrip"), stage in ("tuck_second", "sleeve_second")]
+        assert table["grip_closed"].tolist() == [[float(g) for g in grips]] * 2
+        assert torch.isfinite(table["cloth_position"]).all()
+    finally:
+        environment.close()
+
+
+def test_the_hand_that_is_at_the_hem_has_gripped(held: tuple[np.ndarray, np.ndarray]) -> None:
+    built = build_environment(
+        load_experiment(["experiment=dressing/shirt_tuck", *SMALL, "fields.shirt.near=0.09"])
+    )
+    built.environment.reset(seed=1)
+    table = built.environment.table
+    assert (table["gripped"] == 1).all()
+    assert (table["grip_distance"] < 0.09).all()
+    assert (table["tucked"] == 0).all()
+    assert (table["tuck"] < 0).all(), "the left arm hangs"
+    built.environment.close()
+
+
+def test_grips_that_the_garment_has_not_are_refused() -> None:
+    with pytest.raises(ConfigError, match="2 grips"):
+        build_environment(
+            load_experiment(["experiment=dressing/shirt_grip", *SMALL, "actuation.closed=[true]"])
+        )
+
+
+def test_the_search_trains_every_stage_in_order() -> None:
+    options = load_experiment(["search=dressing/shirt"]).need("outer_loop").options
+    assert isinstance(options, Chain.Options)
+    trained = [name for name in options.stages if not name.endswith(("starts", "ends"))]
+    assert trained == list(STAGES)
