@@ -92,12 +92,12 @@ def answers(typed: list[str], packages: str) -> dict[str, dict[str, object]]:
 def cell(found: dict[str, object] | None) -> str:
     if found is None:
         return "–"
-    text = str(found["answer"])
+    text = str(found["answer"]).replace("`", "'")
     text = text if len(text) <= MOST else f"{text[:MOST]}…"
     if "Traceback (most recent" in text:
         text = f"a traceback, ending {str(found['answer'])[-120:]}"
     status = "" if found["status"] in (0, 2) else f"(status {found['status']}) "
-    for sign in "\\`*_[]<>|{}":
+    for sign in "\\*_[]<>|{}":
         text = text.replace(sign, f"\\{sign}")
     return status + text
 
