@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from robots import robot_file
 from worlds import python
 
+from understudy.command.cli import main
 from understudy.records import runs
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
@@ -112,8 +114,8 @@ THOROUGH = {
     "motion check walk --fix old.npz --overwrite": ("old.npz",),
     "motion retarget walk humanoid walk.npz": ("walk.npz",),
     "motion retarget walk humanoid old.npz --overwrite": ("old.npz",),
-    "motion export walk humanoid walk.csv --for mjlab": ("walk.csv",),
-    "motion export walk humanoid old.csv --for mjlab --overwrite": ("old.csv",),
+    "motion export robot.npz robot.xml walk.csv --for mjlab": ("walk.csv",),
+    "motion export robot.npz robot.xml old.csv --for mjlab --overwrite": ("old.csv",),
     "motion learned walking walk.npz": ("walk.npz",),
     "motion learned walking old.npz --overwrite": ("old.npz",),
     "evaluate runs/a episodes=1": ("runs/a/evaluation-episodes-1.json",),
@@ -122,7 +124,6 @@ THOROUGH = {
         "table/card.html",
         "table/card.md",
     ),
-    "reproduce mine/one run.dir=table": ("table/card.csv", "table/card.html", "table/card.md"),
 }
 #: A paper's table of one training.
 TABLE = """
@@ -171,6 +172,9 @@ def trained(made: Path) -> Path:
     for card in (made / "table").glob("card.*"):
         card.unlink()
     walking(made / "walking")
+    robot = robot_file(made)
+    words = ["motion", "retarget", "walk", str(robot), str(made / "robot.npz")]
+    assert main(words) == 0
     return made
 
 
