@@ -96,6 +96,7 @@ def test_a_training_that_goes_on_is_followed(page: Page, run: Path) -> None:
     names, handle = following._charts["reward"]
     assert names == ("reward", "reward/seat", "reward/still")
     np.testing.assert_allclose(handle.data[1], [0.0, 0.1, 0.2, 0.3, 0.4])
+    assert handle.scales["x"]["time"] is False, "samples are no dates"
     following.choose(0)
     page.advance()
     keep(run, 4, 3.0)

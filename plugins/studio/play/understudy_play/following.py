@@ -121,7 +121,11 @@ class Following:
                     handle.remove()
                 with self._folder:
                     handle = self._gui.add_uplot(
-                        data, _series(names, begins), title=title, aspect=1.3
+                        data,
+                        _series(names, begins),
+                        title=title,
+                        aspect=1.3,
+                        scales={"x": {"time": False}},
                     )
                 self._charts[key] = names, handle
 
