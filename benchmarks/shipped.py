@@ -112,7 +112,9 @@ def saved(rows: Sequence[dict[str, Any]]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--skills", nargs="*", help="those alone; files (.json) are printed and not saved")
+    parser.add_argument(
+        "--skills", nargs="*", help="those alone; files (.json) are printed and not saved"
+    )
     given = parser.parse_args()
     for one in given.skills or characters():
         print(json.dumps(found := row(one)), flush=True)

@@ -17,7 +17,7 @@ from understudy.task import Context
 from understudy_characters.scene import reference_motion
 from understudy_doctor.letting_go import LettingGo
 from understudy_spacetime import initial_states
-from understudy_spacetime.by_phase import by_part, drawn, measured, sentence
+from understudy_spacetime.by_phase import by_part, drawn, measured, sentence, worst
 from understudy_spacetime.initial_states import Flyable, Phases
 
 
@@ -73,7 +73,7 @@ def judged(**means: float) -> dict[str, Any]:
 def test_the_page_says_what_was_left_out_and_the_share_without() -> None:
     found = judged(success_from_flyable=0.9, success_from_any_phase=0.7)
     text = sentence(found, 0.267)
-    assert "26.7% cannot be flown" in text
+    assert "cannot be flown, 26.7% of the clip's" in text
     assert "Without those starts 90% of episodes succeed." in text
     assert "With no start left out 70% do." in text
 
@@ -82,7 +82,24 @@ def test_parts_are_read_in_order_and_as_many_as_there_are() -> None:
     found = judged(success_from_phase_1=0.5, success_from_phase_0=0.25, success_from_phase_3=1.0)
     assert by_part(found) == [0.25, 0.5]
     assert by_part(judged(success_rate=1.0)) == []
-    assert drawn([0.25, 0.5], [1.0, 0.0]).count("<path") >= 2
+
+
+def test_the_chart_is_in_seconds_of_the_clip_and_has_grey_where_nobody_can_follow() -> None:
+    page = drawn([0.25, 0.5], [1.0, 0.0], 1.75)
+    assert ">1.5</text>" in page  # s, not a phase
+    assert ">100</text>" in page  # %
+    assert 'd="M44.0 142.0L44.0 8.0L185.0 8.0L185.0 142.0L326.0 142.0L326.0 142.0Z"' in page
+
+
+def test_the_page_says_where_episodes_succeed_least_and_how_sure_that_is() -> None:
+    found = judged(success_from_phase_0=1.0, success_from_phase_1=0.25)
+    found["success_from_phase_1"]["mean_95"] = [0.13, 0.42]
+    text = worst(found, [1.0, 0.25], 2.0)
+    assert (
+        "between 1.00 and 2.00 s of it succeed least often, 25% (95% interval 13% to 42%)." in text
+    )
+    found["success_from_phase_1"]["mean_95"] = ["much", None]
+    assert worst(found, [1.0, 0.25], 2.0).endswith("25%.")
 
 
 @pytest.mark.parametrize("size", [3, 40 * 2**30])

@@ -9,7 +9,7 @@ from typing import Any
 from understudy.records.runs import Run
 from understudy_report.charts import Axes, grid, svg
 from understudy_report.section import ReportSection
-from understudy_report.values import mapping, read_evaluation
+from understudy_report.values import mapping, number, read_evaluation
 from understudy_spacetime.initial_states import fall_of
 from understudy_spacetime.section import context_of
 
@@ -31,10 +31,13 @@ class ByPhaseSection(ReportSection):
         if not shares:
             return None
         fall = fall_of(context_of(run))
+        duration = len(fall.times) * float(fall.times[1])
+        chart = drawn(shares, fall.by_phase(len(shares)).tolist(), duration)
         return (
-            '<div class="charts"><div class="card chart"><h4>By phase: success, and (dashed) starts that can be flown'
-            f"</h4>{drawn(shares, (1.0 - fall.by_phase(len(shares))).tolist())}</div></div>"
-            f"<p>{escape(sentence(found, fall.share))}</p>"
+            f"<p>{escape(worst(found, shares, duration))}</p>"
+            '<div class="charts"><div class="card chart"><h4>Episodes that succeed, by where they begin'
+            "<small>grey: starts that nobody can follow</small></h4>"
+            f"{chart}</div></div><p>{escape(sentence(found, fall.share))}</p>"
         )
 
 
@@ -51,11 +54,26 @@ def by_part(found: Mapping[str, Any]) -> list[float]:
     return shares
 
 
+def worst(found: Mapping[str, Any], shares: Sequence[float], duration: float) -> str:
+    """Where episodes that begin there succeed least, with what so few of them can tell."""
+    at, part = min(range(len(shares)), key=shares.__getitem__), duration / len(shares)
+    words = (
+        f"Each of {len(shares)} parts of the clip was judged by itself. Episodes that begin between {part * at:.2f} and "
+        f"{part * (at + 1):.2f} s of it succeed least often, {shares[at]:.0%}"
+    )
+    interval = mapping(found.get(f"{PREFIX}{at}")).get("mean_95")
+    if isinstance(interval, list) and len(interval) == 2:
+        low, high = (number(end) for end in interval)
+        words += "" if low is None or high is None else f" (95% interval {low:.0%} to {high:.0%})"
+    return f"{words}."
+
+
 def sentence(found: Mapping[str, Any], impossible: float) -> str:
     """What was left out, and the shares with it and without."""
     words = (
-        f"Of the clip's starts {impossible:.1%} cannot be flown: let go there in the clip's state, the body lands more "
-        "than 0.2 m or 0.7 rad beside it. This is an estimate: policies save some of these, and lose others."
+        f"Grey are starts that cannot be flown, {impossible:.1%} of the clip's: a body that is let go there, as the clip has it and "
+        "with no muscle at work, lands more than 0.2 m or 0.7 rad from where the clip does, so no policy can stay with the clip for "
+        "long. This is an estimate: policies save some of these, and lose others."
     )
     for name, text in (
         (FLYABLE, "Without those starts {:.0%} of episodes succeed."),
@@ -67,16 +85,15 @@ def sentence(found: Mapping[str, Any], impossible: float) -> str:
     return words
 
 
-def drawn(shares: Sequence[float], flyable: Sequence[float]) -> str:
-    """Two staircases over the phase."""
-    axes, count = Axes(0.0, 1.0, 1.0), len(shares)
+def drawn(shares: Sequence[float], impossible: Sequence[float], duration: float) -> str:
+    """A staircase over the clip's seconds, before columns of the starts that nobody can follow; both in percent."""
+    axes, width = Axes(0.0, 100.0, duration), duration / len(shares)
 
-    def stairs(values: Sequence[float]) -> str:
-        steps = [(x / count, float(y)) for i, y in enumerate(values) for x in (i, i + 1)]
-        return axes.path(steps)
+    def stairs(values: Sequence[float]) -> list[tuple[float, float]]:
+        return [(x * width, 100 * y) for i, y in enumerate(values) for x in (i, i + 1)]
 
+    columns = axes.path([(0.0, 0.0), *stairs(impossible), (duration, 0.0)])
     return svg(
-        f'{grid(axes, "phase")}<path class="axis" stroke-dasharray="4 3" d="{stairs(flyable)}"/>'
-        f'<path class="line" d="{stairs(shares)}"/>',
-        "success by the phase in which episodes begin, and the share of starts that can be flown",
+        f'<path fill="currentColor" opacity=".15" d="{columns}Z"/>{grid(axes, "the episode begins at, s of the clip; upwards: %")}<path class="line" d="{axes.path(stairs(shares))}"/>',
+        "success in percent by where in the clip episodes begin, and the share of starts there that nobody can follow",
     )
