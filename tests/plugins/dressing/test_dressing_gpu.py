@@ -45,7 +45,14 @@ def test_a_decision_does_not_wait_for_the_device() -> None:
         environment._step(action)
 
 
-@pytest.mark.parametrize("given", [SMALL, ["experiment=dressing/sleeve"]])
+@pytest.mark.parametrize(
+    "given",
+    [
+        SMALL,
+        ["experiment=dressing/sleeve"],
+        ["experiment=dressing/shirt_tuck", "scenes.person.damping=3.0"],
+    ],
+)
 def test_a_decision_is_captured_and_replayed(given: list[str]) -> None:
     """And gives what it gives uncaptured."""
     found: list[dict[str, Tensor]] = []

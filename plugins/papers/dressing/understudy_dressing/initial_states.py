@@ -116,7 +116,7 @@ class WornShirt(InitialStates):
         who = "initial_states 'dressing/worn_shirt'"
         person = context.need_scene(PersonScene, who)
         if len(person.hinges) != len(PersonScene(PersonScene.Options()).hinges):
-            raise ConfigError(f"{who} needs the whole person: leave scenes.….still empty.")
+            raise ConfigError(f"{who} needs the whole person: leave `still` of its scene empty.")
         shirt = context.need_scene(ShirtScene, who)
         key = f"dressing/shirt/{options.worn}/{options.side}"
         pose, cloth = context.once(key, lambda: shirt.settled(options.worn, options.side))
