@@ -159,7 +159,9 @@ def add_thing(spec: mujoco.MjSpec, thing: Thing, friction: float, contact: tuple
         contype=contact[0], conaffinity=contact[1], friction=[friction, 0.005, 0.0001],
         rgba=_FRUIT,
     )  # fmt: skip
-    if thing.friction is not None:  # of two frictions the larger one counts, unless one has priority
+    if (
+        thing.friction is not None
+    ):  # of two frictions the larger one counts, unless one has priority
         geom.friction[0], geom.priority = thing.friction, 1
     if thing.kind == "capsule":
         half = float(np.sqrt(0.5))
