@@ -17,6 +17,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.relocate import Bank, Relocations, lost, missed, placed, thing
+from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
 
 WORDS = ["task=chopsticks/relocate", "num_worlds=4", "initial_states.plans=5"]
@@ -106,6 +107,22 @@ def test_the_object_is_seen_from_the_palm(built: Built) -> None:
     torch.testing.assert_close(
         here + rotations.rotate(turn, ahead[:, :3]), planned, atol=1e-5, rtol=0
     )
+
+
+def test_targets_of_the_arm_lead_by_the_lag_of_its_servos(built: Built) -> None:
+    """kd / kp at the plan's speed, and not the hand's."""
+    built.environment.reset(seed=2)
+    for _ in range(12):
+        built.environment.advance(torch.zeros(4, 36))
+    targets, pose, speed = (
+        field(built, f"planned_{name}")[:, :7] for name in ("targets", "pose", "velocity")
+    )
+    assert speed.abs().max() > 0.1
+    torch.testing.assert_close(targets - pose, 0.1 * speed, atol=1e-5, rtol=1e-4)
+
+
+def test_a_stick_that_is_turned_ends_an_episode() -> None:
+    assert turned(torch.tensor([[0.05, 0.09], [0.0, 0.11]])).tolist() == [False, True]
 
 
 def test_rewards_and_endings_are_what_they_say() -> None:
