@@ -157,8 +157,8 @@ class Planner:
                 return self._complete(
                     task, now, found, row, start, goal, heading, last, others, everything, error
                 )
-            except NoPlan as error:
-                worst = worst or error
+            except NoPlan as refused:
+                worst = worst or refused
         assert worst is not None
         raise worst
 
