@@ -17,6 +17,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.relocate import Bank, Relocations, lost, missed, placed, thing
+from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
 
 WORDS = ["task=chopsticks/relocate", "num_worlds=4", "initial_states.plans=5"]
@@ -47,8 +48,8 @@ def test_an_episode_begins_where_its_plan_does(built: Built) -> None:
     torch.testing.assert_close(field(built, "qpos")[:, 50:57], start)
     torch.testing.assert_close(field(built, "planned_object"), start)
     assert (field(built, "object_distance") < 1e-6).all()
-    torch.testing.assert_close(field(built, "plan_goal"), bank.goals[rows])
-    away = (bank.goals[rows] - start[:, :3]).norm(dim=-1)
+    torch.testing.assert_close(field(built, "plan_goal"), bank.goals[rows, -1])
+    away = (bank.goals[rows, -1] - start[:, :3]).norm(dim=-1)
     torch.testing.assert_close(field(built, "goal_distance"), away)
 
 
@@ -117,6 +118,22 @@ def test_the_object_is_seen_from_the_palm(built: Built) -> None:
     )
 
 
+def test_targets_of_the_arm_lead_by_the_lag_of_its_servos(built: Built) -> None:
+    """kd / kp at the plan's speed, and not the hand's."""
+    built.environment.reset(seed=2)
+    for _ in range(12):
+        built.environment.advance(torch.zeros(4, 36))
+    targets, pose, speed = (
+        field(built, f"planned_{name}")[:, :7] for name in ("targets", "pose", "velocity")
+    )
+    assert speed.abs().max() > 0.1
+    torch.testing.assert_close(targets - pose, 0.1 * speed, atol=1e-5, rtol=1e-4)
+
+
+def test_a_stick_that_is_turned_ends_an_episode() -> None:
+    assert turned(torch.tensor([[0.05, 0.09], [0.0, 0.11]])).tolist() == [False, True]
+
+
 def test_rewards_and_endings_are_what_they_say() -> None:
     distance, turn = torch.tensor([0.01, 0.0]), torch.tensor([0.02, 0.0])
     assert thing(distance, turn).tolist() == pytest.approx([math.exp(-0.4 - 0.2), 1.0])
@@ -138,11 +155,53 @@ def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_i
     found = made.compute(
         qpos=qpos, qvel=torch.zeros(4, 54), xpos=torch.zeros(4, 60, 3),
         xquat=torch.tensor([1.0, 0, 0, 0]).expand(4, 60, 4), planned_object=torch.tensor([0.0, 0, 0, 1, 0, 0, 0]).expand(4, 7),
-        plan_goal=torch.zeros(4, 3), plan_seconds=torch.full((4,), 1.5),
+        planned_goal=torch.zeros(4, 3), planned_leg=torch.tensor([2.0, 2.0, 2.0, 0.0]),
+        leg_over=torch.tensor([0.0, 1.0, 1.0, 1.0]), plan_seconds=torch.full((4,), 1.5),
         episode_time=torch.tensor([1.8, 1.79, 1.8, 5.0]),
     )  # fmt: skip
     assert found["object_placed"].tolist() == [1, 0, 0, 1]
     assert found["plan_over"].tolist() == [1, 0, 1, 1]
+    assert found["leg_placed"].tolist() == [1, 0, 0, 1]
+    assert found["legs_placed"].nonzero().tolist() == [[0, 2], [3, 0]]
+
+
+def test_relocations_follow_one_another(plugins: Plugins) -> None:
+    """Each begins where the last one ended, after a rest in which nothing moves; the goals are theirs."""
+    words = [*WORDS[:1], "num_worlds=1", "initial_states.plans=2", "initial_states.relocations=3"]
+    made = build_environment(load_experiment(words, plugins))
+    _, bank = parts(made)
+    made.environment.close()
+    frames, count = bank.frames[0], int(bank.lengths[0]) + 1
+    leg, last = frames[:count, 16], frames[:count, 17].nonzero()[:, 0]
+    assert leg.unique().tolist() == [0, 1, 2]
+    assert len(last) == 3
+    assert last[-1] == count - 1
+    assert (leg.diff() >= 0).all()
+    assert frames[:count, :7].diff(dim=0).abs().max() < 0.15, "no jump of the arm"
+    for k, end in enumerate(last.tolist()):
+        torch.testing.assert_close(frames[end, 8:11], bank.goals[0, k])
+        if k < 2:
+            torch.testing.assert_close(frames[end + 1, 8:15], frames[end, 8:15])
+            assert (frames[end - 29 : end, :16] == frames[end, :16]).all(), "a rest of 0.3 s"
+            assert (bank.goals[0, k + 1] - bank.goals[0, k]).norm() > 1e-3
+    assert (frames[count:, 17] == 1).all()
+
+
+def test_a_noisy_plan_takes_beside_the_object(plugins: Plugins) -> None:
+    """By the same error all along; the object's own plan and the sticks' first frame are as without."""
+    banks = []
+    for noise in (0.0, 0.003):
+        words = [*WORDS[:1], "num_worlds=1", "initial_states.plans=3", f"initial_states.noise={noise}"]  # fmt: skip
+        made = build_environment(load_experiment(words, plugins))
+        banks.append(parts(made)[1])
+        made.environment.close()
+    exact, noisy = (bank.frames for bank in banks)
+    torch.testing.assert_close(exact[..., 8:], noisy[..., 8:])
+    assert (exact[:, 0, :7] - noisy[:, 0, :7]).abs().max() < 1e-3
+    held = exact[..., 15] > 0
+    off = (exact - noisy)[..., :7][held].abs().amax(dim=-1)
+    assert off.min() > 1e-3
+    assert off.max() < 0.1
 
 
 def rollout(rows: list[list[float]]) -> Any:

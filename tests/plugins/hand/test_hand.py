@@ -184,3 +184,17 @@ def test_contacts_are_firm_but_for_what_is_set() -> None:
         ConfigError, match="noslip_iterations=4 is not possible with the integrator"
     ):
         _ = scene(contact={"noslip_iterations": 4}).model
+
+
+def test_an_objects_own_friction_counts_with_whatever_it_touches() -> None:
+    """Of two frictions MuJoCo takes the larger one, unless a geom has priority."""
+    slippery = {"kind": "sphere", "sizes": [0.01], "friction": 0.3}
+    for given, wanted in ((slippery, 0.3), ({**slippery, "friction": None}, 1.0)):
+        model = scene(object=given).model
+        data = mujoco.MjData(model)
+        data.joint("object").qpos[2] -= 1e-4
+        mujoco.mj_forward(model, data)
+        ball = model.geom("object").id
+        own = [c.friction[0] for c in data.contact if ball in c.geom]
+        assert own == pytest.approx([wanted] * len(own))
+        assert own, "it lies on the table"

@@ -302,3 +302,23 @@ def test_an_object_outside_table_5_2(kind: Any, sizes: tuple[float, ...], said: 
 def test_another_hands_grip() -> None:
     with pytest.raises(ConfigError, match="is one of a hand with 5 fingers"):
         Planner(load_grip(standard()), HandScene(HandScene.Options(fingers=3)))
+
+
+def test_the_next_configuration_is_tried_when_one_fails(
+    planner: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the same error beside the object."""
+    complete, tried = Planner._complete, []
+
+    def once(self: Planner, *args: Any) -> Plan:
+        tried.append(args[-1])
+        if len(tried) == 1:
+            raise NoPlan("No plan reaches the goal: the first one does not.")
+        return complete(self, *args)
+
+    monkeypatch.setattr(Planner, "_complete", once)
+    task, error = Task(SHAPES[0], (0.0, -0.04), (0.05, -0.02)), torch.tensor([0.003, 0.0, 0.0])
+    nothing = Things.of([], torch.zeros(0, 2).double(), torch.zeros(0).double())
+    planner.plan(task, planner.begin(), nothing, error.double())
+    assert len(tried) >= 2
+    assert all(given is tried[0] for given in tried)

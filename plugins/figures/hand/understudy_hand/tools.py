@@ -120,6 +120,9 @@ class Thing:
     #: m: radius of a sphere; radius and length (of the cylinder) of a capsule; the three sides of a box
     sizes: tuple[float, ...] = (0.01,)
     density: float = 1000.0  #: kg/m³, of the sticks' wood and the hand alike
+    friction: float | None = (
+        None  #: sliding, with whatever it touches; null is the scene's (figure 5.21 varies it)
+    )
 
     def __post_init__(self) -> None:
         count = {"sphere": 1, "capsule": 2, "box": 3}[self.kind]
@@ -128,7 +131,7 @@ class Thing:
                 f"sizes={list(self.sizes)} are not possible: a {self.kind} has {count} of them."
             )
         check_range(self, "sizes", above=0, most=1.0)
-        check_range(self, "density", above=0)
+        check_range(self, "density", "friction", above=0)
 
     @property
     def height(self) -> float:
@@ -156,6 +159,10 @@ def add_thing(spec: mujoco.MjSpec, thing: Thing, friction: float, contact: tuple
         contype=contact[0], conaffinity=contact[1], friction=[friction, 0.005, 0.0001],
         rgba=_FRUIT,
     )  # fmt: skip
+    if (
+        thing.friction is not None
+    ):  # of two frictions the larger one counts, unless one has priority
+        geom.friction[0], geom.priority = thing.friction, 1
     if thing.kind == "capsule":
         half = float(np.sqrt(0.5))
         geom.quat = [half, 0, half, 0]

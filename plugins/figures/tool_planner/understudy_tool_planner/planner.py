@@ -124,7 +124,7 @@ class Planner:
         return Moment(torch.cat([place, rotation]), torch.zeros((), dtype=torch.float64), angles)
 
     @torch.no_grad()
-    def plan(self, task: Task, now: Moment, others: Things) -> Plan:
+    def plan(self, task: Task, now: Moment, others: Things, error: Tensor | None = None) -> Plan:
         """The way to take the object and to put it at its goal.
 
         Parameters
@@ -133,6 +133,8 @@ class Planner:
             where arm and sticks are.
         others
             objects that stay.
+        error
+            (3,) m: how far beside the object's middle the sticks take, carry and put it (noise of section 5.7.5).
 
         Raises
         ------
@@ -153,10 +155,10 @@ class Planner:
         for row in range(min(_TRIED, len(found.score))):
             try:
                 return self._complete(
-                    task, now, found, row, start, goal, heading, last, others, everything
+                    task, now, found, row, start, goal, heading, last, others, everything, error
                 )
-            except NoPlan as error:
-                worst = worst or error
+            except NoPlan as refused:
+                worst = worst or refused
         assert worst is not None
         raise worst
 
@@ -172,6 +174,7 @@ class Planner:
         last: Tensor,
         others: Things,
         everything: Things,
+        error: Tensor | None,
     ) -> Plan:
         closed, wide = found.closed[row], found.open[row]
         takes, puts = found.turn[row], found.end[row]
@@ -218,9 +221,15 @@ class Planner:
                 f"No plan reaches the goal: on the way the hand or a stick is {-1e3 * min(clear):.1f} mm in the "
                 "table or an object. Choose another goal, or move what is in the way."
             )
+        if error is not None and error.any():  # from where they are, evenly
+            approach = phase == PHASES.index("approach")
+            share = torch.where(approach, approach.cumsum(0) / approach.sum(), 1.0)
+            whole = Frames(whole.place + share[:, None] * error, whole.turn, whole.angle)
+            palm, hand = self._holder.palm(whole.place, matrix)
         arms = self._arms(now, palm, hand, phase)
         centre, _ = gripper.tips(whole.angle)
-        middle = whole.place + torch.einsum("nij,nj->ni", matrix, centre)
+        exact = whole.place if error is None else whole.place - error
+        middle = exact + torch.einsum("nij,nj->ni", matrix, centre)
         moving, done = phase == 2, phase == 3
         at = torch.where(moving[:, None], middle, torch.where(done[:, None], goal, start))
         first = rotations.from_heading(heading)

@@ -47,6 +47,7 @@ PARTS = {
     },
     "termination": {
         "chopsticks/dropped": ("tracking:dropped", "a stick is far from where it is planned"),
+        "chopsticks/turned": ("tracking:turned", "a stick is turned far from its plan"),
         "chopsticks/contact_lost": ("tracking:contact_lost", "fingertips left their places"),
         "chopsticks/lost": ("relocate:lost", "the object is far from where it is planned"),
         "chopsticks/missed": ("relocate:missed", "the plan is over, the object elsewhere"),

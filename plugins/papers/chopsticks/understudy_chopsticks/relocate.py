@@ -1,8 +1,9 @@
 """Relocation: plans as goals. Each world follows a plan of its own (thesis, sections 5.4.2 and 5.6).
 
-Plans lie in a bank on the device, P of them, T frames of 10 ms each. A world draws one as its episode begins, and
+Plans lie in a bank on the device, P of them, T frames of 10 ms each; one holds L relocations, one after another. A world draws one as its episode begins, and
 the bank is refilled from the planner while others run: a row that is about to be replaced is no longer drawn, and
-gets its new plan once no world follows the old one. N worlds, U hinges; m, rad, s.
+gets its new plan once no world follows the old one. N worlds, U hinges;
+m, rad, s.
 """
 
 from __future__ import annotations
@@ -38,10 +39,16 @@ from understudy_tool_planner.planner import (
 )
 from understudy_tool_planner.tasks import Table, random_goal
 
-#: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, and whether it is held.
-_FRAME = 7 + 1 + 7 + 1
+#: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, whether it is held, which
+#: relocation it is of, and 1 in that one's last frame.
+_FRAME = 7 + 1 + 7 + 1 + 1 + 1
+_OBJECT, _HELD, _LEG, _LAST = slice(8, 15), 15, 16, 17
+#: s between two relocations, in which the object comes to rest.
+RESTING = 0.3
 #: Goals that are tried for a plan.
 _TRIES = 20
+#: Relocations in an episode, at most.
+MOST = 8
 
 
 class Bank:
@@ -63,15 +70,19 @@ class Bank:
         # An evaluation's plans are ones that no training follows.
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
+        self._relocations, self._noise = 1, 0.0
         self.frames = self.goals = self.lengths = torch.zeros(0)
 
-    def fill(self, count: int, seconds: float) -> None:
-        """Make it one of `count` plans of at most so many `seconds`."""
+    def fill(self, count: int, seconds: float, relocations: int, noise: float) -> None:
+        """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
+        take and put with an error of `noise` m."""
         if len(self.frames):
             return
-        shape = (count, round(seconds / DT) + 1)
-        self.frames = torch.zeros(*shape, _FRAME, device=self._device)
-        self.goals = torch.zeros(count, 3, device=self._device)
+        self._relocations, self._noise = relocations, noise
+        longest = relocations * seconds + (relocations - 1) * RESTING
+        self.frames = torch.zeros(count, round(longest / DT) + 1, _FRAME, device=self._device)
+        #: (P, L, 3) m
+        self.goals = torch.zeros(count, relocations, 3, device=self._device)
         #: (P,) int64: the last frame.
         self.lengths = torch.zeros(count, dtype=torch.int64, device=self._device)
         for row in range(count):
@@ -79,20 +90,36 @@ class Bank:
 
     def replace(self, row: int) -> None:
         """Put a new plan into a row, in place."""
-        plan = self._plan()
-        held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
-        frames = torch.cat(
-            [plan.arm, plan.angle[:, None], plan.object, held[:, None].double()], dim=1
-        )
-        self.frames[row, : len(frames)] = frames.float().to(self._device)
-        self.frames[row, len(frames) :] = frames[-1].float().to(self._device)
-        self.goals[row] = plan.object[-1, :3].float().to(self._device)
+        parts: list[Tensor] = []
+        for leg, plan in enumerate(self._plans()):
+            held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
+            count = len(plan.angle)
+            which, last = torch.full((count, 1), float(leg)), torch.zeros(count, 1)
+            frames = torch.cat(
+                [plan.arm, plan.angle[:, None], plan.object, held[:, None], which, last], dim=1
+            ).float()
+            if leg + 1 < self._relocations:
+                frames = torch.cat([frames, frames[-1:].repeat(round(RESTING / DT), 1)])
+            frames[-1, _LAST] = 1.0
+            parts.append(frames)
+            self.goals[row, leg] = plan.object[-1, :3].float().to(self._device)
+        frames = torch.cat(parts).to(self._device)
+        self.frames[row, : len(frames)] = frames
+        self.frames[row, len(frames) :] = frames[-1]
         self.lengths[row] = len(frames) - 1
 
-    def _plan(self) -> Plan:
+    def _plans(self) -> list[Plan]:
+        """Of the next relocations, each from where the last one ended."""
+        plans: list[Plan] = []
+        for _ in range(self._relocations):
+            plans.append(self._plan(plans[-1] if plans else None))
+        return plans
+
+    def _plan(self, before: Plan | None) -> Plan:
         """The next plan of a stream of random starts and goals; of those that there is none for, none."""
-        longest = DT * (self.frames.shape[1] - 1)
-        why = f"they last longer than {longest:g} s (initial_states.longest)"
+        room = self.frames.shape[1] - (self._relocations - 1) * round(RESTING / DT)
+        room //= self._relocations
+        why = f"they last longer than {DT * room:g} s (initial_states.longest)"
         for _ in range(_TRIES):
             self._drawn += 1
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
@@ -100,15 +127,18 @@ class Bank:
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
             most = 0.25 if self._shape.kind == "capsule" else 0.5
             heading = most * float(torch.rand((), generator=stream)) * np.pi
+            error = self._noise * torch.randn(3, generator=stream, dtype=torch.float64)
+            now = self._planner.begin()
+            if before is not None:
+                now, (x, y) = before.end, before.object[-1, :2].tolist()
+                start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
             table = Table((self._shape,), (start,), (heading,))
             try:
-                plan = self._planner.plan(
-                    table.task(0, goal), self._planner.begin(), table.without(0)
-                )
-            except NoPlan as error:
-                why = str(error)
+                plan = self._planner.plan(table.task(0, goal), now, table.without(0), error)
+            except NoPlan as failed:
+                why = str(failed)
                 continue
-            if len(plan.angle) <= self.frames.shape[1]:
+            if len(plan.angle) <= room:
                 return plan
         raise ConfigError(f"None of {_TRIES} tasks drawn in a row has a plan: {why}")
 
@@ -139,8 +169,8 @@ def bank_of(context: Context, who: str) -> tuple[Gripping, Bank]:
 class Relocations(InitialStates):
     """The sticks in the hand, open, and the object at the start of a plan that each world draws.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put; ``plan_seconds``
-    () s, how long it lasts.
+    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end;
+    ``plan_seconds`` () s, how long it lasts.
     """
 
     rollout_fields = ("plan_row",)
@@ -152,11 +182,16 @@ class Relocations(InitialStates):
             4  #: in the bank; the thesis has 100 tasks of eight objects, a GPU 256 plans here
         )
         refill: int = 1  #: plans that are made anew in an iteration (some 0.1 s of a core each); 0 keeps the first ones
-        longest: float = 3.0  #: s: plans that take longer are not followed
+        longest: float = 3.0  #: s: relocations that take longer are not followed
+        relocations: int = 1  #: of the object, one after another in a plan; figure 5.21 has eight
+        #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
+        noise: float = 0.0
 
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
             check_range(self, "refill", least=0, most=100_000)
+            check_range(self, "relocations", least=1, most=MOST)
+            check_range(self, "noise", least=0, most=0.05)
             check_range(self, "longest", least=2 * (LEAST + CLOSING) + PRESSING + ASIDE, most=60.0)
             if self.refill >= self.plans:
                 raise ValueError(
@@ -166,7 +201,7 @@ class Relocations(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
         self._refill = 0 if context.evaluating else options.refill
-        self._bank.fill(options.plans, options.longest)
+        self._bank.fill(options.plans, options.longest, options.relocations, options.noise)
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
         self._start, self._velocity = start, torch.zeros(model.nv, device=device)
@@ -180,14 +215,14 @@ class Relocations(InitialStates):
         free = len(self._order) - self._refill
         place = (streams.uniform(1)[:, 0] * free).long().clamp(max=free - 1)
         row = self._order[place]
-        thing = self._bank.frames[row, 0, 8:15]
+        thing = self._bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
         return {
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
-            "plan_goal": self._bank.goals[row],
+            "plan_goal": self._bank.goals[row, -1],
             "plan_seconds": DT * self._bank.lengths[row].float(),
         }
 
@@ -224,6 +259,8 @@ class Follow(Fields):
     """The plan that each world follows, at its time: what ``chopsticks/plan`` gives, and the object.
 
     - ``planned_object`` (7,): where the object shall be, in the world; ``planned_held`` () 1 while the sticks hold it
+    - ``planned_goal`` (3,) m, of the relocation that is on; ``planned_leg`` () its number, from 0; ``leg_over`` () 1
+      in its last frame
     - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
@@ -232,6 +269,9 @@ class Follow(Fields):
         **PLANNED,
         "planned_object": (7,),
         "planned_held": (),
+        "planned_goal": (3,),
+        "planned_leg": (),
+        "leg_over": (),
         "object_ahead": (len(AHEAD), 7),
     }
 
@@ -275,10 +315,10 @@ class Follow(Fields):
         lower = made.lower.expand(*angle.shape, 7)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
-        held, now = here[:, 0, 15], lower[:, 0]
+        held, now = here[:, 0, _HELD], lower[:, 0]
         targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
         palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
-        thing = here[:, 1:, 8:15]
+        thing, leg = here[:, 1:, _OBJECT], here[:, 0, _LEG]
         return {
             "planned_angle": angle[:, 0],
             "planned_targets": torch.cat(
@@ -289,8 +329,11 @@ class Follow(Fields):
             "planned_upper": torch.cat(upper_pose(now[:, :3], now[:, 3:], angle[:, 0]), dim=1),
             "planned_lower": now,
             "plan_ahead": torch.cat([pose, velocity, gripper], dim=-1)[:, 1:],
-            "planned_object": here[:, 0, 8:15],
+            "planned_object": here[:, 0, _OBJECT],
             "planned_held": held,
+            "planned_goal": self._bank.goals[row, leg.long()],
+            "planned_leg": leg,
+            "leg_over": here[:, 0, _LAST],
             "object_ahead": torch.cat(
                 [
                     rotations.inverse_rotate(turn.expand(-1, len(AHEAD), 4), thing[..., :3] - palm),
@@ -310,10 +353,13 @@ class Object(Fields):
     - ``object_distance`` () m and ``object_turn`` () rad from the plan; ``goal_distance`` () m from the goal
     - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal
     - ``plan_over`` () 1 once the plan has ended
+    - ``legs_placed`` (8,) 1 in the moment at which that relocation is over and its object within `within` m;
+      ``leg_placed`` () 1 where any is
     """
 
     reads = (
-        "qpos", "qvel", "xpos", "xquat", "planned_object", "plan_goal", "plan_seconds", "episode_time",
+        "qpos", "qvel", "xpos", "xquat", "planned_object", "planned_goal", "planned_leg", "leg_over",
+        "plan_seconds", "episode_time",
     )  # fmt: skip
     provides: Mapping[str, Shape] = {
         "object_state": (13,),
@@ -322,6 +368,8 @@ class Object(Fields):
         "goal_distance": (),
         "object_placed": (),
         "plan_over": (),
+        "legs_placed": (MOST,),
+        "leg_placed": (),
     }
 
     @dataclass(frozen=True)
@@ -341,6 +389,7 @@ class Object(Fields):
             for address in (model.joint("object").qposadr, model.joint("object").dofadr)
         )
         self._palm, self._options = model.body("palm").id, options
+        self._legs = torch.arange(MOST, device=context.device)
         self._round = model.geom("object").type[0] == 2  # a sphere's rotation is nobody's
 
     def compute(
@@ -350,7 +399,9 @@ class Object(Fields):
         xpos: Tensor,
         xquat: Tensor,
         planned_object: Tensor,
-        plan_goal: Tensor,
+        planned_goal: Tensor,
+        planned_leg: Tensor,
+        leg_over: Tensor,
         plan_seconds: Tensor,
         episode_time: Tensor,
     ) -> dict[str, Tensor]:
@@ -358,9 +409,13 @@ class Object(Fields):
         speed = qvel[:, self._dof : self._dof + 3]
         spin = rotations.rotate(rotation, qvel[:, self._dof + 3 : self._dof + 6])
         palm, turn = xpos[:, self._palm], xquat[:, self._palm]
-        away = (place - plan_goal).norm(dim=-1)
+        away = (place - planned_goal).norm(dim=-1)
         over = episode_time >= plan_seconds + self._options.settle - 0.5 * DT
         turned = rotations.angle_between(rotation, planned_object[:, 3:])
+        # The last one is judged when the plan is over, the others in their last frame.
+        done = torch.where(episode_time < plan_seconds - 0.5 * DT, leg_over > 0, over)
+        there = done & (away <= self._options.within)
+        legs = planned_leg.long()[:, None] == self._legs
         return {
             "object_state": torch.cat(
                 [
@@ -376,6 +431,8 @@ class Object(Fields):
             "goal_distance": away,
             "object_placed": (over & (away <= self._options.within)).float(),
             "plan_over": over.float(),
+            "legs_placed": (there[:, None] & legs).float(),
+            "leg_placed": there.float(),
         }
 
 

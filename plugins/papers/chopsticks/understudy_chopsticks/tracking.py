@@ -194,6 +194,15 @@ def dropped(
     return (stick_distance > distance).any(dim=1)
 
 
+def turned(
+    stick_turn: Tensor,
+    *,
+    turn: float = 0.1,  #: rad; chosen
+) -> Tensor:
+    """A stick is turned far from its plan."""
+    return (stick_turn > turn).any(dim=1)
+
+
 def contact_lost(
     tip_distance: Tensor,
     *,
