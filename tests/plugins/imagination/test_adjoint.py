@@ -97,30 +97,6 @@ def test_it_is_the_derivative_of_what_the_model_imagines(
         )).actions[0, 1])  # fmt: skip
 
 
-def test_pieces_side_by_side_are_each_a_window_of_its_own(
-    job: Callable[..., Reinforcement],
-) -> None:
-    made = job()
-    learner, adjoint = parts(made)
-    rollout = made.collector.collect(6)
-    window = Window(
-        {name: rollout.fields[name] for name in learner.rollout_fields},
-        rollout.next_fields,
-        rollout.actions,
-        rollout.terminated | rollout.truncated,
-    )
-    together = adjoint(window.side_by_side(2, 2)).actions[:2].chunk(2, dim=1)
-    for piece, found in enumerate(together):  # decisions 0 and 1, and 2 and 3; each two follow
-        rows = slice(2 * piece, 2 * piece + 4)
-        alone = adjoint(Window(
-            {k: v[rows] for k, v in window.before.items()},
-            {k: v[rows] for k, v in window.reached.items()},
-            window.actions[rows], window.ended[rows],
-        )).actions[:2]  # fmt: skip
-        assert alone.abs().max() > 0
-        torch.testing.assert_close(found, alone, rtol=1e-3, atol=1e-5)
-
-
 def test_what_it_says_of_the_policy_is_what_the_policy_does(
     job: Callable[..., Reinforcement],
 ) -> None:
