@@ -23,10 +23,10 @@ import torch
 import warp as wp
 
 from understudy.records.runs import versions
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy_mujoco_warp.simulator import MujocoWarpSimulator
+from understudy_reinforcement.job import Reinforcement
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "chopsticks.jsonl"
 

@@ -30,13 +30,13 @@ from mujoco.batch import Batch
 from sb3_speed import Peer
 
 from understudy.records.runs import versions
-from understudy.running.collector import Collector
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, Rollout, box
 from understudy_networks.policies import MLPPolicy
 from understudy_ppo.learner import PPO
+from understudy_reinforcement.collector import Collector
+from understudy_reinforcement.job import Reinforcement
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "cpu.jsonl"
 

@@ -17,9 +17,9 @@ from typing import Any
 import torch
 
 from understudy.records.runs import versions
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
+from understudy_reinforcement.job import Reinforcement
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "gpu.jsonl"
 SCENES = {"walk": (), "self_collision": ("scene.self_collision=true",)}

@@ -42,9 +42,9 @@ import torch
 from scipy import stats
 
 from understudy.records import runs
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
+from understudy_reinforcement.job import Reinforcement
 from understudy_viewer.page import free_port
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -100,13 +101,20 @@ def row(name: str) -> dict[str, Any]:
     }
 
 
+def saved(rows: Sequence[dict[str, Any]]) -> None:
+    """Put `rows` in place of what is recorded of their skills; what does not ship any more goes."""
+    ship = characters()
+    known = [json.loads(line) for line in RESULTS.read_text(encoding="utf-8").splitlines()]
+    latest = {one["skill"]: one for one in [*known, *rows]}
+    lines = [json.dumps(latest[name]) + "\n" for name in ship if name in latest]
+    RESULTS.write_text("".join(lines), encoding="utf-8")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--skills", nargs="*", help="those alone, printed and not saved")
+    parser.add_argument("--skills", nargs="*", help="those alone; files (.json) are printed and not saved")
     given = parser.parse_args()
-    lines = []
     for one in given.skills or characters():
-        lines.append(json.dumps(row(one)))
-        print(lines[-1], flush=True)
-    if not given.skills:
-        RESULTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        print(json.dumps(found := row(one)), flush=True)
+        if one in characters():
+            saved([found])

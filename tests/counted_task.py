@@ -284,7 +284,10 @@ def line_plugins(**components: Mapping[str, Any] | Callable[..., Any]) -> Plugin
 
     mine.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
     this = sys.modules[__name__]
-    return load(only=["sweeps", "inspect"], extra=[("fake", fake), ("line", this), ("mine", mine)])
+    return load(
+        only=["sweeps", "inspect", "reinforcement"],
+        extra=[("fake", fake), ("line", this), ("mine", mine)],
+    )
 
 
 def bound(part: Any, where: str = "part", **names: Mapping[str, str]) -> Wired[Any]:

@@ -30,10 +30,10 @@ import numpy as np
 import torch
 
 from understudy.records import runs
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy_mujoco.simulator import MujocoSimulator
+from understudy_reinforcement.job import Reinforcement
 
 LIMIT = 0.05
 #: What may not change, and what may not fall: it rises when the machine has less else to do.

@@ -90,3 +90,16 @@ def test_every_recorded_skill_takes_the_parts_of_the_walk(
     if "UNDERSTUDY_DATA" not in os.environ:
         pytest.skip("no recorded clips: UNDERSTUDY_DATA is not set")
     assert attempt(f"spacetime/{skill}", part, tmp_path, PLUGINS) == ""
+
+
+@pytest.mark.slow
+def test_a_sleeve_is_learned_by_the_papers_learner(tmp_path: Path) -> None:
+    pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+    assert attempt("dressing/sleeve_small", "learner=trpo", tmp_path, PLUGINS) == ""
+
+
+def test_a_bound_on_a_clip_is_none_on_a_sleeve(tmp_path: Path) -> None:
+    pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+    refusal = attempt("dressing/sleeve_small", "termination=spacetime", tmp_path, PLUGINS)
+    assert_clear(refusal)
+    assert "needs a scene of type CharacterScene" in refusal

@@ -21,12 +21,12 @@ from worlds import flat, same_bits
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.random import WorldStreams
-from understudy.running.collector import Collector
 from understudy.running.environment import LARGEST, Environment
 from understudy.running.table import FieldTable
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
+from understudy_reinforcement.collector import Collector
 
 PLUGINS = parts_and_tasks.bundled()
 EXPERIMENTS = parts_and_tasks.options(PLUGINS, "experiment")

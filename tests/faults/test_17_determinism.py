@@ -145,6 +145,8 @@ def test_evaluating_in_between_changes_nothing(plugins: Plugins, task: str) -> N
 def test_other_plugins_change_nothing() -> None:
     """With only the plugin in use loaded, the bits are those with all of them loaded."""
     overrides = [*TASKS["fake"], *SMALL]
-    one = trained(load(only=["networks", "ppo"], extra=[("fake", fake)]), *overrides)
+    one = trained(
+        load(only=["networks", "ppo", "reinforcement"], extra=[("fake", fake)]), *overrides
+    )
     two = trained(load(extra=[("fake", fake)]), *overrides)
     assert_same_state(one.state_dict(), two.state_dict())

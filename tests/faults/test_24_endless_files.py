@@ -8,6 +8,8 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from worlds import SMALL, little_memory, make_training
@@ -18,7 +20,12 @@ from understudy.folders import read
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
 from understudy.setup.plugins import Plugins
+from understudy.task import Context
 from understudy.testing.fake import FAKE_TASK
+from understudy_mujoco.scene import MjcfFile
+from understudy_report.motion import VIDEO, Motion
+from understudy_sitting import trials
+from understudy_sweeps.film import shows
 from understudy_sweeps.journal import Journal
 
 HUGE = 40 * 2**30
@@ -119,6 +126,34 @@ def test_inputs_of_nothing(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "clip.npz")
     with pytest.raises(UnderstudyError, match="not what the run was made with"):
         kept.file("the clip", list)
+
+
+def test_films_of_nothing(run: Path) -> None:
+    """They are left out, or drawn anew."""
+    for name in (VIDEO, "trials_1.mp4", "film.mp4"):
+        nothing(run / name)
+    opened = runs.open_run(run)
+    assert Motion().html(opened) is None
+    assert trials._film(opened, {"file": "trials_1.mp4", "title": "a"}) == ""  # pyright: ignore[reportPrivateUsage]
+    (run / "film.json").write_text("[]")
+    assert not shows(run / "film.mp4", [])
+    (run / "film.mp4").write_bytes(b"a film")
+    assert shows(run / "film.mp4", [])
+    nothing(run / "film.json")
+    assert not shows(run / "film.mp4", [])
+
+
+def test_a_licence_of_nothing(tmp_path: Path) -> None:
+    """As much of it is kept as of a licence."""
+    (tmp_path / "a.xml").write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    nothing(tmp_path / "LICENSE")
+    inputs = Inputs(tmp_path / "none", {})
+    MjcfFile(
+        MjcfFile.Options(str(tmp_path / "a.xml")), cast("Context", SimpleNamespace(inputs=inputs))
+    )
+    (tmp_path / "kept" / "0").mkdir(parents=True)
+    inputs.copy(tmp_path / "kept")
+    assert 0 < next((tmp_path / "kept").rglob("LICENSE")).stat().st_size < 2**21
 
 
 def test_other_files_of_nothing(run: Path) -> None:

@@ -10,10 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from worlds import python
 
 from understudy.records import runs
 from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import installed
+from understudy_characters.reference import ReferenceMotion
+from understudy_characters.scene import CharacterScene
+from understudy_motion.library import find
 from understudy_report.motion import FIGURES, Figures
 
 #: Carries a command out in processes that die at one of its writes each, in a new copy of the folder, until one
@@ -26,6 +31,9 @@ import torch
 torch.set_num_threads(1)
 from understudy.command.cli import main
 import understudy.running.training
+from understudy_reproduce import command, tables
+for module in (command, tables):
+    module.table_files = lambda plugins: {"mine/one": made / "one.yaml"}
 made, work = Path(sys.argv[1]), Path(sys.argv[2])
 time.strftime = lambda *_: "2026-01-01 00:00"
 
@@ -71,6 +79,17 @@ for words in json.loads(sys.argv[3]):
     os.write(answers, json.dumps(rows).encode() + b"\\n")
 """
 
+#: Carries out commands one after another, with the table ``mine/one``.
+_ALL = """
+import json, sys
+from pathlib import Path
+from understudy.command.cli import main
+from understudy_reproduce import command, tables
+for module in (command, tables):
+    module.table_files = lambda plugins: {"mine/one": Path(sys.argv[1]) / "one.yaml"}
+sys.exit(max(main(words) for words in json.loads(sys.argv[2])))
+"""
+
 #: By command, the files that it makes.
 QUICK = {
     "export runs/a page.html": ("page.html",),
@@ -87,8 +106,28 @@ THOROUGH = {
     "export walk walk.bvh --seconds 0.5": ("walk.bvh",),
     "export walk walk.npz --seconds 0.5": ("walk.npz",),
     "motion check walk": (),
+    "motion check walk --fix walk.npz": ("walk.npz",),
+    "motion check walk --fix old.npz --overwrite": ("old.npz",),
+    "motion retarget walk humanoid walk.npz": ("walk.npz",),
+    "motion retarget walk humanoid old.npz --overwrite": ("old.npz",),
+    "motion export walk humanoid walk.csv --for mjlab": ("walk.csv",),
+    "motion export walk humanoid old.csv --for mjlab --overwrite": ("old.csv",),
+    "motion learned walking walk.npz": ("walk.npz",),
+    "motion learned walking old.npz --overwrite": ("old.npz",),
     "evaluate runs/a episodes=1": ("runs/a/evaluation-episodes-1.json",),
+    "reproduce mine/one --card run.dir=table": ("table/card.csv", "table/card.html", "table/card.md"),
+    "reproduce mine/one run.dir=table": ("table/card.csv", "table/card.html", "table/card.md"),
 }
+#: A paper's table of one training.
+TABLE = """
+title: How near a point gets
+source: A paper, table 1
+overrides: [budget.samples=256, run.video_seconds=0, evaluation.criterion=null]
+rows: {calm: [experiment=miniature/go]}
+columns: {small: []}
+figures: [{of: return}]
+seeds: [0]
+"""
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -108,7 +147,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lines = np.zeros((5, 3, 2, 3), np.float32)
     lines[:, :, 1, 2] = 1.0
     Figures(lines, None, 1 / 30).save(folder / "runs/a" / FIGURES)
-    for name in ("old.html", "old.glb"):
+    for name in ("old.html", "old.glb", "old.npz", "old.csv"):
         (folder / name).write_text("of another day")
     return folder
 
@@ -116,13 +155,30 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trained(made: Path) -> Path:
     """The same with two short trainings."""
-    code = "import sys; from understudy.command.cli import main; sys.exit(main(sys.argv[1:]))"
     shutil.rmtree(made / "runs")
+    (made / "one.yaml").write_text(TABLE)
     words = ["experiment=miniature/go", "budget.samples=256", "run.video_seconds=0"]
-    ended = python(code, "train", *words, f"run.dir={made}/runs/a", cwd=made)
+    both = [["train", *words, f"run.dir={made}/runs/a"], ["reproduce", "mine/one", "run.dir=table"]]
+    ended = python(_ALL, str(made), json.dumps(both), cwd=made)
     assert ended.returncode == 0, ended.stderr
     shutil.copytree(made / "runs/a", made / "runs/b")
+    for card in (made / "table").glob("card.*"):
+        card.unlink()
+    walking(made / "walking")
     return made
+
+
+def walking(folder: Path) -> None:
+    """A run whose recording is its reference, over two cycles and more."""
+    words = ["experiment=spacetime/walk", f"run.dir={folder}"]
+    runs.create(load_experiment(words), words, {"motion": {"licence": "CC0-1.0"}}).unlock()
+    scene = CharacterScene(CharacterScene.Options("humanoid"))
+    clip = find("walk", installed().registry)
+    times = torch.arange(105) / 30
+    found = ReferenceMotion(clip, scene.character, scene.layout, control_dt=1 / 30).sample(times)
+    tracks = {name: found[name].numpy() for name in ("reference_qpos", "phase")}
+    tracks |= {"qpos": tracks["reference_qpos"]}
+    np.savez(folder / "recording.npz", **tracks, control_dt=1 / 30, first_episode=105)
 
 
 def check_killed(made: Path, work: Path, commands: dict[str, tuple[str, ...]]) -> None:

@@ -68,7 +68,7 @@ def refuse(self):
     from understudy.errors import ConfigError
     raise ConfigError('No room here.')
 if rank == {refusing}:
-    from understudy.running.reinforcement import Reinforcement
+    from understudy_reinforcement.job import Reinforcement
     Reinforcement.prepare = refuse
 extra = []
 """

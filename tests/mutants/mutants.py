@@ -53,8 +53,9 @@ GUARD, GUARDED = (
 )
 SIZES = "tests/faults/test_27_sizes.py"
 UNSOUND, F23 = "tests/faults/test_01_unsound_episodes.py", "tests/faults/test_23_broken_plugins.py"
-STATISTICS, PLUGINS, REGISTRY = (
-    f"{KERNEL}/running/statistics.py",
+REINFORCEMENT = "plugins/learning/reinforcement/understudy_reinforcement"
+HOPELESS, PLUGINS, REGISTRY = (
+    f"{REINFORCEMENT}/hopeless.py",
     f"{KERNEL}/setup/plugins.py",
     f"{KERNEL}/setup/registry.py",
 )
@@ -98,7 +99,7 @@ MUTANTS = (
            "name: torch.where(rows(step.unsound, value), step.observations[name], value)", "name: value", F01),
     Mutant("first observations are bad", ENVIRONMENT, "name: without_unsound(value) for", "name: value for",
            f"{F01} -k derived"),
-    Mutant("fields of a rollout are bad", f"{KERNEL}/running/collector.py", "without_unsound(environment.table[name])",
+    Mutant("fields of a rollout are bad", f"{REINFORCEMENT}/collector.py", "without_unsound(environment.table[name])",
            "environment.table[name]", POISON),
     Mutant("an index is made of NaN", "plugins/papers/amorphous/understudy_amorphous/maps.py",
            "cell.long().clamp(0, cells - 1)", "cell.clamp(0, cells - 1).long()", POISON),
@@ -119,6 +120,10 @@ MUTANTS = (
            "tests/plugins/cloth/test_cloth_simulator.py -k fails_alone"),
     Mutant("what was searched is not kept", f"{CLOTH}/simulator.py", 'hidden["anchor"] = (wp.to_torch(c.anchor), (v, 3))', "pass",
            "tests/plugins/cloth/test_cloth_simulator.py -k bit_for_bit"),
+    Mutant("hinges act longer than a period", f"{CLOTH}/solver.py", "wp.min(c.bending_every, c.substeps - s), 0)",
+           "c.bending_every, 0)", "tests/plugins/cloth/test_cloth_physics.py -k bend_as_in_all"),
+    Mutant("threads side by side wait for each other", f"{CLOTH}/mesh.py", "best = int(cost.argmin())", "best = 0",
+           "tests/plugins/cloth/test_cloth_mesh.py -k banks_of_their_own"),
     Mutant("contact shoots cloth off", f"{CLOTH}/solver.py", "return wp.max(before + change - wp.max(before, 0.0), 0.0)",
            "return 0.0", "tests/plugins/cloth/test_cloth_physics.py -k shot_off"),
     Mutant("what is fast is not looked ahead for", f"{CLOTH}/solver.py", "return time * speed + faster", "return faster",
@@ -138,7 +143,7 @@ MUTANTS = (
            f"{F05} -k exact"),
     Mutant("the other patience is off by one", "plugins/papers/deepmimic/understudy_deepmimic/curricula.py",
            "self._since >= self._patience", "self._since > self._patience", "tests/plugins/deepmimic -k patience or stagnation or increase"),
-    Mutant("a hopeless run goes on", f"{KERNEL}/running/statistics.py", "if share > 0.25:", "if share > 1.0:",
+    Mutant("a hopeless run goes on", f"{REINFORCEMENT}/hopeless.py", "if share > 0.25:", "if share > 1.0:",
            "tests/kernel tests/faults/test_01_nonfinite_state.py tests/faults/test_05_nonfinite_update.py -k hopeless or quarter"),
     # Checkpoints.
     Mutant("a file is not synced", CHECKPOINT, "            sync(file.fileno())\n", "", f"{F07} -k order"),
@@ -163,10 +168,10 @@ MUTANTS = (
     Mutant("a sentence is silent about them", f"{KERNEL}/running/evaluation.py", "        if self.unsound:\n", "        if False:\n", f"{UNSOUND} -k told"),
     Mutant("rows are silent about them", f"{KERNEL}/running/evaluation.py", 'return found | ({f"{kind}/unsound": self.unsound} if self.unsound else {})',
            "return found", f"{UNSOUND} -k told"),
-    Mutant("a training of unsound episodes goes on", STATISTICS, "if self._unsound > 0.5 * self._episodes:", "if False:", UNSOUND),
-    Mutant("a training of few unsound episodes stops", STATISTICS, "if self._unsound > 0.5 * self._episodes:",
+    Mutant("a training of unsound episodes goes on", HOPELESS, "if self._unsound > 0.5 * self._episodes:", "if False:", UNSOUND),
+    Mutant("a training of few unsound episodes stops", HOPELESS, "if self._unsound > 0.5 * self._episodes:",
            "if self._unsound > 0:", f"{UNSOUND} -k goes_on"),
-    Mutant("few episodes decide", STATISTICS, "if self._episodes >= max(_ENOUGH, self._num_worlds):", "if self._episodes:",
+    Mutant("few episodes decide", HOPELESS, "if self._episodes >= max(_ENOUGH, self._num_worlds):", "if self._episodes:",
            "tests/kernel/running/test_environment.py -k hopeless"),
     Mutant("no term is named", ENVIRONMENT, "return [where for where, value in values.items() if _wrong(value)]", "return []", UNSOUND),
     Mutant("the page is silent about them", "plugins/showing/report/understudy_report/headline.py",
@@ -287,9 +292,9 @@ MUTANTS = (
     Mutant("a landing is undone", ATTEMPT, '(wrong & (kept["landed"] == 0))', "wrong", "tests/plugins/jumping/test_attempt.py"),
     Mutant("particles forget what varies", "plugins/physics/warp_torch/understudy_warp_torch/world_state.py",
            "        self._put_varied(worlds, snapshot)\n", "", "tests/plugins/pbd/test_pbd_simulator.py -k restored"),
-    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json.")
+    Mutant("links lead out of a run", RUNS, """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
     check_within(path)
-""", """        raise RunError(f"{path} is no run folder: it has no run.json.")
+""", """        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
 """, LINKS),
     Mutant("links lead out of a new run", RUNS, "            check_within(self.path)\n", "", f"{LINKS} -k new_runs"),
     Mutant("links lead out of a reproduction", "plugins/search/reproduce/understudy_reproduce/command.py",
@@ -330,7 +335,7 @@ MUTANTS = (
            'self._coefficient = state["kl_coefficient"]', f"{F10} -k adapted"),
     Mutant("the learner's draws are not restored", PPO, 'self._generator.set_state(state["generator"].cpu())',
            "pass", F10),
-    Mutant("the actions' draws are not restored", f"{KERNEL}/running/reinforcement.py",
+    Mutant("the actions' draws are not restored", f"{REINFORCEMENT}/job.py",
            'self.collector.streams.load_state_dict(state["collector"])', "pass", F10),
     # Stop signals.
     Mutant("a closed terminal is not noted", SIGNALS, "signal.SIGUSR1, signal.SIGHUP)", "signal.SIGUSR1)",

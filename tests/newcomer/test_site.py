@@ -12,6 +12,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def test_every_guide_can_be_come_to() -> None:
+    """A page that no menu has is found by its address alone."""
+    menu = (ROOT / "docs" / "site" / "pages.py").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert f'"{page.name}"' in menu, page.name
+
+
 @pytest.mark.slow
 def test_the_site_builds_strictly_and_loads_nothing_from_the_network(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the site needs the extra docs")

@@ -28,6 +28,8 @@ WINGS = re.findall(
 FIGURE = {"networks", "tensors", "humanoid", "characters", "motion", "mujoco"}
 #: Plugins for a training that takes seconds.
 TOYS = {"curricula", "miniature", "networks", "ppo", "skills", "tensors", "terms"}
+#: What every training needs that names no job.
+USUAL = {"reinforcement"}
 MATERIAL = {
     "amorphous": {"export", "humanoid"},
     "characters": FIGURE,
@@ -116,7 +118,7 @@ def test_declarations_have_no_cycle() -> None:
 def test_works_with_only_what_it_declares(name: str) -> None:
     if name == "mujoco_warp":
         pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed")
-    allowed = {name, *requires(name), *MATERIAL.get(name, ())}
+    allowed = {name, *requires(name), *MATERIAL.get(name, ()), *USUAL}
     environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join(allowed)}
     code = f"from understudy.testing import check_plugin; check_plugin('{name}')"
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=200)
@@ -128,7 +130,7 @@ def test_its_own_tests_pass_alone(name: str) -> None:
     tests = ROOT / "tests" / "plugins" / ELSEWHERE.get(name, name)
     if not tests.is_dir():
         pytest.skip("it has no tests of its own")
-    allowed = {name, *requires(name), *MATERIAL.get(name, ())}
+    allowed = {name, *requires(name), *MATERIAL.get(name, ()), *USUAL}
     environment = os.environ | {"UNDERSTUDY_PLUGINS": ",".join(allowed)}
     command = [sys.executable, "-m", "pytest", "-q", str(tests)]
     subprocess.run(command, env=environment, cwd=ROOT, check=True, timeout=600)

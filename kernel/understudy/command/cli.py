@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: list[str]) -> int:
     parser = _parser(arguments)
     options, overrides = parser.parse_known_args(arguments)
-    _check(overrides, options.overrides_allowed)
+    _check(overrides, options.overrides_allowed, arguments[0])
     if overrides:
         from understudy.setup.composition import readable
 
@@ -75,16 +75,21 @@ def _instead(word: str) -> str:
     return next((advice for options, _, advice in lines if word in options.split()), "")
 
 
-def _check(words: Sequence[str], overrides_allowed: bool) -> None:
+def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
     """Raise :class:`ConfigError` for `words` of the command line that nothing takes."""
-    for word, following in zip(words, [*words, "…"][1:], strict=True):
+    for word, following in zip(words, [*words, ""][1:], strict=True):
         key, _, value = word.lstrip("-").partition("=")
         if not overrides_allowed:
-            raise ConfigError(f"'{word}' is not taken here. See `understudy COMMAND --help`.")
+            raise ConfigError(f"'{word}' is not taken here. See `understudy {command} --help`.")
         if instead := _instead(word.partition("=")[0]):
             raise ConfigError(f"{word} is Hydra's own. {instead}")
         if word.startswith("-"):
-            raise ConfigError(f"There is no option {word}. Write {key}={value or following}.")
+            form = (
+                f"Write {key}={value or following}." if value or following else "Write KEY=VALUE."
+            )
+            raise ConfigError(
+                f"There is no option {word}. {form} See `understudy {command} --help`."
+            )
 
 
 class _Parser(argparse.ArgumentParser):

@@ -322,7 +322,7 @@ def open_run(path: str | Path) -> Run:
     path = Path(path)
     file = path / "run.json"
     if not os.path.lexists(file):
-        raise RunError(f"{path} is no run folder: it has no run.json.")
+        raise RunError(f"{path} is no run folder: it has no run.json. Name one, as runs/NAME.")
     check_within(path)
     try:
         info = json.loads(read(file))

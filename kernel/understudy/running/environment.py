@@ -28,7 +28,7 @@ from understudy.running.table import FieldTable
 from understudy.task import Context, Memory, Shape, State
 from understudy.task.terms import Term, Wired
 
-__all__ = ["OWN_FIELDS", "Environment", "Step", "rows", "sound"]
+__all__ = ["OWN_FIELDS", "Environment", "Fault", "Step", "rows", "sound", "without_unsound"]
 
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure

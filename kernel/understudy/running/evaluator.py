@@ -18,6 +18,8 @@ from understudy.setup.config import Experiment
 from understudy.task import Context, Policy
 from understudy.task.terms import Reduction
 
+__all__ = ["Evaluator"]
+
 
 class Reducer:
     """Reduces a measure's values over the steps of an episode, in place."""

@@ -11,6 +11,8 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.setup.config import Experiment
 
+__all__ = ["success_of"]
+
 
 @dataclass(frozen=True)
 class Success:

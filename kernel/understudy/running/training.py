@@ -24,7 +24,6 @@ from understudy.records.recording import Recording
 from understudy.records.runs import Run, differences, threads, versions
 from understudy.running.evaluation import Evaluation
 from understudy.running.jobs import Job
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.warm_start import misshapen
 from understudy.setup.config import Experiment
 from understudy.signals import StopRequest, is_stop
@@ -76,8 +75,7 @@ class Training:
         self.experiment = experiment
         self.run: Run | None = None
         self.reporter = reporter or Reporter()
-        job = experiment.one("job")
-        self.job: Job = job.build(experiment) if job else Reinforcement(None, experiment)
+        self.job: Job = experiment.job.build(experiment)
         self.progress = Progress()
         self.outcome = ""
         self._rehearsed = False  # whether the criterion is met at coarse physics

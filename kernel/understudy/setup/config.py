@@ -16,6 +16,10 @@ from understudy.setup.root import Root
 __all__ = ["Chosen", "Experiment"]
 
 
+#: What a run iterates whose configuration names no job.
+USUAL_JOB = "reinforcement"
+
+
 @dataclass(frozen=True)
 class Chosen:
     """A component chosen by the configuration, with its validated options."""
@@ -68,6 +72,12 @@ class Experiment:
             )
         return chosen
 
+    @property
+    def job(self) -> Chosen:
+        """What a run of it iterates: what it names, else reinforcement learning."""
+        found = self.one("job")
+        return found or Chosen("job", self.registry.find("job", USUAL_JOB, "job"), None, "job")
+
     def __repr__(self) -> str:
         slots = (f"{slot}={'+'.join(c.component.name for c in self.choices[slot])}"
                  for slot in self.choices if self.choices[slot])  # fmt: skip
@@ -77,6 +87,8 @@ class Experiment:
         """Every component in use."""
         for chosen in self.choices.values():
             yield from (c.component for c in chosen)
+        if not self.choices["job"] and ("job", USUAL_JOB) in self.registry.components:
+            yield self.job.component
 
     @functools.cached_property
     def failures(self) -> tuple[str, ...]:

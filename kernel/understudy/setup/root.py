@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from understudy.options import check_range
 
-__all__ = ["Part", "Root"]
+__all__ = ["Part", "Root", "StartOptions"]
 
 #: The most steps of physics in a decision, and decisions in an episode of an evaluation.
 _STEPS, _DECISIONS = 100_000, 1_000_000

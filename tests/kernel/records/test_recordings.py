@@ -66,7 +66,7 @@ def test_observers_are_told_after_training_and_render(
 ) -> None:
     watcher, path = Watcher(), tmp_path / "run"
     plugins = load(
-        only=["mujoco", "networks", "ppo"],
+        only=["mujoco", "networks", "ppo", "reinforcement"],
         extra=[("test", sys.modules[worlds.__name__]), ("watch", Watch(watcher))],
     )
     for module in (setup_plugins, workflow, judging):
@@ -100,7 +100,8 @@ def test_observers_are_told_after_training_and_render(
 def test_every_control_period_of_a_decision_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     """0.1 s of 50 a second, in decisions of three, from the first state on; then nobody watches."""
     plugins = load(
-        only=["mujoco", "networks", "ppo"], extra=[("test", sys.modules[worlds.__name__])]
+        only=["mujoco", "networks", "ppo", "reinforcement"],
+        extra=[("test", sys.modules[worlds.__name__])],
     )
     monkeypatch.setattr(PaddleScene, "recorded", ("qpos", "action"))
     given = [*QUICK, "control.decision=3", "num_worlds=4"]

@@ -13,7 +13,6 @@ from worlds import PADDLE_TASK, assert_same_state
 
 from understudy.errors import ConfigError, TrainingError
 from understudy.running.environment import Environment, Step
-from understudy.running.statistics import Hopeless
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -21,6 +20,7 @@ from understudy.setup.plugins import Plugins
 from understudy.task.terms import ranges
 from understudy.testing import check_environment, check_simulator
 from understudy.testing.fake import FAKE_TASK
+from understudy_reinforcement.hopeless import Hopeless
 
 TASK = (
     *FAKE_TASK,

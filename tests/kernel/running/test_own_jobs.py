@@ -23,13 +23,13 @@ from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
-from understudy.running.reinforcement import Reinforcement
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.task import State
 from understudy.testing import fake
+from understudy_reinforcement.job import Reinforcement
 
 
 class Waves:
@@ -139,7 +139,9 @@ def plugins(broken: bool = False) -> Plugins:
             raise RuntimeError("no licence")
 
     module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
-    return load(only=["sweeps", "inspect"], extra=[("fake", fake), ("regression", module)])
+    return load(
+        only=["sweeps", "inspect", "reinforcement"], extra=[("fake", fake), ("regression", module)]
+    )
 
 
 TASK = ("+job={name: my/regression}", "data={name: my/waves}", "budget.samples=640", "evaluation.final_episodes=50")  # fmt: skip

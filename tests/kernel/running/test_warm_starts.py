@@ -17,11 +17,12 @@ from understudy.errors import ConfigError, RunError
 from understudy.random import WorldStreams
 from understudy.records import checkpoint
 from understudy.running.training import Training
-from understudy.running.warm_start import newest_state, policy_parts
+from understudy.running.warm_start import newest_state
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Actuation, Context, Curriculum, Encoder, Rollout, State, box
 from understudy.testing import FakeScene
+from understudy_reinforcement.start import policy_parts
 from understudy_skills.controller import Controller
 
 

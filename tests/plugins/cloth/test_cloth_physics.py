@@ -125,9 +125,9 @@ def test_stiffer_cloth_droops_less() -> None:
 
 def test_hinges_that_act_in_some_sub_steps_bend_as_in_all() -> None:
     in_all = droop(1e-4, bending_every=1)
-    assert droop(1e-4, bending_every=4) == pytest.approx(in_all, rel=0.01)
+    assert droop(1e-4, bending_every=4) == pytest.approx(in_all, rel=1e-3)
     # a period of which 3 is no divisor loses nothing and gains nothing
-    assert droop(1e-4, bending_every=3) == pytest.approx(in_all, rel=0.01)
+    assert droop(1e-4, bending_every=3) == pytest.approx(in_all, rel=1e-3)
     assert droop(2.5e-5, bending_every=1) != pytest.approx(in_all, rel=0.01), "no bending is seen"
 
 

@@ -11,10 +11,10 @@ pytest.importorskip(
     "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
+from understudy_reinforcement.job import Reinforcement
 
 pytestmark = pytest.mark.gpu
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,22 @@ def test_a_sound_recording_is_drawn(trained: Path, tmp_path: Path, first: float)
     take = taken(trained, tmp_path, first_episode=first)
     assert take.outline is not None
     assert take.film == tmp_path / "take.mp4" or "drawn" in take.reason  # without an encoder
+
+
+def test_a_film_of_nothing_is_not_taken(trained: Path, tmp_path: Path) -> None:
+    """It is drawn anew, whatever is in its place."""
+    made = taken(trained, tmp_path)
+    if made.film is None or made.still is None:
+        pytest.skip("no encoder")
+    times = made.film.stat().st_atime_ns, made.film.stat().st_mtime_ns
+    for file in (made.film, made.still):
+        sound = file.read_bytes()
+        os.truncate(file, 40 * 2**30)
+        os.utime(made.film, ns=times)
+        assert take_of(tmp_path / "run", tmp_path, "take", HIGHEST).film == made.film
+        assert file.stat().st_size < 2**20
+        file.write_bytes(sound)
+        os.utime(made.film, ns=times)
 
 
 @pytest.mark.parametrize(
@@ -110,3 +128,14 @@ def test_a_film_of_the_future_is_of_its_recording_alone(trained: Path, tmp_path:
     kept = again.film.stat().st_ino
     assert take_of(tmp_path / "run", tmp_path, "take", HIGHEST).film is not None
     assert again.film.stat().st_ino == kept, "and it is drawn once"
+
+
+def test_the_gallery_says_nothing_of_sweeps_without_its_libraries() -> None:
+    """It is asked about every sweep, and those of other loops have nothing to show in it."""
+    code = (
+        "import sys; sys.modules.update(botorch=None, gpytorch=None)\n"
+        "from understudy.setup.plugins import installed\n"
+        "installed().registry.find('sweep_page', 'diversity/gallery').factory()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -13,11 +13,11 @@ import torch
 from deaths import die_after
 
 from understudy.command.cli import main
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.testing import check_environment, check_simulator
 from understudy_diversity.peaks import figure, png
+from understudy_reinforcement.job import Reinforcement
 
 QUICK = (
     "search=diversity/vault",

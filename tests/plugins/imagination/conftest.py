@@ -8,9 +8,9 @@ import pytest
 from imagined_walk import WALK
 
 from understudy.errors import UnderstudyError
-from understudy.running.reinforcement import Reinforcement
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
+from understudy_reinforcement.job import Reinforcement
 
 
 @pytest.fixture

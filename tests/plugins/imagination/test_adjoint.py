@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy.running.reinforcement import Reinforcement
 from understudy.task.terms import Margin
 from understudy_imagination.adjoint import Adjoint, Weights, Window, clean, limited
 from understudy_imagination.errors import model_errors
 from understudy_imagination.learner import Imagination
+from understudy_reinforcement.job import Reinforcement
 
 STEPS = 5
 WEIGHTS = Weights(margins=1.0, actions=0.01, rewards=1.0, norm=8.0, power=2.0)
@@ -95,6 +95,30 @@ def test_it_is_the_derivative_of_what_the_model_imagines(
             {k: v[2:3] for k, v in window.reached.items()},
             window.actions[2:3], window.ended[2:3],
         )).actions[0, 1])  # fmt: skip
+
+
+def test_pieces_side_by_side_are_each_a_window_of_its_own(
+    job: Callable[..., Reinforcement],
+) -> None:
+    made = job()
+    learner, adjoint = parts(made)
+    rollout = made.collector.collect(6)
+    window = Window(
+        {name: rollout.fields[name] for name in learner.rollout_fields},
+        rollout.next_fields,
+        rollout.actions,
+        rollout.terminated | rollout.truncated,
+    )
+    together = adjoint(window.side_by_side(2, 2)).actions[:2].chunk(2, dim=1)
+    for piece, found in enumerate(together):  # decisions 0 and 1, and 2 and 3; each two follow
+        rows = slice(2 * piece, 2 * piece + 4)
+        alone = adjoint(Window(
+            {k: v[rows] for k, v in window.before.items()},
+            {k: v[rows] for k, v in window.reached.items()},
+            window.actions[rows], window.ended[rows],
+        )).actions[:2]  # fmt: skip
+        assert alone.abs().max() > 0
+        torch.testing.assert_close(found, alone, rtol=1e-3, atol=1e-5)
 
 
 def test_what_it_says_of_the_policy_is_what_the_policy_does(

@@ -12,12 +12,12 @@ import torch
 from imagined_walk import WALK
 from worlds import assert_same_state, make_training, resumed
 
-from understudy.running.reinforcement import Reinforcement
 from understudy.setup.plugins import Plugins
 from understudy.testing import check_plugin
 from understudy.testing.capture import nothing_waits
 from understudy_imagination.learner import AnnealOptions, Imagination
 from understudy_imagination.replay import Replay
+from understudy_reinforcement.job import Reinforcement
 
 
 def test_plugin_conforms(plugins: Plugins) -> None:

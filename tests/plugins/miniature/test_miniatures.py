@@ -12,10 +12,10 @@ from on_gpu import rollouts_without_waiting
 from waits import NoWaits
 from worlds import assert_same_state
 
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.testing import check_environment, check_simulator
+from understudy_reinforcement.job import Reinforcement
 
 torch.set_num_threads(1)
 

@@ -16,7 +16,6 @@ from worlds import assert_same_state
 from understudy.command.cli import main
 from understudy.errors import FileError, RunError, UnderstudyError
 from understudy.records.runs import Run
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment, replaced
 from understudy.testing import check_environment
@@ -24,6 +23,7 @@ from understudy_motion.readers import npz
 from understudy_pose_vae.job import LearnPoses, PoseVAE, explained, needed, network_of
 from understudy_pose_vae.report import PosesSection
 from understudy_pose_vae.terms import learned_poses, naturalness
+from understudy_reinforcement.job import Reinforcement
 from understudy_tensors import rotations
 
 SMALL = (

@@ -13,9 +13,9 @@ pytest.importorskip(
 )
 
 from understudy.command.cli import main
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
+from understudy_reinforcement.job import Reinforcement
 
 pytestmark = pytest.mark.gpu
 

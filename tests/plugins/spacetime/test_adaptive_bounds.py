@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from understudy.random import WorldStreams
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, Rollout
+from understudy_reinforcement.job import Reinforcement
 from understudy_spacetime.adaptive import AdaptiveBounds
 from understudy_spacetime.bounds import BoundSize, ComBound
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.testing import check_environment
 from understudy_characters.character import load_character
+from understudy_reinforcement.job import Reinforcement
 
 
 def test_key_frames_can_be_learned_from() -> None:

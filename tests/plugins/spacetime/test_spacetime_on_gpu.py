@@ -16,12 +16,12 @@ pytest.importorskip(
 )
 
 from understudy.inputs import Inputs
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, Rollout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_motion.section import Motion, MotionOptions
+from understudy_reinforcement.job import Reinforcement
 from understudy_spacetime.initial_states import Evolution
 
 pytestmark = pytest.mark.gpu

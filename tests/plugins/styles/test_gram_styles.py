@@ -12,7 +12,6 @@ import torch
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
 from understudy.inputs import Inputs
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -23,6 +22,7 @@ from understudy_characters.scene import CharacterScene
 from understudy_motion import library
 from understudy_motion.section import Motion, MotionOptions
 from understudy_motion.writing import write_clip
+from understudy_reinforcement.job import Reinforcement
 from understudy_styles.autoencoder import MotionAutoEncoder, trained_network
 from understudy_styles.features import clip_features
 from understudy_styles.gram import GramDistance, mean_gram

@@ -29,13 +29,14 @@ from understudy_tool_planner.configuration import (
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.trajectory import Frames, Pose, Way
 
-__all__ = ["CLOSING", "DT", "LEAST", "PHASES", "Plan", "Planner"]
+__all__ = ["ASIDE", "CLOSING", "DT", "LEAST", "PHASES", "PRESSING", "Plan", "Planner"]
 
 #: s of a frame; m/s and s: speed of the sticks (thesis), and the least that a phase takes (release).
 DT, SPEED, LEAST = 0.01, 0.25, 0.5
-#: s that closing and opening take.
-CLOSING = 0.15
+#: s that closing and opening take; that closed sticks rest before they lift; that open ones take to go aside.
+CLOSING, PRESSING, ASIDE = 0.15, 0.1, 0.1
 PHASES = ("approach", "close", "relocate", "release")
+_FRAMES = ("place", "turn", "angle")
 #: rad: how far a hinge of the arm may go in a frame.
 STEP = 0.15
 #: m: how deep what is carried may be in what it lies on.
@@ -199,12 +200,13 @@ class Planner:
             clear.append(least)
         shares = torch.linspace(0.0, 1.0, round(CLOSING / DT) + 1, dtype=torch.float64)[1:]
         close = self._turning(takes, wide, closed, start, shares)
-        free = self._turning(puts, closed, torch.zeros_like(closed), goal, shares)
+        count = round(PRESSING / DT)
+        rest = Frames(*(getattr(close, n)[-1:].repeat_interleave(count, 0) for n in _FRAMES))
+        close = Frames(*(torch.cat([getattr(close, n), getattr(rest, n)]) for n in _FRAMES))
+        free = self._release(puts, closed, goal, shares)
         order = [parts[0], close, parts[1], free]
         clear += [float(trajectory.clearance(f, others).amin()) for f in (close, free)]
-        whole = Frames(
-            *(torch.cat([getattr(f, n) for f in order]) for n in ("place", "turn", "angle"))
-        )
+        whole = Frames(*(torch.cat([getattr(f, n) for f in order]) for n in _FRAMES))
         phase = torch.repeat_interleave(
             torch.arange(4), torch.tensor([len(f.angle) for f in order])
         )
@@ -263,6 +265,19 @@ class Planner:
         turns = turn.expand(len(shares), 4)
         place = gripper.placed(rotations.to_matrix(turns), angle, middle.expand(len(shares), 3))
         return Frames(place, turns, angle)
+
+    def _release(self, turn: Tensor, closed: Tensor, middle: Tensor, shares: Tensor) -> Frames:
+        """The lower stick stays while the upper one opens (thesis, section 5.6.2); then both go aside, so that
+        neither touches what they leave. An upper one that lags behind does not push it on the way."""
+        angle = closed * (1.0 - shares)
+        matrix, zero = rotations.to_matrix(turn), torch.zeros_like(closed)
+        stays = gripper.placed(matrix, closed, middle)
+        aside = gripper.placed(matrix, zero, middle) - stays
+        steps = torch.linspace(0.0, 1.0, round(ASIDE / DT) + 1, dtype=torch.float64)[1:, None]
+        place = torch.cat([stays.expand(len(shares), 3), stays + steps * aside])
+        return Frames(
+            place, turn.expand(len(place), 4), torch.cat([angle, torch.zeros(len(steps)).to(angle)])
+        )
 
     def _arms(self, now: Moment, palm: Tensor, hand: Tensor, phase: Tensor) -> Tensor:
         """(T, 7) rad: the swivel goes evenly from where it is to the best end of the approach, and from there

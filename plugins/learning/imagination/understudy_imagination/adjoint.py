@@ -67,6 +67,24 @@ class Window:
             self.ended[-steps:].clone(),
         )
 
+    def side_by_side(self, steps: int, tail: int) -> Window:
+        """Pieces of `steps` and the `tail` that followed them, each with worlds of its own:
+        (steps + tail, C N, …) of C `steps` + tail decisions."""
+        count = (len(self) - tail) // steps
+        device = self.ended.device
+        first = torch.arange(count, device=device) * steps
+        rows = torch.arange(steps + tail, device=device).unsqueeze(1) + first  # (steps + tail, C)
+
+        def pieces(value: Tensor) -> Tensor:
+            return value[rows].flatten(1, 2)
+
+        return Window(
+            {name: pieces(value) for name, value in self.before.items()},
+            {name: pieces(value) for name, value in self.reached.items()},
+            pieces(self.actions),
+            pieces(self.ended),
+        )
+
 
 @dataclass(frozen=True)
 class Gradients:
@@ -101,7 +119,8 @@ class Adjoint:
         self._back = Captured(self._step_back, imagined.reach.device)
 
     def forget_graphs(self) -> None:
-        """Capture anew: where policy and model keep their weights has changed."""
+        """Capture anew: where policy and model keep their weights has changed, or how many worlds there are."""
+        self._made = {}
         self._back = Captured(self._step_back, self._imagined.reach.device)
 
     def __call__(self, window: Window) -> Gradients:
@@ -110,6 +129,8 @@ class Adjoint:
         constants = imagined.constants(_flat(window.before))
         constants = {k: v.unflatten(0, window.ended.shape) for k, v in constants.items()}
         after = torch.zeros_like(along[0])
+        if self._made and len(self._made["mean"]) != len(after):
+            self.forget_graphs()
         actions, means, seen = torch.empty_like(window.actions), [], []
         for t in reversed(range(steps)):
             state = {name: value[t] for name, value in window.before.items()}

@@ -100,6 +100,9 @@ class Imagination(Learner):
         rollout_steps: int | None = None
         #: Decisions that follow each one at least, where its episode does, when derivatives are taken.
         tail: int = 16
+        #: Of those decisions, how many one pass back goes along before its tail; such pieces go side by
+        #: side. None goes along all of them.
+        piece: int | None = None
         #: By what derivatives shrink a decision back, beside what the dynamics does to them.
         decay: float = 0.97
         #: Most that a world's derivative may be, in medians over the worlds.
@@ -124,7 +127,9 @@ class Imagination(Learner):
         patience: int = 20  #: non-finite optimiser steps in a row after which the training stops
 
         def __post_init__(self) -> None:
-            check_range(self, "rollout_steps", "tail", "updates", "batch_size", "patience", least=1)
+            check_range(
+                self, "rollout_steps", "tail", "piece", "updates", "batch_size", "patience", least=1
+            )
             check_range(self, "decay", "gamma", "td_lambda", least=0, most=1)
             check_range(self, "clip", "step", "learning_rate", "critic_learning_rate", above=0)
             check_range(self, "margin_norm", "margin_power", least=1.0)
@@ -302,8 +307,8 @@ class Imagination(Learner):
         options = self.options
         share = options.anneal.at(self.replay.seen)
         self._rate.fill_(options.learning_rate * share)
-        found = self.adjoint(window)
-        kept = len(window) - options.tail
+        kept = math.gcd(len(window) - options.tail, options.piece or 0)
+        found = self.adjoint(window.side_by_side(kept, options.tail))
         goal = self._goals(found, kept, options.step * share)
         seen = {name: value[:kept].flatten(0, 1) for name, value in found.observations.items()}
         reach = self._imagined.reach

@@ -26,7 +26,16 @@ from understudy_hand.tools import upper_pose
 from understudy_tensors import rotations
 from understudy_tool_planner import objects
 from understudy_tool_planner.configuration import NoPlan
-from understudy_tool_planner.planner import CLOSING, DT, LEAST, PHASES, Plan, Planner
+from understudy_tool_planner.planner import (
+    ASIDE,
+    CLOSING,
+    DT,
+    LEAST,
+    PHASES,
+    PRESSING,
+    Plan,
+    Planner,
+)
 from understudy_tool_planner.tasks import Table, random_goal
 
 #: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, and whether it is held.
@@ -146,7 +155,7 @@ class Relocations(InitialStates):
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
             check_range(self, "refill", least=0, most=100_000)
-            check_range(self, "longest", least=2 * (LEAST + CLOSING), most=60.0)
+            check_range(self, "longest", least=2 * (LEAST + CLOSING) + PRESSING + ASIDE, most=60.0)
             if self.refill >= self.plans:
                 raise ValueError(
                     f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
@@ -232,11 +241,15 @@ class Follow(Fields):
 
     @dataclass(frozen=True)
     class Options:
-        #: rad that the sticks' targets close further while they hold the object, so that they press on it
-        squeeze: float = 0.05
+        #: rad that the sticks' targets close further while they hold the object, so that they press on it: by
+        #: friction sticks close a good half of what their targets do
+        squeeze: float = 0.12
+        #: s by which the arm's targets go ahead of the plan at its speed; null is the servos' own lag, kd / kp
+        lead: float | None = None
 
         def __post_init__(self) -> None:
             check_range(self, "squeeze", least=0, most=0.2)
+            check_range(self, "lead", least=0, most=1.0)
 
     def __init__(self, options: Options, context: Context) -> None:
         self._gripping, self._bank = bank_of(context, "fields 'chopsticks/follow'")
@@ -247,6 +260,11 @@ class Follow(Fields):
             "plan_ahead": (len(AHEAD), 2 * hinges + GRIPPER),
         }
         self._squeeze = options.squeeze
+        model, arm = self._gripping.scene.model, len(ARM_POSE)
+        # A servo whose velocity target is 0 lags by kd / kp: 25 mm at 0.25 m/s. The release's have the plan's.
+        lag = -model.actuator_biasprm[:arm, 2] / model.actuator_gainprm[:arm, 0]
+        lead = lag if options.lead is None else np.full(arm, options.lead)
+        self._lead = torch.tensor(lead, dtype=torch.float32, device=context.device)
         steps = [round(t / DT) for t in AHEAD]
         self._steps = torch.tensor([0, *steps], device=context.device)
         self._palm = self._gripping.scene.model.body("palm").id
@@ -271,7 +289,9 @@ class Follow(Fields):
         thing = here[:, 1:, 8:15]
         return {
             "planned_angle": angle[:, 0],
-            "planned_targets": torch.cat([arm[:, 0], targets], dim=1),
+            "planned_targets": torch.cat(
+                [arm[:, 0] + self._lead * velocity[:, 0, : len(ARM_POSE)], targets], dim=1
+            ),
             "planned_pose": pose[:, 0],
             "planned_velocity": velocity[:, 0],
             "planned_upper": torch.cat(upper_pose(now[:, :3], now[:, 3:], angle[:, 0]), dim=1),

@@ -15,6 +15,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from understudy import __version__
+from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
 from understudy_diversity import maps
@@ -197,8 +198,8 @@ def _film(take: Take) -> str:
         return (
             f'<div class="film none">{figure(take.outline, 0.0)}<p>{escape(take.reason)}</p></div>'
         )
-    film = base64.b64encode(take.film.read_bytes()).decode()
-    still = base64.b64encode(take.still.read_bytes()).decode() if take.still else ""
+    film = base64.b64encode(read(take.film)).decode()
+    still = base64.b64encode(read(take.still)).decode() if take.still else ""
     return (
         '<div class="film"><video autoplay muted loop playsinline '
         f'poster="data:image/png;base64,{still}" src="data:video/mp4;base64,{film}"></video></div>'
@@ -234,7 +235,7 @@ def _peaks(exhibits: Sequence[Exhibit], options: GalleryOptions) -> str:
     for exhibit in drawn:
         views = ""
         if exhibit.take.still is not None:
-            still = base64.b64encode(exhibit.take.still.read_bytes()).decode()
+            still = base64.b64encode(read(exhibit.take.still)).decode()
             views += f'<img alt="at the peak" src="data:image/png;base64,{still}">'
         if exhibit.take.outline is not None:
             views += figure(exhibit.take.outline, -30.0) + figure(exhibit.take.outline, 35.0)

@@ -15,7 +15,6 @@ import torch
 from understudy_bayes import draws
 from understudy_diversity.novel_policies import NovelPolicies
 from understudy_diversity.peaks import png
-from understudy_diversity.search import model_of
 from understudy_diversity.strategies import (
     DiversityOptions,
     GalleryOptions,
@@ -143,6 +142,10 @@ def parameters(strategies: Sequence[Strategy], options: Options, seed: int) -> s
     for s in strategies:
         book.book.trials[s.trial.key] = s.trial
         book.book.reports[s.trial.key] = s.report
+    from understudy_diversity.search import (
+        model_of,
+    )  # a sweep of other loops is drawn without BoTorch
+
     made = model_of(book, seed, len(strategies))
     names = list(options.parameters)
     if made is None:

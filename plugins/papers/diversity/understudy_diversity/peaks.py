@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from understudy.errors import UnderstudyError
+from understudy.folders import DOCUMENT
 from understudy.records.checkpoint import write_atomically
 from understudy_diversity.strategies import GalleryOptions
 from understudy_report.video import write_video
@@ -52,7 +53,8 @@ def take_of(run: Path, folder: Path, name: str, options: GalleryOptions) -> Take
     except Exception as error:  # a scene may come from any plugin
         return Take(None, None, None, f"It cannot be drawn: {error}")
     made = (run / "recording.npz").stat().st_mtime_ns
-    if film.exists() and still.exists() and film.stat().st_mtime_ns == made:
+    ours = all(f.is_file() and f.stat().st_size <= DOCUMENT for f in (film, still))
+    if ours and film.stat().st_mtime_ns == made:
         return Take(film, still, outline)
     every = round(np.clip(1.0 / (30.0 * _SLOWER * dt), 1, length))
     shown = np.arange(0, length, every)

@@ -24,10 +24,7 @@ PARTS = {
     },
     "actuation": {
         "dressing/torques": ("parts:Torques", "the joints' torques"),
-        "dressing/gripper": (
-            "gripper:GripperForces",
-            "a gripper's forces, beside a person who is led by a run",
-        ),
+        "dressing/gripper": ("gripper:GripperForces", "a gripper's forces; a run leads the person"),
     },
     "measure": {
         "dressing/pose_error": ("terms:PoseError", "the distance from the neutral pose"),

@@ -178,10 +178,10 @@ def spread(order: np.ndarray, colours: np.ndarray, groups: np.ndarray) -> np.nda
     columns = np.arange(groups.shape[1])
     done = 0
     for count in np.bincount(colours):
-        left = order[done : done + count]
+        left, met = order[done : done + count], np.zeros((groups.shape[1], _BANKS), int)
         for place in range(count):
             if place % _BANKS == 0:
-                met = np.zeros((groups.shape[1], _BANKS), int)
+                met[:] = 0
             # what each would add to the most that meet in a bank, by columns
             meets = met[columns, bank[left]]
             cost = np.maximum(meets + 1 - met.max(axis=1), 0).sum(axis=1) * 64 + meets.sum(axis=1)

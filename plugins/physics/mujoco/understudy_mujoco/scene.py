@@ -122,7 +122,8 @@ class MjcfFile(MujocoScene):
             self._mjcf.write(folder / own.name)
             for name in LICENCES:
                 if (found := own.parent / name).is_file() and not found.is_symlink():
-                    (folder / name).write_bytes(found.read_bytes()[:_LICENCE_BYTES])
+                    with found.open("rb") as file:
+                        (folder / name).write_bytes(file.read(_LICENCE_BYTES))
 
         folder = inputs.folder_of(f"mjcf {own}", own.parent, keep)
         kept = folder != own.parent

@@ -21,6 +21,7 @@ from markupsafe import Markup
 
 from understudy import __version__
 from understudy.errors import UnderstudyError
+from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.config import Experiment
 from understudy_report.markup import check_markup, piece
@@ -219,7 +220,7 @@ def film_html(film: Path, tiles: Sequence[Tile]) -> str:
         f'top:{100 * (i // columns) / rows:.2f}%;{style_of(tile.index)}">{escape(tile.name)}</span>'
         for i, tile in enumerate(tiles)
     )
-    data = base64.b64encode(film.read_bytes()).decode()
+    data = base64.b64encode(read(film)).decode()
     return (
         '<div class="card"><div class="film"><video autoplay muted loop controls playsinline '
         f'src="data:video/mp4;base64,{data}"></video>{names}</div></div>'

@@ -20,9 +20,9 @@ from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.evaluation import Evaluation
-from understudy.running.reinforcement import Reinforcement
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import load_experiment, replaced
+from understudy_reinforcement.job import Reinforcement
 from understudy_sweeps.loops import Report, Trial, Work
 
 __all__ = ["folder_of", "run_trial", "written"]

@@ -165,8 +165,8 @@ def _beside(run: Run, name: str, chosen: str, words: Sequence[str], training: Tr
                 write_atomically(target, (inputs.folder / copied).read_bytes())
         info["inputs"] = inputs.copy(own.path / "inputs")
         own.write_json("run.json", info)
-        if run.metrics_file.is_file():
-            write_atomically(own.metrics_file, run.metrics_file.read_bytes())
+        if rows := run.metrics():
+            write_atomically(own.metrics_file, "".join(json.dumps(r) + "\n" for r in rows).encode())
     except OSError as error:
         raise RunError(f"{own.path} cannot be written: {error.strerror}.") from error
     return own

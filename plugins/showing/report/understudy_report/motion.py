@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from understudy.folders import read
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy_motion.readers.npz import Archive
@@ -59,7 +60,7 @@ class Motion(ReportSection):
         figures = Figures.load(run.path / FIGURES)
         parts = []
         try:
-            data = base64.b64encode((run.path / VIDEO).read_bytes()).decode()
+            data = base64.b64encode(read(run.path / VIDEO)).decode()
             parts.append(
                 '<div class="card"><video autoplay muted loop controls playsinline '
                 f'src="data:video/mp4;base64,{data}"></video></div>'

@@ -11,6 +11,8 @@ from understudy.random import WorldStreams
 from understudy.running.environment import Environment, without_unsound
 from understudy.task import Policy, Rollout
 
+__all__ = ["Collector"]
+
 
 class Collector:
     """Steps an environment with a policy, and keeps what a learner needs: the `fields` before each action,

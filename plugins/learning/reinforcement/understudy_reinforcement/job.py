@@ -11,17 +11,18 @@ from torch import Tensor
 
 from understudy import distributed
 from understudy.records.recording import Recording
-from understudy.running.collector import Collector
 from understudy.running.environment import Environment, Fault
 from understudy.running.evaluation import Evaluation
 from understudy.running.evaluator import Evaluator
 from understudy.running.jobs import Job
-from understudy.running.statistics import Hopeless
 from understudy.running.success import success_of
-from understudy.running.warm_start import misshapen, take_over
+from understudy.running.warm_start import misshapen
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Learner, Policy, State
+from understudy_reinforcement.collector import Collector
+from understudy_reinforcement.hopeless import Hopeless
+from understudy_reinforcement.start import take_over
 
 __all__ = ["Reinforcement"]
 
@@ -32,7 +33,8 @@ _SOUGHT = 1000
 
 
 class Reinforcement(Job):
-    """The job of a run whose configuration names none."""
+    """Collects rollouts, has the learner learn from them, adapts where episodes begin: the job of a run whose
+    configuration names none."""
 
     environment: Environment
     policy: Policy

@@ -1,0 +1,11 @@
+"""Reinforcement learning: what a run iterates that names no job."""
+
+#: Plugins that this one builds on.
+REQUIRES: tuple[str, ...] = ()
+
+#: By kind and name: where each part is, and what it is in a sentence.
+PARTS = {
+    "job": {
+        "reinforcement": ("job:Reinforcement", "collect, learn, adapt where episodes begin"),
+    },
+}

@@ -1,0 +1,69 @@
+"""Beginning a training with parts of another run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from torch import Tensor
+
+from understudy.errors import RunError
+from understudy.records import runs
+from understudy.running.warm_start import load_part, misshapen, newest_state
+from understudy.setup.root import StartOptions
+from understudy.task import Curriculum, InitialStates, Policy
+
+
+def policy_parts(policy: Policy) -> dict[str, set[str]]:
+    """Which entries of the policy's state belong to its actor, its critic, and its normaliser."""
+    critic = {id(p) for p in policy.critic_parameters()}
+    parts: dict[str, set[str]] = {"actor": set(), "critic": set(), "normaliser": set()}
+    parameters = dict(policy.named_parameters(remove_duplicate=False))
+    for name in policy.state_dict():
+        parameter = parameters.get(name)
+        part = (
+            "normaliser" if parameter is None else "critic" if id(parameter) in critic else "actor"
+        )
+        parts[part].add(name)
+    return parts
+
+
+def take_over(
+    start: StartOptions,
+    policy: Policy,
+    initial_states: InitialStates,
+    curriculum: Curriculum | None,
+) -> dict[str, Any]:
+    """Put the parts that `start` names, from the newest checkpoint of its run, in place; returns what
+    was taken from where, for provenance.
+
+    Raises
+    ------
+    RunError
+        if the run lacks one of them, or it has another shape here; names the first that
+        does not fit.
+    """
+    state = newest_state(start.run)
+    given: Mapping[str, Tensor] = state.get("policy", {})
+    own = dict(policy.state_dict())
+    entries = policy_parts(policy)
+    for part in start.parts:
+        for name in sorted(entries.get(part, ())):
+            for misfit in misshapen(own[name], given.get(name), name):
+                raise RunError(
+                    f"start.parts: the {part} of {start.run} does not fit: {misfit}. Leave {part} "
+                    "out, or train with the same policy and observations."
+                )
+            own[name] = given[name]
+    policy.load_state_dict(own)
+    for name, part in (("initial_states", initial_states), ("curriculum", curriculum)):
+        if name not in start.parts:
+            continue
+        if part is None:
+            raise RunError(f"start.parts names the {name}, and this task has none ({name}=…).")
+        load_part(part, state, name, f"start.parts: the {name} of {start.run}")
+    samples = state["progress"]["samples"]
+    sources = runs.open_run(start.run).info["sources"]  # licences of what the weights are made of
+    return {
+        "run": start.run, "parts": list(start.parts), "samples": samples, "sources": sources
+    }  # fmt: skip
