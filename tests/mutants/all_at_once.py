@@ -81,11 +81,14 @@ def command(tests: str) -> list[str]:
 
 
 def environment(tree: Path) -> dict[str, str]:
-    """In which the tree's modules come before the installed ones."""
+    """In which the tree's modules come before the installed ones, and before what is on the path already."""
     path = [tree / "kernel", *sorted((tree / "plugins").glob("*/*")), tree / "tests"]
+    already = os.environ.get("PYTHONPATH", "")
     return {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join(map(str, [*path, tree / "tests" / "mutants"])),
+        "PYTHONPATH": os.pathsep.join(
+            filter(None, [*map(str, path), str(tree / "tests" / "mutants"), already])
+        ),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
 

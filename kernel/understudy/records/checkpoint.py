@@ -155,7 +155,7 @@ class _Room:
 
 
 def _sealed(content: Mapping[str, Any]) -> bytes:
-    body = json.dumps(content, sort_keys=True, allow_nan=False)
+    body = json.dumps(content, allow_nan=False)  # unsorted: in some mappings the order counts
     return json.dumps(
         {"digest": hashlib.sha256(body.encode()).hexdigest(), "content": body}
     ).encode()

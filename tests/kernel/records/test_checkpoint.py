@@ -30,7 +30,15 @@ def test_round_trip(tmp_path: Path) -> None:
     state.pop("nan")
     assert_same_state(loaded, state)
     assert loaded["double"].dtype == torch.float64
-    assert list(loaded) == sorted(loaded)
+    assert list(loaded) == list(state)
+
+
+def test_mappings_keep_their_order(tmp_path: Path) -> None:
+    """That of a configuration's members counts: who moves first."""
+    config = {"scenes": {"person": {}, "cloth": {}}}
+    checkpoint.save(tmp_path / "c", {"b": 1, "a": 2}, {"config": config})
+    state, meta = checkpoint.load(tmp_path / "c")
+    assert (list(state), list(meta["config"]["scenes"])) == (["b", "a"], ["person", "cloth"])
 
 
 def test_same_state_same_bytes(tmp_path: Path) -> None:
