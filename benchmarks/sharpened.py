@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -128,7 +127,7 @@ def main() -> None:
     ends = time.monotonic() + 60 * given.minutes
     about = {
         "when": time.strftime("%Y-%m-%d"),
-        "machine": torch.cuda.get_device_name() if gpus else platform.processor(),
+        "machine": torch.cuda.get_device_name() if gpus else "CPU",
         "gpus": len(gpus),
         "at_once": given.workers,
     }
