@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -67,7 +66,7 @@ def main() -> None:
     cuda = torch.cuda.is_available()
     about = {
         "when": time.strftime("%Y-%m-%d"),
-        "machine": torch.cuda.get_device_name() if cuda else platform.processor(),
+        "machine": torch.cuda.get_device_name() if cuda else "CPU",
         "processors": os.cpu_count(),
         "versions": versions(),
     }

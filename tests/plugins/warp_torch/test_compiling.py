@@ -47,7 +47,8 @@ def test_all_that_is_launched_is_loaded_and_nothing_runs(monkeypatch: pytest.Mon
         wp.capture_if(never, on_false=double)  # the way that is not taken
 
     compiling.compile_kernels(work, "cpu")
-    assert set(loaded) == {_add.module, _double.module} and len(loaded) == 2
+    assert set(loaded) == {_add.module, _double.module}
+    assert len(loaded) == 2
     assert numbers.tolist() == [1.0] * 3
 
 
@@ -113,4 +114,5 @@ def test_work_on_a_cpu_finds_its_state_as_it_left_it() -> None:
 
     kernels.run("work", work, (numbers,))
     kernels.run("reads", reads, (other,))
-    assert numbers.tolist() == [1.0] * 3 and other.tolist() == [14.0] * 3
+    assert numbers.tolist() == [1.0] * 3
+    assert other.tolist() == [14.0] * 3
