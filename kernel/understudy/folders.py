@@ -12,7 +12,7 @@ from pathlib import Path
 
 from understudy.errors import RunError
 
-__all__ = ["check_within", "read"]
+__all__ = ["DOCUMENT", "check_within", "opened", "read"]
 
 #: Most bytes that a JSON file, such as ``run.json``, has.
 DOCUMENT = 2**28

@@ -20,6 +20,8 @@ from understudy.options import check_range, make_options
 from understudy_cloth.checking import check_mesh, pieces_of
 from understudy_cloth.mesh import edges_of, face_areas
 
+__all__ = ["Garment"]
+
 #: Bytes of a mesh and of the file that names its loops; no garment comes near.
 MOST_BYTES, MOST_NAMING_BYTES = 64 << 20, 1 << 20
 #: Vertices of a garment; a shirt has some 3 000, and each one more makes every sub-step longer.

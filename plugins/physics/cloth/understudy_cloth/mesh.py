@@ -8,6 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+__all__ = ["edges_of", "face_areas"]
+
 STRETCH, SHEAR, BENDING = range(3)
 #: Vertices whose positions fit into the shared memory of a block: 46 of 48 KiB, of which Warp takes one.
 SHARED_VERTICES = 3920
