@@ -30,7 +30,7 @@ from understudy.task import Context, InitialStates, Rollout, State
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 
-TASKS = {"fake": (*FAKE_TASK, "episode.seconds=0.7"), "contacts": PADDLE_TASK}
+OVERRIDES = {"fake": (*FAKE_TASK, "episode.seconds=0.7"), "contacts": PADDLE_TASK}
 N = 6
 
 RESUME = """
@@ -42,9 +42,9 @@ training.save()
 """
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", OVERRIDES)
 def test_bitwise_in_a_new_process(plugins: Plugins, tmp_path: Path, task: str) -> None:
-    overrides = [*TASKS[task], *SMALL, "+policy.noise={start: 0.4, end: 0.1, samples: 1500}"]
+    overrides = [*OVERRIDES[task], *SMALL, "+policy.noise={start: 0.4, end: 0.1, samples: 1500}"]
     straight = make_training(plugins, overrides, tmp_path / "straight")
     for _ in range(2 * N):
         straight.iterate()

@@ -304,7 +304,8 @@ class Follow(Fields):
     def compute(
         self, plan_row: Tensor, episode_time: Tensor, xpos: Tensor, xquat: Tensor
     ) -> dict[str, Tensor]:
-        made, row = self._gripping, plan_row.long()
+        made = self._gripping
+        row = plan_row.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
         frame = (episode_time / DT).round().long()[:, None] + self._steps
         here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
         arm, angle = here[..., :7], here[..., 7]
