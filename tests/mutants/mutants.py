@@ -575,6 +575,13 @@ MUTANTS = (
         "tests/plugins/chopsticks/test_relocate.py -k no_number",
     ),
     Mutant(
+        "a goal is of a plan of any number",
+        "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
+        "plan_row.long().clamp(0, len(self._bank.goals) - 1)",
+        "plan_row.long()",
+        "tests/faults/test_01_poisoned_fields.py -k chopsticks",
+    ),
+    Mutant(
         "a plan begins before its time",
         "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
         "frame.clamp(min=0)\n",
