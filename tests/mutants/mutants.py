@@ -67,7 +67,10 @@ NN, WARP = (
     "tests/integration/test_mujoco_warp.py",
 )
 F24 = "tests/faults/test_24_mutated_models.py"
-INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluator.py"
+INPUTS, EVALUATION = (
+    f"{KERNEL}/inputs.py",
+    "plugins/learning/reinforcement/understudy_reinforcement/evaluator.py",
+)
 TRIAL, APART, MODELS = (
     "plugins/physics/mujoco/understudy_mujoco/trial.py",
     "plugins/physics/mujoco/understudy_mujoco/apart.py",
@@ -352,7 +355,7 @@ MUTANTS = (
     Mutant("a defect hides the signal", f"{KERNEL}/command/cli.py",
            "if stop.received is not None and not isinstance(error, PreemptedError):",
            "if isinstance(error, KeyboardInterrupt):", f"{ANY} -k library"),
-    Mutant("a closed terminal ends it", f"{KERNEL}/command/workflow.py",
+    Mutant("a closed terminal ends it", "plugins/learning/training/understudy_training/workflow.py",
            "contextlib.suppress(OSError):  # a terminal that was closed stops nothing", "contextlib.nullcontext():",
            f"{ANY} -k printed"),
     # Data from strangers.
