@@ -518,7 +518,7 @@ MUTANTS = (
            "return [] if self.options.initial_counts else [*self.trials][: self.options.initial]", "return []",
            "tests/plugins/bayes/test_book.py -k need_not_count"),
     Mutant("a missed criterion decides a verdict", "plugins/search/reproduce/understudy_reproduce/card.py",
-           "return UNDECIDED if missed and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
+           "return UNDECIDED if self.missed(figure) and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
     # What strangers' files of the newer parts may be.
     Mutant("a grip is any file", "plugins/figures/gripping/understudy_gripping/grip.py", "json.loads(read(path, _LARGEST))\n        if not isinstance(values",
            "json.loads(path.read_text())\n        if not isinstance(values", "tests/plugins/gripping/test_grip.py -k pipe or none_are_refused"),
