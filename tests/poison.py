@@ -18,7 +18,6 @@ from test_01_poisoned_fields import EXPERIMENTS, VALUES, Outcome, poisoned
 
 from understudy.errors import UnderstudyError
 
-
 #: What takes longest, to begin with.
 SLOW = ("dressing/", "amorphous/", "chopsticks/")
 
@@ -38,6 +37,9 @@ def outcome(name: str, value: str, runs: Path, until: float) -> Outcome | str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=1, help="experiments at once")
+    parser.add_argument(
+        "--runs", type=Path, help="where the runs that others build on are, or are made"
+    )
     parser.add_argument("--seconds", type=float, default=1e9, help="begin none after so long")
     parser.add_argument(
         "names", nargs="*", help="those whose names begin so; all if there are none"
@@ -51,7 +53,10 @@ def main() -> int:
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(chosen.jobs, mp_context=fresh) as pool,
     ):
-        runs = make_all_stages(Path(folder))
+        runs = chosen.runs or Path(folder)
+        if not (chosen.runs and chosen.runs.is_dir()):
+            runs.mkdir(exist_ok=True)
+            make_all_stages(runs)
         print(f"stages made in {time.monotonic() - begin:.0f} s", flush=True)
         until = begin + chosen.seconds
         under_way = {
