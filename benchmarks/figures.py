@@ -26,7 +26,7 @@ from typing import Any
 import yaml
 from scipy import stats
 
-from understudy_sweeps.intervals import FAILS, HOLDS, ONE, UNDECIDED, mean_of
+from understudy_sweeps.intervals import FAILS, HOLDS, ONE, UNDECIDED, mean_of, verdict_between
 from understudy_sweeps.intervals import verdict as decided
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -173,12 +173,7 @@ def verdict(claim: Mapping[str, Any]) -> str:
     if (ours if sign < 0 else theirs).missed:
         return UNDECIDED
     first, second = ours.bounded(), theirs.bounded()
-    both = sorted(set(first.values) & set(second.values))
-    if len(both) > 1:
-        found = _decided(Measured({s: first.values[s] - second.values[s] for s in both}), 0.0, sign)
-    else:
-        samples = [list(m.values.values()) for m in (first, second)]
-        found = _told(_welch(*samples), sign * (first.mean - second.mean))
+    found = verdict_between(first.values, second.values, "less" if sign < 0 else "more")
     return UNDECIDED if found == FAILS and (ours.missed or theirs.missed) else found
 
 
@@ -190,10 +185,6 @@ def _decided(ours: Measured, than: float, sign: int) -> str:
         error = reach / float(stats.t.ppf(0.975, count - 1))
         return _told(2 * float(stats.t.sf(abs(difference) / error, count - 1)), difference)
     return decided(list(ours.values.values()), than, "less" if sign < 0 else "more")
-
-
-def _welch(first: list[float], second: list[float]) -> float:
-    return float(stats.ttest_ind(first, second, equal_var=False).pvalue)  # type: ignore[attr-defined]
 
 
 def _told(p: float, difference: float) -> str:

@@ -9,7 +9,7 @@ m, rad, s.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -49,6 +49,8 @@ RESTING = 0.3
 _TRIES = 20
 #: Relocations in an episode, at most.
 MOST = 8
+#: s that a plan made anew may take longer; m that an object that lies on the table may be off its height.
+LONGER, ON_TABLE = 3.0, 0.003
 
 
 class Bank:
@@ -70,7 +72,7 @@ class Bank:
         # An evaluation's plans are ones that no training follows.
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
-        self._relocations, self._noise = 1, 0.0
+        self._relocations, self._noise, self._spare = 1, 0.0, 0
         self.frames = self.goals = self.lengths = torch.zeros(0)
 
     def fill(self, count: int, seconds: float, relocations: int, noise: float) -> None:
@@ -80,18 +82,70 @@ class Bank:
             return
         self._relocations, self._noise = relocations, noise
         longest = relocations * seconds + (relocations - 1) * RESTING
-        self.frames = torch.zeros(count, round(longest / DT) + 1, _FRAME, device=self._device)
+        self._room = round(longest / DT) + 1
+        self.frames = torch.zeros(count, self._room, _FRAME, device=self._device)
         #: (P, L, 3) m
         self.goals = torch.zeros(count, relocations, 3, device=self._device)
         #: (P,) int64: the last frame.
         self.lengths = torch.zeros(count, dtype=torch.int64, device=self._device)
         for row in range(count):
             self.replace(row)
+        self._extend()
+
+    def spare(self, count: int) -> None:
+        """Keep so many rows more, which nobody draws, for plans that are made within episodes."""
+        self._spare = count
+        if len(self.frames):
+            self._extend()
+
+    def _extend(self) -> None:
+        if not self._spare:
+            return
+        self.drawn = len(self.frames)
+        count, longer = self._spare, self._room + round(LONGER / DT)
+        frames = torch.zeros(self.drawn + count, longer, _FRAME, device=self._device)
+        frames[: self.drawn] = self.frames[:, [*range(self._room), *[-1] * (longer - self._room)]]
+        self.frames = frames
+        self.goals = torch.cat([self.goals, self.goals[:1].repeat(count, 1, 1)])
+        self.lengths = torch.cat([self.lengths, self.lengths[:1].repeat(count)])
 
     def replace(self, row: int) -> None:
         """Put a new plan into a row, in place."""
+        plans = self._plans()
+        for leg, plan in enumerate(plans):
+            self.goals[row, leg] = plan.object[-1, :3].float().to(self._device)
+        self._put(row, plans, 0)
+
+    def again(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
+        """The row of `world` itself with the plan `row` made anew at its frame `frame`, without noise: from where arm
+        and sticks are planned then, and the object is, at `place` (3,) m turned by `turn` (4,). None where there is no such plan.
+        """
+        frame = min(frame, int(self.lengths[row]))
+        here = self.frames[row, frame].double().cpu()
+        leg = int(here[_LEG])
+        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
+            return None
+        goals = [(float(x), float(y)) for x, y in self.goals[row, leg:, :2]]
+        start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
+        plans: list[Plan] = []
+        try:
+            for k, goal in enumerate(goals):
+                table = Table((self._shape,), (start,), (heading,))
+                plan = self._planner.plan(table.task(0, goal), now, table.without(0), anew=k == 0)
+                plans.append(plan)
+                now, heading = plan.end, float(rotations.heading(plan.object[-1, 3:]))
+                start = goal
+        except NoPlan:
+            return None
+        own = self.drawn + world
+        self.goals[own] = self.goals[row].clone()
+        return own if self._put(own, plans, leg) else None
+
+    def _put(self, row: int, plans: list[Plan], first: int) -> bool:
+        """Write the frames of `plans`, whose first is the relocation number `first`; whether they had room."""
         parts: list[Tensor] = []
-        for leg, plan in enumerate(self._plans()):
+        for leg, plan in enumerate(plans, first):
             held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
             count = len(plan.angle)
             which, last = torch.full((count, 1), float(leg)), torch.zeros(count, 1)
@@ -102,11 +156,13 @@ class Bank:
                 frames = torch.cat([frames, frames[-1:].repeat(round(RESTING / DT), 1)])
             frames[-1, _LAST] = 1.0
             parts.append(frames)
-            self.goals[row, leg] = plan.object[-1, :3].float().to(self._device)
         frames = torch.cat(parts).to(self._device)
+        if len(frames) > self.frames.shape[1]:
+            return False
         self.frames[row, : len(frames)] = frames
         self.frames[row, len(frames) :] = frames[-1]
         self.lengths[row] = len(frames) - 1
+        return True
 
     def _plans(self) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
@@ -169,12 +225,11 @@ def bank_of(context: Context, who: str) -> tuple[Gripping, Bank]:
 class Relocations(InitialStates):
     """The sticks in the hand, open, and the object at the start of a plan that each world draws.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end;
-    ``plan_seconds`` () s, how long it lasts.
+    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
 
     rollout_fields = ("plan_row",)
-    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,), "plan_seconds": ()}
+    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,)}
 
     @dataclass(frozen=True)
     class Options:
@@ -223,7 +278,6 @@ class Relocations(InitialStates):
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
             "plan_goal": self._bank.goals[row, -1],
-            "plan_seconds": DT * self._bank.lengths[row].float(),
         }
 
     def update(self, rollout: Rollout) -> dict[str, float]:
@@ -258,15 +312,18 @@ class Relocations(InitialStates):
 class Follow(Fields):
     """The plan that each world follows, at its time: what ``chopsticks/plan`` gives, and the object.
 
+    - ``plan_time`` () s, since the plan began, and ``plan_lasts`` () s, how long it is
     - ``planned_object`` (7,): where the object shall be, in the world; ``planned_held`` () 1 while the sticks hold it
     - ``planned_goal`` (3,) m, of the relocation that is on; ``planned_leg`` () its number, from 0; ``leg_over`` () 1
       in its last frame
     - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
-    reads = ("plan_row", "episode_time", "xpos", "xquat")
+    reads = ("followed", "plan_since", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
         **PLANNED,
+        "plan_time": (),
+        "plan_lasts": (),
         "planned_object": (7,),
         "planned_held": (),
         "planned_goal": (3,),
@@ -302,11 +359,16 @@ class Follow(Fields):
         self._palm = self._gripping.scene.model.body("palm").id
 
     def compute(
-        self, plan_row: Tensor, episode_time: Tensor, xpos: Tensor, xquat: Tensor
+        self,
+        followed: Tensor,
+        plan_since: Tensor,
+        episode_time: Tensor,
+        xpos: Tensor,
+        xquat: Tensor,
     ) -> dict[str, Tensor]:
-        made = self._gripping
-        row = plan_row.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
-        frame = (episode_time / DT).round().long()[:, None] + self._steps
+        made, time = self._gripping, episode_time - plan_since
+        row = followed.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
+        frame = (time / DT).round().long()[:, None] + self._steps
         here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
         arm, angle = here[..., :7], here[..., 7]
         turning = (after[..., 7] - angle) / DT
@@ -330,6 +392,8 @@ class Follow(Fields):
             "planned_upper": torch.cat(upper_pose(now[:, :3], now[:, 3:], angle[:, 0]), dim=1),
             "planned_lower": now,
             "plan_ahead": torch.cat([pose, velocity, gripper], dim=-1)[:, 1:],
+            "plan_time": time,
+            "plan_lasts": DT * self._bank.lengths[row].float(),
             "planned_object": here[:, 0, _OBJECT],
             "planned_held": held,
             "planned_goal": self._bank.goals[row, leg.long()],
@@ -355,12 +419,12 @@ class Object(Fields):
     - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal
     - ``plan_over`` () 1 once the plan has ended
     - ``legs_placed`` (8,) 1 in the moment at which that relocation is over and its object within `within` m;
-      ``leg_placed`` () 1 where any is
+      ``leg_placed`` () 1 where any is, ``leg_missed`` () 1 where one is over and its object elsewhere
     """
 
     reads = (
         "qpos", "qvel", "xpos", "xquat", "planned_object", "planned_goal", "planned_leg", "leg_over",
-        "plan_seconds", "episode_time",
+        "plan_lasts", "plan_time",
     )  # fmt: skip
     provides: Mapping[str, Shape] = {
         "object_state": (13,),
@@ -371,6 +435,7 @@ class Object(Fields):
         "plan_over": (),
         "legs_placed": (MOST,),
         "leg_placed": (),
+        "leg_missed": (),
     }
 
     @dataclass(frozen=True)
@@ -403,18 +468,18 @@ class Object(Fields):
         planned_goal: Tensor,
         planned_leg: Tensor,
         leg_over: Tensor,
-        plan_seconds: Tensor,
-        episode_time: Tensor,
+        plan_lasts: Tensor,
+        plan_time: Tensor,
     ) -> dict[str, Tensor]:
         place, rotation = qpos[:, self._at : self._at + 3], qpos[:, self._at + 3 : self._at + 7]
         speed = qvel[:, self._dof : self._dof + 3]
         spin = rotations.rotate(rotation, qvel[:, self._dof + 3 : self._dof + 6])
         palm, turn = xpos[:, self._palm], xquat[:, self._palm]
         away = (place - planned_goal).norm(dim=-1)
-        over = episode_time >= plan_seconds + self._options.settle - 0.5 * DT
+        over = plan_time >= plan_lasts + self._options.settle - 0.5 * DT
         turned = rotations.angle_between(rotation, planned_object[:, 3:])
         # The last one is judged when the plan is over, the others in their last frame.
-        done = torch.where(episode_time < plan_seconds - 0.5 * DT, leg_over > 0, over)
+        done = torch.where(plan_time < plan_lasts - 0.5 * DT, leg_over > 0, over)
         there = done & (away <= self._options.within)
         legs = planned_leg.long()[:, None] == self._legs
         return {
@@ -434,6 +499,7 @@ class Object(Fields):
             "plan_over": over.float(),
             "legs_placed": (there[:, None] & legs).float(),
             "leg_placed": there.float(),
+            "leg_missed": (done & ~there).float(),
         }
 
 

@@ -1,0 +1,88 @@
+"""Planning again within an episode: what has failed is begun anew, from where everything is (thesis, section 5.7.5).
+
+N worlds; m, s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Context, Memory
+from understudy_chopsticks.relocate import bank_of
+from understudy_tool_planner.planner import DT
+
+
+class Again(Memory):
+    """Which plan a world follows, and since when; a plan that fails is made anew, without noise.
+
+    A relocation fails where the object is far from its plan, or elsewhere as it ends. The sticks then rest for the 0.1 s that a
+    plan takes to be found, open, go up by 3 cm and begin anew, for the same goals. Trainings never plan anew, as in the thesis: nothing
+    leaves the device in them.
+
+    - ``followed`` () number in the bank; ``plan_since`` () s of the episode; ``replans`` () so far; ``given_up`` () 1 where there
+      was no plan
+
+    *Limits:* an object that is not flat on the table, or that no plan reaches, is given up.
+    """
+
+    reads = ("plan_row", "episode_time", "qpos", "object_distance", "leg_missed")
+    keeps = {"followed": (), "plan_since": (), "replans": (), "given_up": ()}
+
+    @dataclass(frozen=True)
+    class Options:
+        most: int = (
+            0  #: plans made anew in an episode of an evaluation; the thesis does not limit them
+        )
+        distance: float = (
+            0.0178  #: m from the plan at which the object counts as lost (as termination lost)
+        )
+
+        def __post_init__(self) -> None:
+            check_range(self, "most", least=0, most=100)
+            check_range(self, "distance", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        made, self._bank = bank_of(context, "memory 'chopsticks/again'")
+        self._options, self._most = options, options.most if context.evaluating else 0
+        self._at = int(made.scene.model.joint("object").qposadr[0])
+        if self._most:
+            self._bank.spare(context.num_worlds)
+
+    def begin(self, plan_row: Tensor, **fields: Tensor) -> dict[str, Tensor]:
+        nothing = torch.zeros_like(plan_row)
+        return {
+            "followed": plan_row,
+            "plan_since": nothing,
+            "replans": nothing,
+            "given_up": nothing,
+        }
+
+    def advance(
+        self,
+        kept: Mapping[str, Tensor],
+        plan_row: Tensor,
+        episode_time: Tensor,
+        qpos: Tensor,
+        object_distance: Tensor,
+        leg_missed: Tensor,
+    ) -> Mapping[str, Tensor]:
+        if not self._most:
+            return kept
+        new = {name: value.clone() for name, value in kept.items()}
+        failed = (object_distance > self._options.distance) | (leg_missed > 0)
+        failed &= (new["replans"] < self._most) & (new["given_up"] == 0)
+        for world in failed.nonzero()[:, 0].tolist():  # an evaluation's, and few
+            thing = qpos[world, self._at : self._at + 7].double().cpu()
+            frame = round(float(episode_time[world] - new["plan_since"][world]) / DT)
+            row = self._bank.again(int(new["followed"][world]), world, frame, thing[:3], thing[3:])
+            if row is None:
+                new["given_up"][world] = 1.0
+                continue
+            new["followed"][world], new["plan_since"][world] = row, episode_time[world]
+            new["replans"][world] += 1.0
+        return new
