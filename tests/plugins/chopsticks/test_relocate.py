@@ -157,7 +157,7 @@ def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_i
         xquat=torch.tensor([1.0, 0, 0, 0]).expand(4, 60, 4), planned_object=torch.tensor([0.0, 0, 0, 1, 0, 0, 0]).expand(4, 7),
         planned_goal=torch.zeros(4, 3), planned_leg=torch.tensor([2.0, 2.0, 2.0, 0.0]),
         leg_over=torch.tensor([0.0, 1.0, 1.0, 1.0]), plan_lasts=torch.full((4,), 1.5),
-        plan_time=torch.tensor([1.8, 1.79, 1.8, 5.0]),
+        plan_stopped=torch.full((4,), -1.0), plan_time=torch.tensor([1.8, 1.79, 1.8, 5.0]),
     )  # fmt: skip
     assert found["object_placed"].tolist() == [1, 0, 0, 1]
     assert found["plan_over"].tolist() == [1, 0, 1, 1]
@@ -227,6 +227,12 @@ def test_a_plan_that_fails_is_made_anew_from_where_everything_is(replanned: Buil
     environment.refresh()
     arm = field(replanned, "planned_pose")[:, :7].clone()
     environment.advance(torch.zeros(3, 36))
+    assert field(replanned, "replans").tolist() == [0, 0, 0]
+    assert field(replanned, "plan_stopped").tolist() == pytest.approx([-1, 0.21, -1])
+    assert field(replanned, "object_distance")[1] == 0.0, "no plan has it"
+    assert (field(replanned, "planned_velocity")[1] == 0).all(), "the sticks stop"
+    assert not bool(field(replanned, "failed").any())
+    environment.advance(torch.zeros(3, 36))
     assert field(replanned, "replans").tolist() == [0, 1, 0]
     assert not bool(field(replanned, "failed").any()), "what is begun anew is not lost"
     followed = field(replanned, "followed")
@@ -251,7 +257,8 @@ def test_what_no_plan_reaches_is_given_up(replanned: Built) -> None:
     state["qpos"][2, 50:53] = float("nan")
     simulator.set_state(torch.tensor([True, False, True]), state)
     environment.refresh()
-    environment.advance(torch.zeros(3, 36))
+    for _ in range(2):
+        environment.advance(torch.zeros(3, 36))
     assert field(replanned, "given_up").tolist() == [1, 0, 0]
     assert field(replanned, "replans").tolist() == [0, 0, 0]
     assert field(replanned, "failed")[[0, 2]].all()
@@ -265,8 +272,8 @@ def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     kept = {"followed": torch.zeros(2)}
     lost = torch.full((2,), 0.5)
     found = memory.advance(
-        kept, plan_row=lost, episode_time=lost, qpos=lost, object_distance=lost, leg_missed=lost
-    )
+        kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost
+    )  # fmt: skip
     assert found is kept
     assert len(parts(made)[1].frames) == 2
     made.environment.close()

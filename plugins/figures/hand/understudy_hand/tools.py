@@ -123,6 +123,9 @@ class Thing:
     friction: float | None = (
         None  #: sliding, with whatever it touches; null is the scene's (figure 5.21 varies it)
     )
+    rolling: float = (
+        0.0  #: m, of rolling friction: a sphere that has none rolls on for ever (the release)
+    )
 
     def __post_init__(self) -> None:
         count = {"sphere": 1, "capsule": 2, "box": 3}[self.kind]
@@ -132,6 +135,7 @@ class Thing:
             )
         check_range(self, "sizes", above=0, most=1.0)
         check_range(self, "density", "friction", above=0)
+        check_range(self, "rolling", least=0, most=0.01)
 
     @property
     def height(self) -> float:
@@ -163,6 +167,8 @@ def add_thing(spec: mujoco.MjSpec, thing: Thing, friction: float, contact: tuple
         thing.friction is not None
     ):  # of two frictions the larger one counts, unless one has priority
         geom.friction[0], geom.priority = thing.friction, 1
+    if thing.rolling > 0:
+        geom.friction[2], geom.condim = thing.rolling, 6
     if thing.kind == "capsule":
         half = float(np.sqrt(0.5))
         geom.quat = [half, 0, half, 0]

@@ -319,7 +319,7 @@ class Follow(Fields):
     - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
-    reads = ("followed", "plan_since", "episode_time", "xpos", "xquat")
+    reads = ("followed", "plan_since", "plan_stopped", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
         **PLANNED,
         "plan_time": (),
@@ -362,14 +362,17 @@ class Follow(Fields):
         self,
         followed: Tensor,
         plan_since: Tensor,
+        plan_stopped: Tensor,
         episode_time: Tensor,
         xpos: Tensor,
         xquat: Tensor,
     ) -> dict[str, Tensor]:
-        made, time = self._gripping, episode_time - plan_since
+        made, goes = self._gripping, plan_stopped < 0
+        time = torch.where(goes, episode_time - plan_since, plan_stopped)
         row = followed.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
-        frame = (time / DT).round().long()[:, None] + self._steps
-        here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
+        frame = (time / DT).round().long()[:, None] + goes[:, None] * self._steps
+        here = self._bank.at(row, frame)
+        after = self._bank.at(row, frame + goes[:, None])
         arm, angle = here[..., :7], here[..., 7]
         turning = (after[..., 7] - angle) / DT
         hand, slope = made.at(made.poses, angle)
@@ -378,7 +381,7 @@ class Follow(Fields):
         lower = made.lower.expand(*angle.shape, 7)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
-        held, now = here[:, 0, _HELD], lower[:, 0]
+        held, now = here[:, 0, _HELD] * goes, lower[:, 0]
         targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
         palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
         thing, leg = here[:, 1:, _OBJECT], here[:, 0, _LEG]
@@ -424,7 +427,7 @@ class Object(Fields):
 
     reads = (
         "qpos", "qvel", "xpos", "xquat", "planned_object", "planned_goal", "planned_leg", "leg_over",
-        "plan_lasts", "plan_time",
+        "plan_lasts", "plan_time", "plan_stopped",
     )  # fmt: skip
     provides: Mapping[str, Shape] = {
         "object_state": (13,),
@@ -470,16 +473,18 @@ class Object(Fields):
         leg_over: Tensor,
         plan_lasts: Tensor,
         plan_time: Tensor,
+        plan_stopped: Tensor,
     ) -> dict[str, Tensor]:
         place, rotation = qpos[:, self._at : self._at + 3], qpos[:, self._at + 3 : self._at + 7]
         speed = qvel[:, self._dof : self._dof + 3]
         spin = rotations.rotate(rotation, qvel[:, self._dof + 3 : self._dof + 6])
         palm, turn = xpos[:, self._palm], xquat[:, self._palm]
         away = (place - planned_goal).norm(dim=-1)
-        over = plan_time >= plan_lasts + self._options.settle - 0.5 * DT
+        goes = plan_stopped < 0
+        over = goes & (plan_time >= plan_lasts + self._options.settle - 0.5 * DT)
         turned = rotations.angle_between(rotation, planned_object[:, 3:])
         # The last one is judged when the plan is over, the others in their last frame.
-        done = torch.where(plan_time < plan_lasts - 0.5 * DT, leg_over > 0, over)
+        done = torch.where(plan_time < plan_lasts - 0.5 * DT, goes & (leg_over > 0), over)
         there = done & (away <= self._options.within)
         legs = planned_leg.long()[:, None] == self._legs
         return {
@@ -492,7 +497,8 @@ class Object(Fields):
                 ],
                 dim=-1,
             ),
-            "object_distance": (place - planned_object[:, :3]).norm(dim=-1),
+            # Where a plan has stopped there is none for the object.
+            "object_distance": (place - planned_object[:, :3]).norm(dim=-1) * goes,
             "object_turn": torch.zeros_like(turned) if self._round else turned,
             "goal_distance": away,
             "object_placed": (over & (away <= self._options.within)).float(),
