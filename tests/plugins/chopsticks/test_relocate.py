@@ -204,6 +204,29 @@ def test_a_noisy_plan_takes_beside_the_object(plugins: Plugins) -> None:
     assert off.max() < 0.1
 
 
+def test_a_box_is_put_upon_another(plugins: Plugins) -> None:
+    """The goal is on top of what lies there; nothing is in the way of the plan, nor are the two in each other."""
+    box = "{kind: box, sizes: [0.015, 0.015, 0.015]}"
+    words = [*WORDS[:1], "num_worlds=4", "initial_states.plans=3", f"scene.object={box}", "scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    made.environment.reset(seed=0)
+    goal, qpos = field(made, "plan_goal").clone(), field(made, "qpos").clone()
+    assert goal[:, 2].tolist() == pytest.approx([0.0275] * 4)
+    torch.testing.assert_close(qpos[:, 57:59], goal[:, :2])
+    assert qpos[:, 59].tolist() == pytest.approx([0.01] * 4)
+    assert (qpos[:, 50:52] - goal[:, :2]).norm(dim=1).min() > 0.03
+    _, bank = parts(made)
+    for row in range(3):
+        way = bank.frames[row, : int(bank.lengths[row]) + 1]
+        held, under = way[way[:, 15] > 0, 8:11], way[-1, 8:10]
+        near = (held[:, :2] - under).abs().amax(1) < 0.01
+        assert held[near, 2].min() > 0.0275 - 5e-4, "not through the lower one"
+    for _ in range(20):
+        made.environment.advance(torch.zeros(4, 36))
+    torch.testing.assert_close(field(made, "qpos")[:, 57:60], qpos[:, 57:60], atol=1e-4, rtol=0)
+    made.environment.close()
+
+
 @pytest.fixture(scope="module")
 def replanned(plugins: Plugins) -> Any:
     words = [*WORDS[:1], "num_worlds=3", "initial_states.plans=3", "memory.again.most=2"]
@@ -349,6 +372,11 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["scene.object={kind: box, sizes: [0.01]}"], "a box has 3 of them"),
         (["scene.object.kind=cone"], "cone"),
         (["initial_states.refill=5"], "some have to stay"),
+        (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),
+        (["scene.below={kind: box, sizes: [0.03, 0.02, 0.02]}"], "none of table 5.2"),
+        (["scene.object.rolling=-1"], "rolling=-1"),
+        (["memory.again.most=-1"], "most=-1"),
+        (["memory.again.patience=0"], "patience=0"),
         (["initial_states.longest=0.2"], "longest=0.2"),
         (["scene=hand/tri_finger"], "is one of a hand with 5 fingers"),
         (["scene.contact.noslip_iterations=5"], "noslip_iterations=5 is not possible"),

@@ -8,6 +8,7 @@ m, rad, s.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -37,7 +38,7 @@ from understudy_tool_planner.planner import (
     Plan,
     Planner,
 )
-from understudy_tool_planner.tasks import Table, random_goal
+from understudy_tool_planner.tasks import APART, Table, random_goal
 
 #: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, whether it is held, which
 #: relocation it is of, and 1 in that one's last frame.
@@ -67,6 +68,10 @@ class Bank:
                 "Relocation takes one grip. Set grip.name, grip.file or grip.style, and no grip.candidates."
             )
         self._shape = objects.Shape(thing.kind, thing.sizes)
+        below = made.scene.options.below
+        #: What the object is put upon, and how high that is, m.
+        self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
+        self._upon = 2.0 * self._below.height if self._below is not None else 0.0
         self._planner = Planner(made.grips[0], made.scene)
         self._device = context.device
         # An evaluation's plans are ones that no training follows.
@@ -164,6 +169,14 @@ class Bank:
         self.lengths[row] = len(frames) - 1
         return True
 
+    def _table(
+        self, start: tuple[float, float], heading: float, goal: tuple[float, float]
+    ) -> Table:
+        """The object, and at its goal what it is put upon."""
+        if self._below is None:
+            return Table((self._shape,), (start,), (heading,))
+        return Table((self._shape, self._below), (start, goal), (heading, 0.0))
+
     def _plans(self) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
         plans: list[Plan] = []
@@ -181,6 +194,10 @@ class Bank:
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
             empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
+            if self._below is not None:
+                apart = self._shape.reach + self._below.reach + APART
+                if math.dist(start, goal) < apart:
+                    continue
             most = 0.25 if self._shape.kind == "capsule" else 0.5
             heading = most * float(torch.rand((), generator=stream)) * np.pi
             error = self._noise * torch.randn(3, generator=stream, dtype=torch.float64)
@@ -188,9 +205,10 @@ class Bank:
             if before is not None:
                 now, (x, y) = before.end, before.object[-1, :2].tolist()
                 start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
-            table = Table((self._shape,), (start,), (heading,))
+            table = self._table(start, heading, goal)
             try:
-                plan = self._planner.plan(table.task(0, goal), now, table.without(0), error)
+                task = table.task(0, goal, self._upon)
+                plan = self._planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
                 continue
@@ -256,11 +274,19 @@ class Relocations(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
         self._refill = 0 if context.evaluating else options.refill
+        if made.scene.options.below is not None and options.relocations > 1:
+            raise ConfigError(
+                f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
+                "another stays there. Set one of them alone."
+            )
         self._bank.fill(options.plans, options.longest, options.relocations, options.noise)
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
         self._start, self._velocity = start, torch.zeros(model.nv, device=device)
         self._at = int(model.joint("object").qposadr[0])
+        below = made.scene.options.below
+        self._under = None if below is None else int(model.joint("below").qposadr[0])
+        self._height = 0.0 if below is None else below.height
         #: Rows that may be drawn, then those that wait to be replaced.
         self._order = torch.arange(options.plans, device=device)
         self._waiting: list[int] = []
@@ -273,6 +299,9 @@ class Relocations(InitialStates):
         thing = self._bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
+        if self._under is not None:
+            qpos[:, self._under : self._under + 2] = self._bank.goals[row, 0, :2]
+            qpos[:, self._under + 2] = self._height
         return {
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
