@@ -68,6 +68,7 @@ class Task:
     goal: tuple[float, float]  #: m
     heading: float = 0.0  #: rad, at the start
     goal_heading: float | None = None  #: rad; None leaves it as it is
+    upon: float = 0.0  #: m: how high what it is put upon is; 0 is the table
 
 
 @dataclass(frozen=True)
@@ -166,9 +167,8 @@ class Planner:
         """
         heading = torch.tensor(task.heading, dtype=torch.float64)
         last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
-        start, goal = (
-            heading.new_tensor((*at, task.shape.height)) for at in (task.start, task.goal)
-        )
+        start = heading.new_tensor((*task.start, task.shape.height))
+        goal = heading.new_tensor((*task.goal, task.shape.height + task.upon))
         away = _away(now) if anew else None
         found = choose(task.shape, start, heading, goal, last, now.lower[3:], others, self._holder)
         own = Things.of([task.shape], start[None, :2], heading[None])
@@ -210,9 +210,11 @@ class Planner:
         begin = Pose(now.lower[:3], now.lower[3:], now.angle)
         if away is not None:
             begin = Pose(away.place[-1], away.turn[-1], away.angle[-1])
+        # What is put upon another comes nearer to it than the sphere around it.
+        carried = task.shape.height - SUNK if task.upon > 0 else task.shape.reach
         ways = [
             Way(begin, pose(takes, wide, start), everything),
-            Way(pose(takes, closed, start), pose(puts, closed, goal), others, task.shape.reach),
+            Way(pose(takes, closed, start), pose(puts, closed, goal), others, carried),
         ]
         inner, value = trajectory.find(ways, 1)
         parts, clear = [], []

@@ -8,6 +8,7 @@ m, rad, s.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -37,7 +38,7 @@ from understudy_tool_planner.planner import (
     Plan,
     Planner,
 )
-from understudy_tool_planner.tasks import Table, random_goal
+from understudy_tool_planner.tasks import APART, Table, random_goal
 
 #: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, whether it is held, which
 #: relocation it is of, and 1 in that one's last frame.
@@ -67,6 +68,10 @@ class Bank:
                 "Relocation takes one grip. Set grip.name, grip.file or grip.style, and no grip.candidates."
             )
         self._shape = objects.Shape(thing.kind, thing.sizes)
+        below = made.scene.options.below
+        #: What the object is put upon, and how high that is, m.
+        self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
+        self._upon = 2.0 * self._below.height if self._below is not None else 0.0
         self._planner = Planner(made.grips[0], made.scene)
         self._device = context.device
         # An evaluation's plans are ones that no training follows.
@@ -164,6 +169,14 @@ class Bank:
         self.lengths[row] = len(frames) - 1
         return True
 
+    def _table(
+        self, start: tuple[float, float], heading: float, goal: tuple[float, float]
+    ) -> Table:
+        """The object, and at its goal what it is put upon."""
+        if self._below is None:
+            return Table((self._shape,), (start,), (heading,))
+        return Table((self._shape, self._below), (start, goal), (heading, 0.0))
+
     def _plans(self) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
         plans: list[Plan] = []
@@ -181,6 +194,10 @@ class Bank:
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
             empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
+            if self._below is not None:
+                apart = self._shape.reach + self._below.reach + APART
+                if math.dist(start, goal) < apart:
+                    continue
             most = 0.25 if self._shape.kind == "capsule" else 0.5
             heading = most * float(torch.rand((), generator=stream)) * np.pi
             error = self._noise * torch.randn(3, generator=stream, dtype=torch.float64)
@@ -188,9 +205,10 @@ class Bank:
             if before is not None:
                 now, (x, y) = before.end, before.object[-1, :2].tolist()
                 start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
-            table = Table((self._shape,), (start,), (heading,))
+            table = self._table(start, heading, goal)
             try:
-                plan = self._planner.plan(table.task(0, goal), now, table.without(0), error)
+                task = table.task(0, goal, self._upon)
+                plan = self._planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
                 continue
@@ -256,11 +274,19 @@ class Relocations(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
         self._refill = 0 if context.evaluating else options.refill
+        if made.scene.options.below is not None and options.relocations > 1:
+            raise ConfigError(
+                f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
+                "another stays there. Set one of them alone."
+            )
         self._bank.fill(options.plans, options.longest, options.relocations, options.noise)
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
         self._start, self._velocity = start, torch.zeros(model.nv, device=device)
         self._at = int(model.joint("object").qposadr[0])
+        below = made.scene.options.below
+        self._under = None if below is None else int(model.joint("below").qposadr[0])
+        self._height = 0.0 if below is None else below.height
         #: Rows that may be drawn, then those that wait to be replaced.
         self._order = torch.arange(options.plans, device=device)
         self._waiting: list[int] = []
@@ -273,6 +299,9 @@ class Relocations(InitialStates):
         thing = self._bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
+        if self._under is not None:
+            qpos[:, self._under : self._under + 2] = self._bank.goals[row, 0, :2]
+            qpos[:, self._under + 2] = self._height
         return {
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
@@ -319,7 +348,7 @@ class Follow(Fields):
     - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
-    reads = ("followed", "plan_since", "episode_time", "xpos", "xquat")
+    reads = ("followed", "plan_since", "plan_stopped", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
         **PLANNED,
         "plan_time": (),
@@ -362,14 +391,17 @@ class Follow(Fields):
         self,
         followed: Tensor,
         plan_since: Tensor,
+        plan_stopped: Tensor,
         episode_time: Tensor,
         xpos: Tensor,
         xquat: Tensor,
     ) -> dict[str, Tensor]:
-        made, time = self._gripping, episode_time - plan_since
+        made, goes = self._gripping, plan_stopped < 0
+        time = torch.where(goes, episode_time - plan_since, plan_stopped)
         row = followed.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
-        frame = (time / DT).round().long()[:, None] + self._steps
-        here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
+        frame = (time / DT).round().long()[:, None] + goes[:, None] * self._steps
+        here = self._bank.at(row, frame)
+        after = self._bank.at(row, frame + goes[:, None])
         arm, angle = here[..., :7], here[..., 7]
         turning = (after[..., 7] - angle) / DT
         hand, slope = made.at(made.poses, angle)
@@ -378,7 +410,7 @@ class Follow(Fields):
         lower = made.lower.expand(*angle.shape, 7)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
-        held, now = here[:, 0, _HELD], lower[:, 0]
+        held, now = here[:, 0, _HELD] * goes, lower[:, 0]
         targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
         palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
         thing, leg = here[:, 1:, _OBJECT], here[:, 0, _LEG]
@@ -424,7 +456,7 @@ class Object(Fields):
 
     reads = (
         "qpos", "qvel", "xpos", "xquat", "planned_object", "planned_goal", "planned_leg", "leg_over",
-        "plan_lasts", "plan_time",
+        "plan_lasts", "plan_time", "plan_stopped",
     )  # fmt: skip
     provides: Mapping[str, Shape] = {
         "object_state": (13,),
@@ -470,16 +502,18 @@ class Object(Fields):
         leg_over: Tensor,
         plan_lasts: Tensor,
         plan_time: Tensor,
+        plan_stopped: Tensor,
     ) -> dict[str, Tensor]:
         place, rotation = qpos[:, self._at : self._at + 3], qpos[:, self._at + 3 : self._at + 7]
         speed = qvel[:, self._dof : self._dof + 3]
         spin = rotations.rotate(rotation, qvel[:, self._dof + 3 : self._dof + 6])
         palm, turn = xpos[:, self._palm], xquat[:, self._palm]
         away = (place - planned_goal).norm(dim=-1)
-        over = plan_time >= plan_lasts + self._options.settle - 0.5 * DT
+        goes = plan_stopped < 0
+        over = goes & (plan_time >= plan_lasts + self._options.settle - 0.5 * DT)
         turned = rotations.angle_between(rotation, planned_object[:, 3:])
         # The last one is judged when the plan is over, the others in their last frame.
-        done = torch.where(plan_time < plan_lasts - 0.5 * DT, leg_over > 0, over)
+        done = torch.where(plan_time < plan_lasts - 0.5 * DT, goes & (leg_over > 0), over)
         there = done & (away <= self._options.within)
         legs = planned_leg.long()[:, None] == self._legs
         return {
@@ -492,7 +526,8 @@ class Object(Fields):
                 ],
                 dim=-1,
             ),
-            "object_distance": (place - planned_object[:, :3]).norm(dim=-1),
+            # Where a plan has stopped there is none for the object.
+            "object_distance": (place - planned_object[:, :3]).norm(dim=-1) * goes,
             "object_turn": torch.zeros_like(turned) if self._round else turned,
             "goal_distance": away,
             "object_placed": (over & (away <= self._options.within)).float(),
