@@ -343,6 +343,20 @@ def rows_of_papers() -> str:
     return _markdown(lines)
 
 
+def film(skill: str) -> str:
+    """What stands under the film of a skill that ships: what `shipped.py` measured of it."""
+    found = [row for row in rows("shipped.jsonl") if row["skill"] == skill]
+    if not found:
+        raise ValueError(f"shipped.jsonl has no '{skill}'.")
+    played, beyond = found[0]["played"], found[0]["beyond"]
+    short = f"; beyond what may ship: {beyond}" if beyond != "–" else ""
+    return (
+        f"feet slide {number(played['slide'], 'm/s')}, {100 * played['sink']:.1f} cm deep in the floor, "
+        f"{played['air']:.2f} s in the air, jerk {number(played['jerk'], 'm/s³')}, "
+        f"{number(found[0]['success'], '%')} of held-out episodes succeed{short}"
+    )
+
+
 def _markdown(lines: list[list[str]]) -> str:
     head, *body = lines
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body))
@@ -371,6 +385,8 @@ def figure(spec: Mapping[str, Any], name: str) -> str:
         return f"\n\n{tables_of_papers()}\n\n"
     if name == "reproductions/rows":
         return f"\n\n{rows_of_papers()}\n\n"
+    if kind == "film":
+        return film(rest)
     if kind == "claims" and rest in spec["claims"]:
         return f"\n\n{claims(spec, rest)}\n\n"
     if name in spec["tables"]:
