@@ -94,7 +94,7 @@ def test_what_missed_its_criterion_is_known_from_below(tmp_path: Path) -> None:
     journal(tmp_path, "whole.jsonl", {"walk/without": (5e6, 5e6, 5e6)}, outcome="budget")
     assert [said for *_, said in card(tmp_path).verdicts()] == ["holds", "holds"]
     turned = replace(TABLE, paper={"walk": {"without": {"says": "quicker", "less": "full"}}})
-    assert [said for *_, said in card(tmp_path, turned).verdicts()] == ["undecided"]
+    assert [said for *_, said in card(tmp_path, turned).verdicts()] == ["", "undecided"]
 
 
 def test_cells_that_were_trained_otherwise_are_not_compared(tmp_path: Path) -> None:
@@ -113,7 +113,9 @@ def test_what_was_begun_here_goes_before_the_record(tmp_path: Path) -> None:
 
 
 def test_rows_of_csv_and_json(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("skill,kind,speed,seed\nwalk,full,2.5,1\nwalk,full,fast,2\n")
+    (tmp_path / "a.csv").write_text(
+        "skill,kind,speed,seed,done\nwalk,full,2.5,1,True\nwalk,full,fast,2,True\nwalk,full,9,0,False\n"
+    )
     (tmp_path / "b.jsonl").write_text(
         'no JSON\n[1]\n{"what": "a run", "found": {"speed": 3}}\n{"what": "a run"}\n'
     )
@@ -122,7 +124,9 @@ def test_rows_of_csv_and_json(tmp_path: Path) -> None:
         TABLE,
         figures=(Figure("speed", better="more"),),
         records={
-            "a.csv": Record(by=("skill", "kind"), values={"speed": "speed"}),
+            "a.csv": Record(
+                by=("skill", "kind"), values={"speed": "speed"}, where={"done": "True"}
+            ),
             "b.jsonl": Record(by=("what",), cells=named, values={"speed": "found.speed"}),
         },
     )

@@ -21,10 +21,10 @@ from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_report.values import mapping
 from understudy_reproduce.records import recorded
-from understudy_reproduce.tables import Figure, PaperTable, variant_name
+from understudy_reproduce.tables import Figure, PaperTable, Printed, variant_name
 from understudy_sweeps.intervals import FAILS, UNDECIDED, mean_of, verdict, verdict_between
 from understudy_sweeps.journal import Journal
-from understudy_sweeps.results import SAMPLES, SECONDS, SUCCESS, Result, Results
+from understudy_sweeps.results import OBJECTIVE, SAMPLES, SECONDS, SUCCESS, Result, Results
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
 
 _INTERVALS = (
@@ -158,7 +158,7 @@ class Card:
     def verdict(self, row: str, column: str) -> str:
         """On what the paper says of a cell; "" where nothing tells, or ours has nothing."""
         one, cell = self.table.printed(row, column), self.cells[row, column]
-        figure = one.of or self.table.figures[0].of
+        figure = self._figure(one).of
         for better, than in (("less", one.less), ("more", one.more)):
             if isinstance(than, str):
                 other = self._by_name.get(self.table.other(than, row, column))
@@ -168,20 +168,26 @@ class Card:
         return ""
 
     def verdicts(self) -> Iterator[tuple[str, str, str, str]]:
-        """For each cell that the paper has: its name, what the paper says, ours, and the verdict."""
-        first = self.table.figures[0]
-        figures = {figure.of: figure for figure in self.table.figures}
-        for row, cells in self.table.paper.items():
-            for column in cells:
-                one, cell = self.table.printed(row, column), self.cells[row, column]
-                ours = cell.text(figures.get(one.of, first)) + (
-                    f" ({cell.less})" if cell.less else ""
-                )
+        """For each cell that the paper or we have: its name, what the paper says, ours, and the verdict."""
+        for (row, column), cell in self.cells.items():
+            one = self.table.printed(row, column)
+            if one.says is not None or cell.results:
+                figure = self._figure(one)
+                ours = cell.text(figure)
+                if one.of and ours != _NOTHING:
+                    ours = f"{one.of.replace('_', ' ')} {ours}"
+                ours += f" ({cell.less})" if cell.less else ""
                 name = row if len(self.table.columns) == 1 else f"{row}, {column}"
-                yield name, _printed(one.says), ours, self.verdict(row, column)
+                yield name, _claimed(one), ours, self.verdict(row, column)
+
+    def _figure(self, one: Printed) -> Figure:
+        """The one that is compared: what it names, else the table's first, of searches the best value."""
+        named = {figure.of: figure for figure in self.table.figures}
+        first = Figure(OBJECTIVE) if self.table.searches else self.table.figures[0]
+        return named.get(one.of, Figure(one.of)) if one.of else first
 
     def compared(self) -> Iterator[str]:
-        """A line for each cell that the paper has."""
+        """A line for each cell that the paper or we have."""
         for where, printed, ours, said in self.verdicts():
             yield f"{where}: paper {printed}; ours {ours}{f'; {said}' if said else ''}"
 
@@ -285,6 +291,15 @@ class Card:
 
 def _title(figure: Figure) -> str:
     return figure.title or figure.of.replace("_", " ")
+
+
+def _claimed(one: Printed) -> str:
+    """What the paper says; and where that is no number, what is told of ours."""
+    beside = {"less than": one.less, "more than": one.more}
+    told = [
+        f"{way} {words.text(than)}" for way, than in beside.items() if than not in (None, one.says)
+    ]
+    return _printed(one.says) + (f" ({told[0]})" if told else "")
 
 
 def _printed(number: Any) -> str:

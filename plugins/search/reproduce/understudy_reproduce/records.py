@@ -71,6 +71,8 @@ def _reports(path: Path, record: Record) -> Iterator[tuple[str, Report]]:
         raise FileError(f"{path} cannot be read: {error.strerror}.") from error
     is_csv = path.suffix == ".csv"
     for row in csv.DictReader(io.StringIO(text)) if is_csv else map(_json, text.splitlines()):
+        if any(str(_at(row, at)) != said for at, said in record.where.items()):
+            continue
         values = {of: number(_number(_at(row, at))) for of, at in record.values.items()}
         seed = _number(_at(row, record.seed))
         name = "/".join(str(_at(row, part)) for part in record.by)

@@ -41,6 +41,9 @@ class Record:
     less: str = ""  #: in words: how far its trainings fall short of the table's
     by: tuple[str, ...] = ()  #: of a row: the dotted paths of the words that make the cell's name
     values: Mapping[str, str] = field(default_factory=dict)  #: of a row: by figure, its path
+    where: Mapping[str, str] = field(
+        default_factory=dict
+    )  #: of a row: by path, what it must say to count
     seed: str = "seed"  #: of a row: the path of its seed; 0 where it has none
 
     def __post_init__(self) -> None:
