@@ -23,6 +23,7 @@ from understudy.setup.building import Built, build_environment, build_policy, de
 from understudy.setup.config import Experiment
 from understudy.task import Policy, State
 from understudy_reinforcement.start import load_part
+from understudy_skills.folder import run_folder
 from understudy_skills.gathered import Gathered
 
 
@@ -69,7 +70,7 @@ class Harvest(Job):
     def __init__(self, options: Options, experiment: Experiment) -> None:
         self.options, self._root = options, experiment.root
         self.device = device_of(experiment.root.device)
-        self._source = runs.open_run(options.run)
+        self._source = runs.open_run(run_folder(options.run))
         own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
         config = {**self._source.config, **own, "start": None}
         simulator = experiment.choices["simulator"]
@@ -109,7 +110,7 @@ class Harvest(Job):
                 f"job.ending={self.options.ending} is no ending of {self.options.run}."
                 + suggestion(self.options.ending, [*outcomes, *terms])
             )
-        state = newest_state(self.options.run)
+        state = newest_state(str(self._source.path))
         curriculum = environment.parts.curriculum
         if curriculum is not None and not self.options.evaluating and "environment" in state:
             what = f"job.run: the curriculum of {self.options.run}"
