@@ -19,6 +19,7 @@ from understudy.setup.building import build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Policy, State
 from understudy_reinforcement.start import load_part
+from understudy_skills.folder import run_folder
 from understudy_skills.gathered import Gathered, Gathering
 
 
@@ -64,7 +65,7 @@ class Harvest(Gathering):
     def __init__(self, options: Options, experiment: Experiment) -> None:
         self.options, self._root = options, experiment.root
         self.device = device_of(experiment.root.device)
-        self._source = runs.open_run(options.run)
+        self._source = runs.open_run(run_folder(options.run))
         own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
         config = {**self._source.config, **own, "start": None}
         simulator = experiment.choices["simulator"]
@@ -97,7 +98,7 @@ class Harvest(Gathering):
                 f"job.ending={self.options.ending} is no ending of {self.options.run}."
                 + suggestion(self.options.ending, [*outcomes, *terms])
             )
-        state = newest_state(self.options.run)
+        state = newest_state(str(self._source.path))
         curriculum = environment.parts.curriculum
         if curriculum is not None and not self.options.evaluating and "environment" in state:
             what = f"job.run: the curriculum of {self.options.run}"
