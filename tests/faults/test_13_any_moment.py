@@ -18,7 +18,7 @@ import pytest
 from executors import SMALL_STOP
 from worlds import assert_same_state, child_environment
 
-from understudy.command import cli, workflow
+from understudy.command import cli, command
 from understudy.command.cli import main
 from understudy.records import checkpoint, runs
 from understudy.signals import StopRequest
@@ -208,5 +208,5 @@ class Gone:
 def test_when_nothing_can_be_printed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Neither what a training tells nor why a command ends ends it otherwise."""
     monkeypatch.setattr(sys, "stderr", Gone())
-    workflow.tell("Evaluation at 256 samples.")
+    command.tell("Evaluation at 256 samples.")
     assert main(["resume", str(tmp_path / "nowhere")]) == 2

@@ -355,7 +355,7 @@ MUTANTS = (
     Mutant("a defect hides the signal", f"{KERNEL}/command/cli.py",
            "if stop.received is not None and not isinstance(error, PreemptedError):",
            "if isinstance(error, KeyboardInterrupt):", f"{ANY} -k library"),
-    Mutant("a closed terminal ends it", "plugins/learning/training/understudy_training/workflow.py",
+    Mutant("a closed terminal ends it", f"{KERNEL}/command/command.py",
            "contextlib.suppress(OSError):  # a terminal that was closed stops nothing", "contextlib.nullcontext():",
            f"{ANY} -k printed"),
     # Data from strangers.

@@ -1,13 +1,23 @@
-"""Commands that plugins add."""
+"""Commands, which plugins add, and how they speak."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["Command"]
+from understudy.errors import shown
+
+__all__ = ["Command", "tell"]
+
+
+def tell(text: str) -> None:
+    """A message to whoever runs the command."""
+    with contextlib.suppress(OSError):  # a terminal that was closed stops nothing
+        print(shown(text), file=sys.stderr, flush=True)
 
 
 class Command(ABC):

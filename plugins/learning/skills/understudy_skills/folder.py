@@ -9,8 +9,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from understudy.command.workflow import tell
-
+from understudy.command.command import tell
 from understudy.errors import RunError
 from understudy.folders import read
 from understudy.records import runs

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Iterator, Sequence
 
 from understudy import distributed
-from understudy.errors import RunError, shown
+from understudy.command.command import tell
+from understudy.errors import RunError
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
@@ -18,13 +18,7 @@ from understudy.setup.plugins import installed
 from understudy.setup.validation import at, validate
 from understudy.signals import StopRequest
 
-__all__ = ["judge", "tell"]
-
-
-def tell(text: str) -> None:
-    """A message to whoever runs the command."""
-    with contextlib.suppress(OSError):  # a terminal that was closed stops nothing
-        print(shown(text), file=sys.stderr, flush=True)
+__all__ = ["judge"]
 
 
 def train(overrides: Sequence[str]) -> int:
