@@ -580,8 +580,8 @@ MUTANTS = (
     Mutant(
         "a goal is of a plan of any number",
         "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
-        "plan_row.long().clamp(0, len(self._bank.goals) - 1)",
-        "plan_row.long()",
+        "followed.long().clamp(0, len(self._bank.goals) - 1)",
+        "followed.long()",
         "tests/faults/test_01_poisoned_fields.py -k chopsticks",
     ),
     Mutant(
