@@ -56,7 +56,7 @@ def test_it_continues_exactly_and_in_place() -> None:
 def test_worlds_that_were_in_step_are_in_all_phases() -> None:
     """Of a task whose episodes all last equally long."""
     phases = {}
-    for words in ([], ["curriculum=staggered"]):
+    for words in ([], ["curriculum=staggered", "curriculum.seconds=${episode.seconds}"]):
         experiment = load_experiment(
             ["experiment=miniature/sleeve", "device=cpu", "num_worlds=16", *words]
         )
