@@ -32,7 +32,8 @@ def test_first_episodes_are_of_all_lengths_and_later_ones_whole() -> None:
     curriculum = built()
     first = limits(curriculum).clone()
     counts = torch.histc(first, bins=8, min=0.0, max=8.0)
-    assert counts.sum() == N and counts.min() > N / 16, "evenly"
+    assert counts.sum() == N
+    assert counts.min() > N / 16, "evenly"
     ended = torch.zeros(3, N, dtype=torch.bool)
     ended[1, : N // 2] = True
     curriculum.update(rollout(ended))

@@ -62,12 +62,12 @@ def test_the_entrance_goes_around_a_shoulder_that_is_raised() -> None:
     scene = SleeveScene(options)
     held = np.asarray(scene.model().grips[0].vertices)
     first = scene.mesh[0][held[held < scene.loops["entrance"].size]]
-    strip = first[:, 1:] + [0.0, Track.Options().end[2]]
+    strip = np.add(first[:, 1:], (0.0, Track.Options().end[2]))
     angle = 2 * np.pi * np.arange(720) / 720
     joint = 0.068 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
     def loop(raised: float) -> float:
-        points = np.concatenate([joint + [0.0, raised], strip])
+        points = np.concatenate([np.add(joint, (0.0, raised)), strip])
         around = points[ConvexHull(points).vertices]
         return float(np.linalg.norm(around - np.roll(around, -1, axis=0), axis=1).sum())
 
