@@ -226,6 +226,7 @@ MUTANTS = (
     Mutant("tuples have no range", f"{KERNEL}/options.py", "given if isinstance(given, tuple) else (given,)", "(given,) if type(given) is not tuple else ()", SIZES),
     Mutant("a decision has no end", f"{KERNEL}/setup/root.py", "if self.substeps * self.decision > _STEPS:", "if False:", f"{SIZES} -k asks"),
     Mutant("an evaluation has no end", f"{KERNEL}/setup/root.py", "if decisions > _DECISIONS:", "if False:", f"{SIZES} -k asks"),
+    Mutant("all of an evaluation has no end", f"{KERNEL}/setup/root.py", "if count * decisions > _JUDGED:", "if False:", f"{SIZES} -k asks"),
     Mutant("a network of any size", NN, "if sum(a * b for a, b in (*hidden, last)) > LARGEST:", "if False:", f"{SIZES} -k asks"),
     Mutant("layers of any number", "plugins/learning/networks/understudy_networks/policies.py", " or len(units) > 100:", ":", f"{SIZES} -k asks"),
     Mutant("memory that there is not is a defect", f"{KERNEL}/setup/building.py", 'and "memory" not in str(error):', "and True:", f"{SIZES} -k memory"),
