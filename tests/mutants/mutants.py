@@ -232,6 +232,7 @@ MUTANTS = (
     Mutant("memory that there is not is a defect", f"{KERNEL}/setup/building.py", 'and "memory" not in str(error):', "and True:", f"{SIZES} -k memory"),
     Mutant("particles of any number", "plugins/papers/amorphous/understudy_amorphous/scene.py",
            "if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:", "if False:", f"{SIZES} -k scene"),
+    Mutant("a resume takes any number of threads", f"{KERNEL}/command/workflow.py", "torch.set_num_threads(count)", "pass", "tests/faults/test_11_other_configuration.py -k began_with"),
     Mutant("another number of threads is silent", TRAINING, 'if meta.get("threads", threads()) != threads() and', "if False and",
            f"{F11} -k threads"),
     Mutant("a checkpoint does not know its threads", TRAINING, '        meta["threads"] = threads()\n', "", f"{F11} -k threads"),
