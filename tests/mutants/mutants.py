@@ -633,4 +633,25 @@ MUTANTS = (
         "file.read()[:_LICENCE_BYTES]",
         "tests/faults/test_24_endless_files.py -k licence_of_nothing",
     ),
+    Mutant(
+        "a replay counts only what it keeps",
+        "plugins/learning/imagination/understudy_imagination/replay.py",
+        "size, self.seen = len(self._counts), self.seen + len(inputs)",
+        "size, self.seen = len(self._counts), self.seen + len(inputs[-len(self._counts) :])",
+        "tests/plugins/imagination/test_imagination_learner.py -k counts_what",
+    ),
+    Mutant(
+        "a world gone wrong leaves no number of the cost",
+        "plugins/learning/imagination/understudy_imagination/learner.py",
+        "torch.where(values.isfinite(), values, torch.nan).nanmean()",
+        "values.mean()",
+        "tests/plugins/imagination/test_imagination_learner.py -k wrong_costs",
+    ),
+    Mutant(
+        "what only the critic sees is imagined",
+        "plugins/learning/imagination/understudy_imagination/imagined.py",
+        "for name, e in parts.encoders.items() if name in seen",
+        "for name, e in parts.encoders.items()",
+        "tests/plugins/imagination/test_imagination_learner.py -k critic_may",
+    ),
 )  # fmt: skip
