@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Beside commands: where nothing else was given, and a list for Gymnasium's own registry.
 DEFAULTS = {
     "setup/composition.py", "testing/conformance.py", "records/runs.py",
-    "understudy_characters/scene.py", "understudy_skills/skill.py", "understudy_gym/envs.py",
+    "understudy_characters/scene.py", "understudy_skills/skill.py", "understudy_skills/folder.py", "understudy_gym/envs.py",
     "understudy_inspect/replay.py", "understudy_sweeps/sweep.py",
     "understudy_reproduce/comparison.py", "understudy_inspect/origins.py",
     "understudy_training/workflow.py", "command/cli.py", "understudy_credits/walk.py",

@@ -72,7 +72,9 @@ class Reinforcement(Job):
         seed = experiment.root.seed
         self.collector = Collector(self.environment, self.policy, seed, fields, learner.next_fields)
         if experiment.root.start is not None:
-            self._started = take_over(experiment.root.start, self.policy, initial, curriculum)
+            self._started = take_over(
+                experiment.root.start, self.policy, initial, curriculum, experiment.registry
+            )
             self.environment.reset(seed)  # episodes begin as what was taken over says
 
     def _adapting(self) -> tuple[Any, Any]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy.running.warm_start import misshapen, newest_state
-from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
 from understudy.setup.root import StartOptions
 from understudy.task import Curriculum, InitialStates, Policy, State
 
@@ -37,6 +37,7 @@ def take_over(
     policy: Policy,
     initial_states: InitialStates,
     curriculum: Curriculum | None,
+    registry: Registry,
 ) -> dict[str, Any]:
     """Put the parts that `start` names, from the newest checkpoint of its run, in place; returns what
     was taken from where, for provenance.
@@ -49,7 +50,7 @@ def take_over(
         if the run lacks one of them, or it has another shape here; names the first that
         does not fit.
     """
-    if start.run in installed().registry.names("skill") and not Path(start.run).is_dir():
+    if start.run in registry.names("skill") and not Path(start.run).is_dir():
         raise ConfigError(
             f"start.run={start.run} is a skill, and a training begins with a run: `understudy play {start.run} "
             f"--unpack runs/{start.run.replace('/', '-')}` makes one of it."

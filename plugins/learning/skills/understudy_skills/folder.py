@@ -17,6 +17,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.plugins import installed
+from understudy.setup.registry import Registry
 from understudy_skills.skill import open_skill, unpack
 
 __all__ = ["run_folder"]
@@ -26,24 +27,26 @@ FOLDER = Path("runs") / "skills"
 _SUFFIXES = (".json", ".safetensors")  #: of the two files of a packed skill
 
 
-def run_folder(source: str, *, recorded: bool = False) -> str:
+def run_folder(source: str, *, recorded: bool = False, registry: Registry | None = None) -> str:
     """The folder of the run `source`; of a skill's name or a packed file (.json) that of the skill, which is
     unpacked the first time, below ``runs/skills``, and found there again as long as the skill is the same.
 
     Anything else is returned as it is, for :func:`understudy.records.runs.open_run` to judge. With `recorded` an
-    unpacked skill also gets a recording of one episode and what is drawn of it, as at a training's end.
+    unpacked skill also gets a recording of one episode and what is drawn of it, as at a training's end. `registry` is
+    that of the installed plugins unless given.
 
     Raises
     ------
     UnderstudyError
         the skill is damaged, needs what is not here, or its folder cannot be written.
     """
-    if Path(source).is_dir() or (packed := _packed(source)) is None:
+    registry = registry or installed().registry
+    if Path(source).is_dir() or (packed := _packed(source, registry)) is None:
         return source
     digest = hashlib.sha256(b"".join(read(file) for file in _files(packed))).hexdigest()[:8]
     folder = FOLDER / f"{source.removesuffix('.json').replace(os.sep, '-').strip('-.')}-{digest}"
     if not (folder / "run.json").is_file():
-        _whole(source, folder)
+        _whole(source, folder, registry)
         tell(f"{source} is unpacked as the run {folder}.")
     if recorded and not (folder / "recording.npz").is_file():
         tell(f"{folder} is recorded for the first time.")
@@ -51,9 +54,9 @@ def run_folder(source: str, *, recorded: bool = False) -> str:
     return str(folder)
 
 
-def _packed(source: str) -> Path | None:
+def _packed(source: str, registry: Registry) -> Path | None:
     """Where the skill is, without its suffixes; None of what is none."""
-    path, registry = Path(source), installed().registry
+    path = Path(source)
     if source in registry.names("skill"):
         return registry.find("skill", source).factory()
     packed = path.suffix == ".json" and all(file.is_file() for file in _files(path))
@@ -64,7 +67,7 @@ def _files(path: Path) -> list[Path]:
     return [path.with_name(f"{path.name.removesuffix('.json')}{s}") for s in _SUFFIXES]
 
 
-def _whole(source: str, folder: Path) -> None:
+def _whole(source: str, folder: Path, registry: Registry) -> None:
     """Unpack the skill beside `folder` and move it there, so that it is there as a whole or not at all."""
     try:
         FOLDER.mkdir(parents=True, exist_ok=True)
@@ -72,7 +75,7 @@ def _whole(source: str, folder: Path) -> None:
     except OSError as error:
         raise RunError(f"{FOLDER} cannot be made: {error.strerror}.") from error
     try:
-        unpack(open_skill(source), beside / "run")
+        unpack(open_skill(source, registry=registry), beside / "run")
         text = (beside / "run" / "run.json").read_text(encoding="utf-8")
         own = text.replace(str(beside / "run"), str(folder))
         write_atomically(beside / "run" / "run.json", own.encode())

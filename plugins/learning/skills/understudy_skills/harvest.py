@@ -65,7 +65,7 @@ class Harvest(Gathering):
     def __init__(self, options: Options, experiment: Experiment) -> None:
         self.options, self._root = options, experiment.root
         self.device = device_of(experiment.root.device)
-        self._source = runs.open_run(run_folder(options.run))
+        self._source = runs.open_run(run_folder(options.run, registry=experiment.registry))
         own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
         config = {**self._source.config, **own, "start": None}
         simulator = experiment.choices["simulator"]

@@ -41,7 +41,7 @@ class Judge(Reinforcement):
         if self.options.run is None:
             self.policy = build_policy(self.experiment, self.evaluator.built.context)
             return
-        source = runs.open_run(run_folder(self.options.run))
+        source = runs.open_run(run_folder(self.options.run, registry=self.experiment.registry))
         state = newest_state(str(source.path))
         try:
             self.load_learned(state, state["progress"]["samples"])
