@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -130,6 +131,16 @@ def test_a_share_of_episodes_is_in_per_cent_and_within_them() -> None:
     cell = Cell([Result(Trial("x", variant="a/b", seed=0), r, Path("nowhere")) for r in reports])
     assert cell.text(Figure("fell", share=True)) == "10 % [0, 34.8] (3)"
     assert cell.text(Figure("energy")).startswith("0.1 [-0.148, ")
+
+
+def test_a_figure_may_be_the_last_value_of_a_metric() -> None:
+    """One that is not in every row, of a learner that has it; another has none."""
+    rows = [{"model_error_8": 0.5}, {"model_error_8": 0.25, "samples": 2}, {"samples": 3}]
+    learned = Cell([replace(result(2e6), rows=rows)])
+    assert learned.values("metrics/model_error_8") == [0.25]
+    assert learned.values("metrics/samples") == [3.0]
+    other = Cell([replace(result(2e6), rows=[{"samples": 3}])])
+    assert other.text(Figure("metrics/model_error_8")) == "–"
 
 
 def test_an_unfinished_table_has_a_card(tmp_path: Path) -> None:

@@ -23,7 +23,8 @@ FOLDER = "reproduction"
 class Figure:
     """A number that is read off every trial."""
 
-    of: str  #: ``samples``, ``success_rate``, ``objective``, ``seconds``, or a measure
+    #: ``samples``, ``success_rate``, ``objective``, ``seconds``, a measure, or ``metrics/NAME``: a metric's last value.
+    of: str
     title: str = ""  #: in words; empty is the name
     share: bool = False  #: whether it is of episodes, and so in per cent, as every success is
     #: Which way is better than the number that the paper prints: verdicts say whether ours is; null gives none.
