@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from understudy.command.cli import main
 from understudy.errors import FileError
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
@@ -146,6 +147,17 @@ def test_a_record_that_is_no_file_is_one_sentence(tmp_path: Path) -> None:
 def test_records_stay_in_their_folder(name: str) -> None:
     with pytest.raises(ValueError, match="not in the folder of records"):
         replace(TABLE, records={name: Record()})
+
+
+def test_a_folder_of_records_that_is_none_or_leads_out_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", "--records", str(tmp_path / "nowhere")]) == 2
+    assert "--records" in capsys.readouterr().err
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "x.jsonl").symlink_to("/etc/passwd")
+    assert main(["reproduce", "--records", str(tmp_path / "out")]) == 2
+    assert "leads out" in capsys.readouterr().err
 
 
 def test_less_and_more_exclude_each_other() -> None:
