@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
 from understudy.command.cli import main
 from understudy.errors import FileError
@@ -14,6 +15,7 @@ from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
 from understudy_reproduce.command import listed
 from understudy_reproduce.tables import Figure, PaperTable, Printed, Record, load_table, table_files
+from understudy_sweeps.intervals import verdict_between
 
 TABLE = PaperTable(
     "A title",
@@ -88,6 +90,14 @@ def test_verdicts_on_a_number_and_on_the_cell_beside(
 ) -> None:
     journal(tmp_path, "whole.jsonl", {"walk/full": full, "walk/without": without})
     assert [said for *_, said in card(tmp_path).verdicts()] == expected
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.2, 1.6, 4.0])
+def test_samples_of_other_seeds_are_told_apart_by_welchs_t(shift: float) -> None:
+    first, second = [1.0, 1.4, 2.1, 1.2], [2.0 + shift, 3.9 + shift, 1.1 + shift]
+    p = stats.ttest_ind(first, second, equal_var=False).pvalue  # type: ignore[attr-defined]
+    found = verdict_between(dict(enumerate(first)), dict(enumerate(second, 10)), "less")
+    assert found == ("holds" if p < 0.05 else "undecided")
 
 
 def test_what_missed_its_criterion_is_known_from_below(tmp_path: Path) -> None:
