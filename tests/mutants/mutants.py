@@ -519,6 +519,12 @@ MUTANTS = (
     Mutant("first trials count that should not", "plugins/search/bayes/understudy_bayes/book.py",
            "return [] if self.options.initial_counts else [*self.trials][: self.options.initial]", "return []",
            "tests/plugins/bayes/test_book.py -k need_not_count"),
+    Mutant("records lead out of their folder", "plugins/search/reproduce/understudy_reproduce/tables.py",
+           'if Path(name).is_absolute() or ".." in Path(name).parts:', "if False:", "tests/plugins/reproduce/test_records.py -k stay"),
+    Mutant("a link among records is followed", "plugins/search/reproduce/understudy_reproduce/command.py",
+           "    if folder.is_dir():\n        check_within(folder)", "    if folder.is_dir():\n        pass", "tests/plugins/reproduce/test_records.py -k leads_out"),
+    Mutant("what was trained otherwise is compared", "plugins/search/reproduce/understudy_reproduce/card.py",
+           "if self.less != other.less:", "if False:", "tests/plugins/reproduce/test_records.py -k otherwise"),
     Mutant("a missed criterion decides a verdict", "plugins/search/reproduce/understudy_reproduce/card.py",
            "return UNDECIDED if self.missed(figure) and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
     # What strangers' files of the newer parts may be.

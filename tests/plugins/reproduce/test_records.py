@@ -7,12 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
+from understudy.command.cli import main
 from understudy.errors import FileError
 from understudy.setup.plugins import installed
 from understudy_reproduce.card import Card
 from understudy_reproduce.command import listed
 from understudy_reproduce.tables import Figure, PaperTable, Printed, Record, load_table, table_files
+from understudy_sweeps.intervals import verdict_between
 
 TABLE = PaperTable(
     "A title",
@@ -89,6 +92,14 @@ def test_verdicts_on_a_number_and_on_the_cell_beside(
     assert [said for *_, said in card(tmp_path).verdicts()] == expected
 
 
+@pytest.mark.parametrize("shift", [0.0, 1.2, 1.6, 4.0])
+def test_samples_of_other_seeds_are_told_apart_by_welchs_t(shift: float) -> None:
+    first, second = [1.0, 1.4, 2.1, 1.2], [2.0 + shift, 3.9 + shift, 1.1 + shift]
+    p = stats.ttest_ind(first, second, equal_var=False).pvalue  # type: ignore[attr-defined]
+    found = verdict_between(dict(enumerate(first)), dict(enumerate(second, 10)), "less")
+    assert found == ("holds" if p < 0.05 else "undecided")
+
+
 def test_what_missed_its_criterion_is_known_from_below(tmp_path: Path) -> None:
     journal(tmp_path, "whole.jsonl", {"walk/full": (1e6, 1.1e6, 1.2e6)})
     journal(tmp_path, "whole.jsonl", {"walk/without": (5e6, 5e6, 5e6)}, outcome="budget")
@@ -146,6 +157,17 @@ def test_a_record_that_is_no_file_is_one_sentence(tmp_path: Path) -> None:
 def test_records_stay_in_their_folder(name: str) -> None:
     with pytest.raises(ValueError, match="not in the folder of records"):
         replace(TABLE, records={name: Record()})
+
+
+def test_a_folder_of_records_that_is_none_or_leads_out_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", "--records", str(tmp_path / "nowhere")]) == 2
+    assert "--records" in capsys.readouterr().err
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "x.jsonl").symlink_to("/etc/passwd")
+    assert main(["reproduce", "--records", str(tmp_path / "out")]) == 2
+    assert "leads out" in capsys.readouterr().err
 
 
 def test_less_and_more_exclude_each_other() -> None:

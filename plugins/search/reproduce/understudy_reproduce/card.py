@@ -159,13 +159,12 @@ class Card:
         """On what the paper says of a cell; "" where nothing tells, or ours has nothing."""
         one, cell = self.table.printed(row, column), self.cells[row, column]
         figure = self._figure(one).of
-        for better, than in (("less", one.less), ("more", one.more)):
-            if isinstance(than, str):
-                other = self._by_name.get(self.table.other(than, row, column))
-                return cell.verdict_beside(other, figure, better) if other else ""
-            if than is not None:
-                return cell.verdict(figure, than, better)
-        return ""
+        better: Literal["less", "more"] = "more" if one.less is None else "less"
+        than = one.more if one.less is None else one.less
+        if isinstance(than, str):
+            other = self._by_name.get(self.table.other(than, row, column))
+            return cell.verdict_beside(other, figure, better) if other else ""
+        return "" if than is None else cell.verdict(figure, than, better)
 
     def verdicts(self) -> Iterator[tuple[str, str, str, str]]:
         """For each cell that the paper or we have: its name, what the paper says, ours, and the verdict."""

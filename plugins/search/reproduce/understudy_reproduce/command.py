@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from understudy.command.command import Command
-from understudy.errors import ConfigError, UnderstudyError
+from understudy.errors import ConfigError, FileError, UnderstudyError
 from understudy.folders import check_within
 from understudy.setup.composition import replaced
 from understudy.setup.plugins import installed
@@ -39,7 +39,6 @@ class Reproduce(Command):
         parser.add_argument(
             "--records",
             type=Path,
-            default=Path("docs/benchmarks"),
             metavar="FOLDER",
             help="of the list: trainings that were run elsewhere (docs/benchmarks, as of a clone)",
         )
@@ -47,9 +46,10 @@ class Reproduce(Command):
     def run(self, options: argparse.Namespace) -> int:
         plugins = installed()
         if options.table is None:
+            records = records_of(options.records)
             for name in table_files(plugins):
                 try:
-                    print("\n    ".join(listed(name, load_table(name, plugins), options.records)))
+                    print("\n    ".join(listed(name, load_table(name, plugins), records)))
                 except UnderstudyError as error:
                     print(f"{name} cannot be used: {error}")
             return 0
@@ -83,6 +83,24 @@ class Reproduce(Command):
 def folder_of(name: str) -> Path:
     """Where the table `name` is run unless ``run.dir=`` says otherwise."""
     return Path("runs") / "reproduce" / name
+
+
+def records_of(given: Path | None) -> Path:
+    """The folder of records; where none is named, a clone's, which need not be there.
+
+    Raises
+    ------
+    FileError
+        the one that is named is no folder.
+    RunError
+        something in it leads out of it.
+    """
+    folder = Path("docs/benchmarks") if given is None else given
+    if folder.is_dir():
+        check_within(folder)
+    elif given is not None:
+        raise FileError(f"--records: {given} is no folder. Give the docs/benchmarks of a clone.")
+    return folder
 
 
 def listed(name: str, table: PaperTable, records: Path) -> list[str]:

@@ -123,7 +123,8 @@ class PaperTable:
         better = self.figures[0].better
         if better is None or not isinstance(cell, int | float):
             return Printed(cell)
-        return Printed(cell, **{better: float(cell)})
+        number = float(cell)
+        return Printed(cell, less=number) if better == "less" else Printed(cell, more=number)
 
     def other(self, name: str, row: str, column: str) -> str:
         """The cell that `row` and `column` have beside them by the `name` of a column, a row, or ROW/COLUMN."""
