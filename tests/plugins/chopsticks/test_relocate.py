@@ -348,9 +348,22 @@ def test_a_bank_goes_on_as_it_was(plugins: Plugins, built: Built) -> None:
 
 def test_evaluations_follow_plans_that_no_training_has(plugins: Plugins, built: Built) -> None:
     made = build_environment(load_experiment(WORDS, plugins), evaluating=True)
-    goals = parts(made)[1].goals
+    bank = parts(made)[1]
+    assert not bank.lengths.any(), "each is made when it is needed"
+    bank.need([4, 1])
+    some = bank.frames[[1, 4]].clone()
+    bank.need(range(5))
+    assert torch.equal(bank.frames[[1, 4]], some)
+    goals = bank.goals
     assert torch.cdist(goals, parts(built)[1].goals).min() > 1e-4
     made.environment.close()
+
+
+def test_no_two_episodes_of_an_evaluation_follow_the_same_plan(replanned: Built) -> None:
+    """Where there are as many plans: episodes that repeat would make intervals too narrow."""
+    for seed in range(5):
+        replanned.environment.reset(seed=seed)
+        assert sorted(field(replanned, "plan_row").tolist()) == [0, 1, 2]
 
 
 def test_plans_have_all_phases(built: Built) -> None:

@@ -9,7 +9,7 @@ m, rad, s.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,11 +78,14 @@ class Bank:
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
         self._relocations, self._noise, self._spare = 1, 0.0, 0
+        self._missing: set[int] = set()
         self.frames = self.goals = self.lengths = torch.zeros(0)
 
-    def fill(self, count: int, seconds: float, relocations: int, noise: float) -> None:
+    def fill(
+        self, count: int, seconds: float, relocations: int, noise: float, later: bool = False
+    ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
-        take and put with an error of `noise` m."""
+        take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`)."""
         if len(self.frames):
             return
         self._relocations, self._noise = relocations, noise
@@ -93,9 +96,17 @@ class Bank:
         self.goals = torch.zeros(count, relocations, 3, device=self._device)
         #: (P,) int64: the last frame.
         self.lengths = torch.zeros(count, dtype=torch.int64, device=self._device)
-        for row in range(count):
-            self.replace(row)
+        self._missing = set(range(count))
+        if not later:
+            self.need(range(count))
         self._extend()
+
+    def need(self, rows: Iterable[int]) -> None:
+        """Make the plans `rows` that are not there yet; which they are depends on no other."""
+        for row in self._missing.intersection(rows):
+            self._drawn = row * _TRIES * MOST
+            self.replace(row)
+        self._missing.difference_update(rows)
 
     def spare(self, count: int) -> None:
         """Keep so many rows more, which nobody draws, for plans that are made within episodes."""
@@ -241,7 +252,8 @@ def bank_of(context: Context, who: str) -> tuple[Gripping, Bank]:
 
 
 class Relocations(InitialStates):
-    """The sticks in the hand, open, and the object at the start of a plan that each world draws.
+    """The sticks in the hand, open, and the object at the start of a plan that each world draws; in an evaluation each from
+    a share of the bank of its own.
 
     ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
@@ -273,13 +285,16 @@ class Relocations(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
+        self._evaluating = context.evaluating
         self._refill = 0 if context.evaluating else options.refill
         if made.scene.options.below is not None and options.relocations > 1:
             raise ConfigError(
                 f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
                 "another stays there. Set one of them alone."
             )
-        self._bank.fill(options.plans, options.longest, options.relocations, options.noise)
+        self._bank.fill(
+            options.plans, options.longest, options.relocations, options.noise, context.evaluating
+        )
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
         self._start, self._velocity = start, torch.zeros(model.nv, device=device)
@@ -294,8 +309,13 @@ class Relocations(InitialStates):
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         free = len(self._order) - self._refill
-        place = (streams.uniform(1)[:, 0] * free).long().clamp(max=free - 1)
+        share = streams.uniform(1)[:, 0]
+        if self._evaluating:  # no two worlds the same plan, where there are as many: episodes that repeat tell nothing
+            share = (torch.arange(len(share), device=share.device) + share) / len(share)
+        place = (share * free).long().clamp(max=free - 1)
         row = self._order[place]
+        if self._evaluating:
+            self._bank.need(row.unique().tolist())
         thing = self._bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
