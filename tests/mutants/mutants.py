@@ -67,7 +67,10 @@ NN, WARP = (
     "tests/integration/test_mujoco_warp.py",
 )
 F24 = "tests/faults/test_24_mutated_models.py"
-INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluator.py"
+INPUTS, EVALUATION = (
+    f"{KERNEL}/inputs.py",
+    "plugins/learning/reinforcement/understudy_reinforcement/evaluator.py",
+)
 TRIAL, APART, MODELS = (
     "plugins/physics/mujoco/understudy_mujoco/trial.py",
     "plugins/physics/mujoco/understudy_mujoco/apart.py",
@@ -352,7 +355,7 @@ MUTANTS = (
     Mutant("a defect hides the signal", f"{KERNEL}/command/cli.py",
            "if stop.received is not None and not isinstance(error, PreemptedError):",
            "if isinstance(error, KeyboardInterrupt):", f"{ANY} -k library"),
-    Mutant("a closed terminal ends it", f"{KERNEL}/command/workflow.py",
+    Mutant("a closed terminal ends it", "plugins/learning/training/understudy_training/workflow.py",
            "contextlib.suppress(OSError):  # a terminal that was closed stops nothing", "contextlib.nullcontext():",
            f"{ANY} -k printed"),
     # Data from strangers.
@@ -515,7 +518,7 @@ MUTANTS = (
            "return [] if self.options.initial_counts else [*self.trials][: self.options.initial]", "return []",
            "tests/plugins/bayes/test_book.py -k need_not_count"),
     Mutant("a missed criterion decides a verdict", "plugins/search/reproduce/understudy_reproduce/card.py",
-           "return UNDECIDED if missed and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
+           "return UNDECIDED if self.missed(figure) and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
     # What strangers' files of the newer parts may be.
     Mutant("a grip is any file", "plugins/figures/gripping/understudy_gripping/grip.py", "json.loads(read(path, _LARGEST))\n        if not isinstance(values",
            "json.loads(path.read_text())\n        if not isinstance(values", "tests/plugins/gripping/test_grip.py -k pipe or none_are_refused"),
@@ -577,8 +580,8 @@ MUTANTS = (
     Mutant(
         "a goal is of a plan of any number",
         "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
-        "plan_row.long().clamp(0, len(self._bank.goals) - 1)",
-        "plan_row.long()",
+        "followed.long().clamp(0, len(self._bank.goals) - 1)",
+        "followed.long()",
         "tests/faults/test_01_poisoned_fields.py -k chopsticks",
     ),
     Mutant(
@@ -629,5 +632,12 @@ MUTANTS = (
         "file.read(_LICENCE_BYTES)",
         "file.read()[:_LICENCE_BYTES]",
         "tests/faults/test_24_endless_files.py -k licence_of_nothing",
+    ),
+    Mutant(
+        "worlds that were in step stay so",
+        "plugins/learning/curricula/understudy_curricula/staggered.py",
+        "self._first &= ~rollout.ended.any(0)",
+        "self._first &= False",
+        "tests/plugins/curricula/test_staggered.py",
     ),
 )  # fmt: skip

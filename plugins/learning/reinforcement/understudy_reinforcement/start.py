@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
-from understudy.errors import RunError
+from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy.running.warm_start import misshapen, newest_state
+from understudy.setup.plugins import installed
 from understudy.setup.root import StartOptions
 from understudy.task import Curriculum, InitialStates, Policy, State
 
@@ -41,10 +43,17 @@ def take_over(
 
     Raises
     ------
+    ConfigError
+        if it is the name of a skill, which has no critic.
     RunError
         if the run lacks one of them, or it has another shape here; names the first that
         does not fit.
     """
+    if start.run in installed().registry.names("skill") and not Path(start.run).is_dir():
+        raise ConfigError(
+            f"start.run={start.run} is a skill, and a training begins with a run: `understudy play {start.run} "
+            f"--unpack runs/{start.run.replace('/', '-')}` makes one of it."
+        )
     state = newest_state(start.run)
     given: Mapping[str, Tensor] = state.get("policy", {})
     own = dict(policy.state_dict())

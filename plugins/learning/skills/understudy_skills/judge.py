@@ -14,6 +14,7 @@ from understudy.setup.building import build_policy
 from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement.job import Reinforcement
+from understudy_skills.folder import run_folder
 
 #: What a policy sees, what its actions do and how often it acts: a policy learns these.
 _LEARNED = ("encoder", "actuation", "control")
@@ -40,8 +41,8 @@ class Judge(Reinforcement):
         if self.options.run is None:
             self.policy = build_policy(self.experiment, self.evaluator.built.context)
             return
-        source = runs.open_run(self.options.run)
-        state = newest_state(self.options.run)
+        source = runs.open_run(run_folder(self.options.run))
+        state = newest_state(str(source.path))
         try:
             self.load_learned(state, state["progress"]["samples"])
         except (LookupError, TypeError, ValueError, RuntimeError) as error:

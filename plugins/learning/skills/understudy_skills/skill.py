@@ -223,6 +223,8 @@ def unpack(skill: Skill, path: Path) -> None:
         skill.give(policy)
         sources = skill.card.get("sources") or {}
         run = runs.create(experiment, [*overrides, f"run.dir={path}"], sources)
+        if skill.card.get("licence"):  # what a run's copies would say of themselves
+            run.write_json("run.json", {**run.info, "licence": skill.card["licence"]})
     finally:
         built.environment.close()
     try:

@@ -12,6 +12,7 @@ REQUIRES = (
     "pbd",
     "ppo",
     "report",
+    "skills",
     "sweeps",
     "warp_torch",
 )

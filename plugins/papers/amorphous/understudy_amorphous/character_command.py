@@ -30,6 +30,7 @@ from understudy_motion.clip import Clip
 from understudy_motion.readers.npz import Archive
 from understudy_motion.writing import write_clip
 from understudy_report.video import write_video
+from understudy_skills.folder import run_folder
 
 if typing.TYPE_CHECKING:
     from understudy_amorphous.inverse_kinematics import Motion
@@ -47,7 +48,7 @@ class HoldTool(Command):
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("run", help="a finished run's folder")
+        add("run", help="a finished run's folder, or a skill")
         add(
             "destination",
             nargs="?",
@@ -106,6 +107,7 @@ class HoldTool(Command):
             {"cost": options.cost, "relax": options.relax, "speed": options.speed},
             "inverse kinematics",
         )
+        options.run = run_folder(options.run, recorded=True)
         recorded = _recorded(runs.open_run(options.run))
         if not options.no_video and "particle_position" not in recorded.tracks:
             raise FileError(

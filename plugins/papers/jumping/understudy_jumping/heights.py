@@ -15,6 +15,7 @@ from understudy_characters.recording import unsimulated
 from understudy_inspect.judging import load
 from understudy_jumping.arena import ArenaOptions
 from understudy_motion.arguments import positive, share
+from understudy_skills.folder import run_folder
 
 #: In the run folder: what was found.
 FILE = "heights.json"
@@ -36,7 +37,7 @@ class Heights(Command):
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.usage = "understudy jumping heights RUN [--success SHARE] [--step METRES] [--from METRES] [KEY=VALUE …]"
-        parser.add_argument("run", help="run folder")
+        parser.add_argument("run", help="run folder, or a skill")
         parser.add_argument(
             "--success", type=share, default=0.5, help="share of attempts (default: 0.5)"
         )
@@ -52,6 +53,7 @@ class Heights(Command):
         )
 
     def run(self, options: argparse.Namespace) -> int:
+        options.run = run_folder(options.run)
         reached, arena = _trained(options.run)
         first = reached if options.first is None else options.first
         tried: list[tuple[float, float]] = []

@@ -29,6 +29,7 @@ from understudy_characters.shapes import shapes
 from understudy_motion.clip import Clip
 from understudy_motion.writing import Shown, write_figures
 from understudy_report.video import write_video
+from understudy_skills.folder import run_folder
 from understudy_tensors import rotations
 
 #: Frames a second of the video.
@@ -45,8 +46,8 @@ class Join(Command):
     example = "understudy jumping join runs/run_up runs/jump jump.mp4"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("run_up", help="run folder of the run-up")
-        parser.add_argument("jump", help="run folder of the jump")
+        parser.add_argument("run_up", help="run folder of the run-up, or a skill")
+        parser.add_argument("jump", help="run folder of the jump, or a skill")
         parser.add_argument(
             "destination",
             type=Path,
@@ -57,6 +58,8 @@ class Join(Command):
         yield options.destination
 
     def run(self, options: argparse.Namespace) -> int:
+        options.run_up = run_folder(options.run_up, recorded=True)
+        options.jump = run_folder(options.jump, recorded=True)
         first, _ = recorded_clips(options.run_up)
         second, _ = recorded_clips(options.jump)
         whole = joined(first, second)

@@ -24,7 +24,9 @@ class Naturalness(Command):
         parser.usage = "understudy pose_vae naturalness POSES RUN … [KEY=VALUE …]"
         parser.add_argument("poses", help="run folder that trained a pose auto-encoder")
         # overrides behind them are taken by this one, too
-        parser.add_argument("run", nargs="+", help="run folder of any task on a character")
+        parser.add_argument(
+            "run", nargs="+", help="run folder of any task on a character, or a skill"
+        )
 
     def run(self, options: argparse.Namespace) -> int:
         distance = f"{{name: pose_vae/distance, run: {json.dumps(options.poses)}, reduce: mean}}"

@@ -20,6 +20,7 @@ from understudy_motion.clip import Clip, cycle_transform, resample
 from understudy_motion.editing import close_loop, cut
 from understudy_motion.readers.npz import Archive
 from understudy_motion.writing import write_clip
+from understudy_skills.folder import run_folder
 from understudy_tensors.rotations import angle_between
 
 
@@ -30,14 +31,14 @@ class Learned(Command):
     example = "understudy motion learned runs/spacetime-walk-001 repaired.npz"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("run", help="the folder of a run that learned a clip")
+        parser.add_argument("run", help="the folder of a run that learned a clip, or a skill")
         parser.add_argument("destination", type=Path, help="the clip to write, such as walk.npz")
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         yield options.destination
 
     def run(self, options: argparse.Namespace) -> int:
-        clip = learned_clip(options.run)
+        clip = learned_clip(run_folder(options.run, recorded=True))
         write_clip(clip, options.destination, installed().registry)
         how = f"one cycle of {clip.duration:.2f} s" if clip.loop else f"{clip.duration:.2f} s"
         print(f"{options.destination}: {how}, {clip.num_frames} frames, licence: {clip.licence}")

@@ -23,6 +23,7 @@ from understudy_report import words
 from understudy_report.markup import check_markup
 from understudy_report.page import html_page
 from understudy_report.values import Row, interval, mapping, number, own_evaluation
+from understudy_skills.folder import run_folder
 from understudy_sweeps import tables
 from understudy_sweeps.film import Tile, make_film
 from understudy_sweeps.intervals import paired_difference
@@ -54,7 +55,7 @@ class Compare(Command):
             "runs",
             nargs="+",
             metavar="RUN",
-            help="two run folders or more; those that differ in the seed alone are one variant",
+            help="two run folders or skills, or more; those that differ in the seed alone are one variant",
         )
         parser.add_argument(
             "--page",
@@ -70,7 +71,7 @@ class Compare(Command):
         yield options.page
 
     def run(self, options: argparse.Namespace) -> int:
-        folders = list(dict.fromkeys(os.path.normpath(path) for path in options.runs))
+        folders = list(dict.fromkeys(os.path.normpath(run_folder(path)) for path in options.runs))
         if len(folders) < 2:
             raise ConfigError(
                 "A comparison is of two runs or more: understudy compare RUN RUN. `understudy runs` lists them."

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from understudy.command.command import Command
+from understudy.errors import RunError
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_inspect.catalogue import offers
@@ -146,7 +147,12 @@ class Replay(Command):
         parser.add_argument("run", help="run folder")
 
     def run(self, options: argparse.Namespace) -> int:
-        found = replay_step(Path(options.run) / "faults" / "step")
+        dump = Path(options.run) / "faults" / "step"
+        if not dump.with_suffix(".json").is_file():
+            raise RunError(
+                f"{options.run} has no step to repeat: in no run of that name did numbers go wrong (faults/step.json)."
+            )
+        found = replay_step(dump)
         for world, failed in zip(found.worlds.tolist(), found.failed.tolist(), strict=True):
             print(f"world {world}: {'goes wrong again' if failed else 'stays sound this time'}")
         return 0

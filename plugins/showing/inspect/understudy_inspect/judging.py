@@ -15,7 +15,6 @@ from typing import Any
 import yaml
 
 from understudy.command.command import Command
-from understudy.command.workflow import judge, tell
 from understudy.errors import ConfigError, RunError
 from understudy.records import checkpoint, runs
 from understudy.records.checkpoint import write_atomically
@@ -24,6 +23,8 @@ from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
 from understudy_inspect.half_step import compared
+from understudy_skills.folder import run_folder
+from understudy_training.workflow import judge, tell
 
 __all__ = ["load"]
 
@@ -57,7 +58,7 @@ class Evaluate(Command):
             "understudy evaluate RUN [episodes=N] [seconds=S] [checkpoint=ITERATION|last|best|SHARE] "
             "[half_step=false] [KEY=VALUE …]"
         )
-        parser.add_argument("run", help="run folder")
+        parser.add_argument("run", help="run folder, or a skill")
 
     def run(self, options: argparse.Namespace) -> int:
         words, half_step = _without_half_step(options.overrides)
@@ -113,7 +114,7 @@ class Render(Command):
             "understudy render RUN [episodes=N] [seconds=S] [size=WIDTHxHEIGHT] [camera=DEGREES] "
             "[checkpoint=ITERATION|last|best|SHARE] [KEY=VALUE …]"
         )
-        parser.add_argument("run", help="run folder")
+        parser.add_argument("run", help="run folder, or a skill")
 
     def run(self, options: argparse.Namespace) -> int:
         training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)
@@ -181,12 +182,12 @@ def _changed(words: Sequence[str], short: Mapping[str, str]) -> list[str]:
 def load(
     path: str, words: Sequence[str], short: Mapping[str, str]
 ) -> tuple[Training, Run, Reporter, str]:
-    """The run at `path` with what was learned of it, as `words` of the command line change it, and the
+    """The run at `path`, or the skill of that name, with what was learned of it, as `words` of the command line change it, and the
     name of the checkpoint if they choose one.
 
     Words are overrides; those of `short` set what the run recorded and nothing else.
     """
-    run = runs.open_run(path)
+    run = runs.open_run(run_folder(path))
     given = {key: value for key, _, value in (word.partition("=") for word in words)}
     own = {key: given[key] for key in (*short, "checkpoint") if key in given}
     overrides = [word for word in words if word.partition("=")[0] not in own]

@@ -32,6 +32,7 @@ from understudy_motion.kinematics import need_skeleton
 from understudy_motion.reading import metres_of
 from understudy_motion.writing import Shape, Shown, write_figures
 from understudy_mujoco.studio import REFERENCE
+from understudy_skills.folder import run_folder
 
 BONES = "none"
 ONNX = ".onnx"
@@ -62,7 +63,7 @@ class Export(Command):
     def arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             "source",
-            help="a run folder, a clip file, or a clip's name; of a policy, what `understudy play` plays",
+            help="a run folder, a skill, a clip file, or a clip's name",
         )
         parser.add_argument(
             "destination",
@@ -102,6 +103,7 @@ class Export(Command):
     def run(self, options: argparse.Namespace) -> int:
         if options.destination.suffix.lower() == ONNX:
             return _policy(options)
+        options.source = run_folder(options.source, recorded=True)
         if options.destination.suffix.lower() == PAGE:
             return _page(options)
         from understudy_export.cloth import garment_of, write_cloth

@@ -1,7 +1,7 @@
 """The motion page: clips and runs in the browser."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("tensors", "characters", "doctor", "motion", "mujoco")
+REQUIRES = ("skills", "tensors", "characters", "doctor", "motion", "mujoco")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

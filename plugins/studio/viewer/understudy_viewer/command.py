@@ -10,6 +10,7 @@ from understudy.errors import ConfigError
 from understudy.setup.plugins import installed
 from understudy_motion.arguments import add_reading, open_clip, port
 from understudy_motion.clip import Clip
+from understudy_skills.folder import run_folder
 from understudy_viewer.serving import serve
 from understudy_viewer.sources import open_scene
 from understudy_viewer.stage import build
@@ -24,8 +25,8 @@ class View(Command):
         parser.add_argument(
             "source",
             metavar="SOURCE",
-            help="a clip file, the name of a clip, or a run folder, which shows the learned motion "
-            "beside its reference",
+            help="a clip file, the name of a clip, or a run folder or skill, which shows the learned "
+            "motion beside its reference",
         )
         parser.add_argument(
             "other", metavar="OTHER", nargs="?", help="another one, to be shown beside the first"
@@ -54,7 +55,8 @@ class View(Command):
             raise ConfigError("The motion page needs viser: pip install 'understudy[view]'")
         from understudy_viewer.page import Page, free_port
 
-        sources = [source for source in (options.source, options.other) if source is not None]
+        named = [source for source in (options.source, options.other) if source is not None]
+        sources = [run_folder(source, recorded=True) for source in named]
         registry = installed().registry
 
         def read(source: str) -> Clip:

@@ -1,0 +1,102 @@
+"""The run folder of a skill, for commands that read one."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from understudy.errors import RunError
+from understudy.folders import read
+from understudy.records import runs
+from understudy.records.checkpoint import write_atomically
+from understudy.records.runs import Run
+from understudy.running.training import Reporter, Training
+from understudy.setup.plugins import installed
+from understudy_skills.skill import open_skill, unpack
+from understudy_training.workflow import tell
+
+__all__ = ["run_folder"]
+
+#: Where skills are unpacked, in the working folder.
+FOLDER = Path("runs") / "skills"
+_SUFFIXES = (".json", ".safetensors")  #: of the two files of a packed skill
+
+
+def run_folder(source: str, *, recorded: bool = False) -> str:
+    """The folder of the run `source`; of a skill's name or a packed file (.json) that of the skill, which is
+    unpacked the first time, below ``runs/skills``, and found there again as long as the skill is the same.
+
+    Anything else is returned as it is, for :func:`understudy.records.runs.open_run` to judge. With `recorded` an
+    unpacked skill also gets a recording of one episode and what is drawn of it, as at a training's end.
+
+    Raises
+    ------
+    UnderstudyError
+        the skill is damaged, needs what is not here, or its folder cannot be written.
+    """
+    if Path(source).is_dir() or (packed := _packed(source)) is None:
+        return source
+    digest = hashlib.sha256(b"".join(read(file) for file in _files(packed))).hexdigest()[:8]
+    folder = FOLDER / f"{source.removesuffix('.json').replace(os.sep, '-').strip('-.')}-{digest}"
+    if not (folder / "run.json").is_file():
+        _whole(source, folder)
+        tell(f"{source} is unpacked as the run {folder}.")
+    if recorded and not (folder / "recording.npz").is_file():
+        tell(f"{folder} is recorded for the first time.")
+        _record(runs.open_run(folder))
+    return str(folder)
+
+
+def _packed(source: str) -> Path | None:
+    """Where the skill is, without its suffixes; None of what is none."""
+    path, registry = Path(source), installed().registry
+    if source in registry.names("skill"):
+        return registry.find("skill", source).factory()
+    packed = path.suffix == ".json" and all(file.is_file() for file in _files(path))
+    return path.with_suffix("") if packed else None
+
+
+def _files(path: Path) -> list[Path]:
+    return [path.with_name(f"{path.name.removesuffix('.json')}{s}") for s in _SUFFIXES]
+
+
+def _whole(source: str, folder: Path) -> None:
+    """Unpack the skill beside `folder` and move it there, so that it is there as a whole or not at all."""
+    try:
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=".", dir=FOLDER))
+    except OSError as error:
+        raise RunError(f"{FOLDER} cannot be made: {error.strerror}.") from error
+    try:
+        unpack(open_skill(source), beside / "run")
+        text = (beside / "run" / "run.json").read_text(encoding="utf-8")
+        own = text.replace(str(beside / "run"), str(folder))
+        write_atomically(beside / "run" / "run.json", own.encode())
+        try:
+            (beside / "run").rename(folder)
+        except OSError as error:
+            if not (folder / "run.json").is_file():  # else another process was first
+                raise RunError(f"{folder} cannot be made: {error.strerror}.") from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def _record(run: Run) -> None:
+    """One episode of what `run` learned, recorded and drawn; what it was judged by stays."""
+    experiment = run.experiment()
+    root = experiment.root
+    evaluation = replace(root.evaluation, episodes=1, final_episodes=1)
+    training = Training(replace(experiment, root=replace(root, evaluation=evaluation)))
+    try:
+        training.load_learned(run.newest()[0])
+        _, recording = training.judge(root.run.video_seconds or 8.0)
+    finally:
+        training.close()
+    if recording is None:
+        raise RunError(f"{run.path}: what it learned has no motion to record.")
+    recording.save(run.path / "recording.npz")
+    Reporter(tell, installed().observers(tell)).notify("judged", run, recording, tell)

@@ -1,0 +1,98 @@
+"""A skill where a command takes a run: its folder below runs/skills."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import miniatures
+import pytest
+
+from understudy.command.cli import main
+from understudy.errors import RunError
+from understudy.records import runs
+from understudy_skills import folder
+from understudy_skills.folder import run_folder
+from understudy_skills.skill import open_skill
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``go.json`` and its tensors, a policy of one iteration."""
+    place = tmp_path_factory.mktemp("packed")
+    run = f"run.dir={place / 'run'}"
+    miniatures.train(
+        "experiment=miniature/go",
+        "budget.samples=1024",
+        *miniatures.QUICK,
+        run,
+        "run.video_seconds=0",
+    )
+    assert main(["play", str(place / "run"), "--pack", str(place / "go.json")]) == 0
+    return place / "go.json"
+
+
+def test_commands_take_a_skill_where_they_take_a_run(
+    packed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["evaluate", str(packed), "episodes=4", "half_step=false"]) == 0
+    assert "is unpacked as the run runs/skills/" in capsys.readouterr().err
+    (made,) = Path("runs/skills").iterdir()
+    own = json.loads((made / "evaluation.json").read_text())
+    assert own == open_skill(str(packed)).card["evaluation"]
+    assert json.loads((made / "evaluation-episodes-4.json").read_text())["episodes"] == 4
+    assert runs.open_run(made).config["run"]["dir"] == str(made)
+    assert f"run.dir={made}" in runs.open_run(made).info["overrides"]
+
+
+def test_it_is_unpacked_once(packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    first = run_folder(str(packed))
+    monkeypatch.setattr(folder, "unpack", None)
+    assert run_folder(str(packed)) == first
+
+
+def test_another_skill_of_the_same_name_has_its_own_folder(
+    packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    first = run_folder(str(packed))
+    card = json.loads(packed.read_text())
+    packed.write_text(json.dumps(card, indent=2))
+    monkeypatch.setattr(folder, "unpack", lambda skill, path: _make(path))
+    assert run_folder(str(packed)) != first
+
+
+def _make(path: Path) -> None:
+    path.mkdir()
+    (path / "run.json").write_text("{}")
+
+
+def test_nothing_is_left_of_one_that_cannot_be_unpacked(
+    packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(skill: object, path: Path) -> None:
+        _make(path)
+        raise RunError("The disk is full.")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(folder, "unpack", fails)
+    with pytest.raises(RunError, match="disk is full"):
+        run_folder(str(packed))
+    assert list(Path("runs/skills").iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["nosuch", "walk", "clip.json"])
+def test_what_is_no_skill_stays_as_it_is(name: str, tmp_path: Path) -> None:
+    clip = tmp_path / "clip.json"  # clips, too, may end so
+    clip.write_text("{}")
+    source = str(clip) if name == clip.name else name
+    assert run_folder(source) == source
+
+
+def test_a_run_stays_as_it_is(packed: Path) -> None:
+    assert run_folder(str(packed.parent / "run")) == str(packed.parent / "run")
