@@ -641,6 +641,8 @@ MUTANTS = (
         "self._first &= ~rollout.ended.any(0)",
         "self._first &= False",
         "tests/plugins/curricula/test_staggered.py",
+    ),
+    Mutant(
         "a replay counts only what it keeps",
         "plugins/learning/imagination/understudy_imagination/replay.py",
         "size, self.seen = len(self._counts), self.seen + len(inputs)",
