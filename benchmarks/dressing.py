@@ -31,6 +31,7 @@ SETTINGS = {
     "threads": ("+simulators.cloth.bending_every=1",),
     "hinges": ("+simulators.cloth.threads=512",),
     "now": (),
+    "now, no hinges": ("scenes.cloth.fabric={bending: 0.0}",),
     "now, no self-contact": ("+simulators.cloth.self_contact=false",),
     "now, searches every 20 sub-steps": ("+simulators.cloth.every=20",),
     "now, 2 steps of the body in 10 ms": ("scene.steps.person=2",),
@@ -87,13 +88,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--worlds", type=int, nargs="+", default=[512])
+    parser.add_argument(
+        "--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS), help="of the settings"
+    )
     parser.add_argument("--seconds", type=float, default=5.0, help="of each measurement")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("more", nargs="*", help="overrides of the experiment")
     options = parser.parse_args()
     on_gpu = torch.cuda.is_available()
     for worlds in options.worlds:
-        for name, settings in SETTINGS.items():
+        for name in options.only:
+            settings = SETTINGS[name]
             found = measure(worlds, settings, options.seconds, options.more)
             print(
                 f"{worlds} worlds, {name}: {found['decisions_per_second']:.0f} decisions/s; a decision "

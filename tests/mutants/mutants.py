@@ -642,6 +642,13 @@ MUTANTS = (
         "tests/faults/test_24_endless_files.py -k licence_of_nothing",
     ),
     Mutant(
+        "worlds that were in step stay so",
+        "plugins/learning/curricula/understudy_curricula/staggered.py",
+        "self._first &= ~rollout.ended.any(0)",
+        "self._first &= False",
+        "tests/plugins/curricula/test_staggered.py",
+    ),
+    Mutant(
         "a replay counts only what it keeps",
         "plugins/learning/imagination/understudy_imagination/replay.py",
         "size, self.seen = len(self._counts), self.seen + len(inputs)",
