@@ -253,9 +253,16 @@ def test_a_plan_that_fails_is_made_anew_from_where_everything_is(replanned: Buil
     assert field(replanned, "replans").tolist() == [0, 0, 0]
     assert field(replanned, "plan_stopped").tolist() == pytest.approx([-1, 0.21, -1])
     assert field(replanned, "object_distance")[1] == 0.0, "no plan has it"
-    assert (field(replanned, "planned_velocity")[1] == 0).all(), "the sticks stop"
     assert not bool(field(replanned, "failed").any())
-    environment.advance(torch.zeros(3, 36))
+    speed = []
+    for _ in range(41):
+        arm = field(replanned, "planned_pose")[:, :7].clone()
+        speed.append(field(replanned, "planned_velocity")[1, :7].norm().item())
+        environment.advance(torch.zeros(3, 36))
+        assert (field(replanned, "planned_pose")[1, :7] - arm[1]).abs().max() < 0.05, "no jolt"
+    assert speed[0] > 0.1
+    assert speed == sorted(speed, reverse=True), "the sticks slow down"
+    assert speed[-1] < 0.03 * speed[0]
     assert field(replanned, "replans").tolist() == [0, 1, 0]
     assert not bool(field(replanned, "failed").any()), "what is begun anew is not lost"
     followed = field(replanned, "followed")
@@ -267,7 +274,7 @@ def test_a_plan_that_fails_is_made_anew_from_where_everything_is(replanned: Buil
     assert (new[0, :7] - arm[1]).abs().max() < 0.05
     assert new[:, :7].diff(dim=0).abs().max() < 0.15, "no jump of the arm"
     assert (new[:10, :7] - new[0, :7]).abs().max() < 0.02, "it waits while the plan is found"
-    assert float(field(replanned, "plan_time")[1]) == 0.0
+    assert float(field(replanned, "plan_time")[1]) < 0.03
     assert (field(replanned, "plan_time")[[0, 2]] > 0.2).all()
 
 
