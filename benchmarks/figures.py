@@ -199,9 +199,11 @@ def _told(p: float, difference: float) -> str:
 
 
 def number(value: float, unit: str) -> str:
-    """As a page writes it; `unit` is ``M``, ``%`` or anything that stands behind."""
+    """As a page writes it; `unit` is ``M``, ``k``, ``%`` or anything that stands behind."""
     if unit == "M":
         return f"{value / 1e6:.2f} M"
+    if unit == "k":
+        return f"{value / 1e3:.0f} k"
     if unit == "%1":
         return f"{100 * value:.1f} %"
     if unit == "%":

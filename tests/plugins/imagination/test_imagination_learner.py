@@ -143,6 +143,34 @@ def test_a_former_value_is_refused(refusal: Callable[..., str]) -> None:
     assert "'previous_com_position'" in sentence
 
 
+def test_a_critic_may_know_what_is_not_imagined(
+    job: Callable[..., Reinforcement], refusal: Callable[..., str]
+) -> None:
+    """An encoder that reads a former value: the critic's alone is accepted, the actor's is refused."""
+    former = (
+        "+encoder.former={name: spacetime/feedforward,"
+        " reads: {reference_joint_targets: previous_reference_joint_targets}}"
+    )
+    made = job(former, "policy.feedback.critic=[state, former]")
+    learner = made.learner
+    assert isinstance(learner, Imagination)
+    iterate(made, 3)
+    found = learner.adjoint(learner._window)  # type: ignore[arg-type]
+    assert set(found.observations) == {"state", "feedforward"}
+    sentence = refusal(former, "policy.feedback.observation=[state, former]")
+    assert "'previous_reference_joint_targets'" in sentence
+    assert "encoder.former" in sentence
+
+
+def test_an_actor_may_see_several_observations(job: Callable[..., Reinforcement]) -> None:
+    made = job(
+        "+encoder.again={name: spacetime/feedforward}", "policy.feedback.observation=[state, again]"
+    )
+    rows = iterate(made, 3)
+    assert "cost" in rows[-1]
+    assert rows[-1]["skipped_steps"] == 0
+
+
 def test_a_task_without_anything_to_differentiate_is_refused(refusal: Callable[..., str]) -> None:
     bounds = ("com", "root", "joints", "end_effectors", "fall")
     sentence = refusal(*(f"~termination.terms.{name}" for name in bounds), "evaluation.failures=[]")
