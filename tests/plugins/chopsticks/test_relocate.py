@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ import torch
 from torch import Tensor
 
 from understudy.command.cli import main
-from understudy.errors import UnderstudyError
+from understudy.errors import ConfigError, UnderstudyError
+from understudy.random import WorldStreams
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
+from understudy_chopsticks.again import Again
 from understudy_chopsticks.relocate import Bank, Relocations, lost, missed, placed, thing
 from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
@@ -371,6 +374,22 @@ def test_no_two_episodes_of_an_evaluation_follow_the_same_plan(replanned: Built)
     for seed in range(5):
         replanned.environment.reset(seed=seed)
         assert sorted(field(replanned, "plan_row").tolist()) == [0, 1, 2]
+
+
+def test_an_evaluation_elsewhere_waits_for_nothing(built: Built) -> None:
+    """On a device that is not the CPU, as a GPU whose steps are captured: the bank is whole before, and nobody plans anew.
+    Values of torch's device `meta` cannot be read."""
+    context = replace(
+        built.context, device=torch.device("meta"), evaluating=True,
+        _shared={"gripping": built.context._shared["gripping"]},
+    )  # fmt: skip
+    made = Relocations(Relocations.Options(plans=2, refill=0), context)
+    assert not made._bank._missing
+    found = made.sample(WorldStreams(0, "starts", 4, context.device))
+    assert found["qpos"].shape == (4, 57)
+    Again(Again.Options(), context)
+    with pytest.raises(ConfigError, match="device=cpu simulator=mujoco"):
+        Again(Again.Options(most=1), context)
 
 
 def test_plans_have_all_phases(built: Built) -> None:

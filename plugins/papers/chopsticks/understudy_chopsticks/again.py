@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Memory
 from understudy_chopsticks.relocate import SLOWING, bank_of
@@ -31,7 +32,7 @@ class Again(Memory):
     - ``plan_stopped`` () s, the plan's time at which it stopped, -1 where it goes on; ``stopped_since`` () s of the episode
     - ``replans`` () so far; ``given_up`` () 1 where there was no plan
 
-    *Limits:* an object that is not flat on the table, falls off it, does not come to rest, or that no plan reaches, is given up. A
+    *Limits:* evaluations on a GPU are refused, since their steps are captured. An object that is not flat on the table, falls off it, does not come to rest, or that no plan reaches, is given up. A
     sphere rests only if it has rolling friction (``scene.object.rolling``).
     """
 
@@ -61,6 +62,12 @@ class Again(Memory):
         self._options, self._most = options, options.most if context.evaluating else 0
         joint = made.scene.model.joint("object")
         self._at, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
+        if self._most and context.device.type != "cpu":
+            raise ConfigError(
+                f"memory.again.most={self._most} needs device=cpu simulator=mujoco: plans are made on the host, which a step "
+                "that a GPU captures does not wait for. Evaluate the run there: "
+                "understudy evaluate RUN device=cpu simulator=mujoco memory.again.most=4"
+            )
         if self._most:
             self._bank.spare(context.num_worlds)
 

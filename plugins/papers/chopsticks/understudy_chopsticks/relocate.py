@@ -294,8 +294,10 @@ class Relocations(InitialStates):
                 f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
                 "another stays there. Set one of them alone."
             )
+        # A GPU captures the step in which episodes begin, so its bank has to be whole before.
+        self._later = context.evaluating and context.device.type == "cpu"
         self._bank.fill(
-            options.plans, options.longest, options.relocations, options.noise, context.evaluating
+            options.plans, options.longest, options.relocations, options.noise, self._later
         )
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
@@ -316,7 +318,7 @@ class Relocations(InitialStates):
             share = (torch.arange(len(share), device=share.device) + share) / len(share)
         place = (share * free).long().clamp(max=free - 1)
         row = self._order[place]
-        if self._evaluating:
+        if self._later:
             self._bank.need(row.unique().tolist())
         thing = self._bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
