@@ -24,8 +24,8 @@ from understudy_skills.skill import names, open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "held.jsonl"
 SECONDS = 8.0
-#: m: the deepest that fingers may be in sticks, anything in the object; how far the lower stick may slip in the palm.
-THRESHOLDS = {"fingers": 1e-3, "object": 1e-3, "slip": 5e-3}
+#: mm: the deepest that fingers may be in sticks, anything in the object; how far the lower stick may slip in the palm.
+THRESHOLDS = {"fingers": 1.0, "object": 1.0, "slip": 5.0}
 #: rad: a hinge that turns farther within a frame begins a new episode.
 JUMP = 0.15
 
@@ -36,7 +36,7 @@ def hands() -> list[str]:
 
 
 def measured(scene: HandScene, qpos: np.ndarray, dt: float) -> dict[str, float]:
-    """Of a motion (T, nq), m: ``fingers``, the deepest that a finger is in a stick, and ``object``, that anything is in the object;
+    """Of a motion (T, nq), mm: ``fingers``, the deepest that a finger is in a stick, and ``object``, that anything is in the object;
     ``slip``, how far the lower stick moves in the palm; and median ``jerk`` of the hinges, rad/s³."""
     model, data = scene.model, mujoco.MjData(scene.model)
     sticks = {model.body(name).id for name in BODIES[scene.options.tool]}
@@ -52,14 +52,14 @@ def measured(scene: HandScene, qpos: np.ndarray, dt: float) -> dict[str, float]:
             bodies = {int(model.geom_bodyid[k]) for k in contact.geom}
             kind = "object" if thing in bodies else "fingers" if bodies & sticks else None
             if kind is not None:
-                deep[kind] = max(deep[kind], -float(contact.dist))
+                deep[kind] = max(deep[kind], -1e3 * float(contact.dist))
         turn = data.xmat[palm].reshape(3, 3)
         places.append(turn.T @ (data.xpos[lower] - data.xpos[palm]))
     third = np.diff(qpos[:, : scene.hinges], n=3, axis=0) / dt**3
     whole = np.array(places)
     return {
         **deep,
-        "slip": float(np.linalg.norm(whole - whole[0], axis=1).max()),
+        "slip": 1e3 * float(np.linalg.norm(whole - whole[0], axis=1).max()),
         "jerk": float(np.median(np.linalg.norm(third, axis=1))),
     }
 

@@ -11,6 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import figures
+import held
 import shipped
 
 from understudy_skills.skill import open_skill
@@ -98,6 +99,17 @@ def test_what_ships_was_measured_as_it_is() -> None:
     assert {name: row["samples"] for name, row in measured.items()} == packed
     for one in ("shipped", "gallery"):
         assert set(SPEC["tables"][one]["rows"]) == {f"`{name}`" for name in packed}
+
+
+def test_what_hands_do_was_measured_as_it_ships() -> None:
+    """Every packaged skill of a hand, of the training that is packed; what is beyond is said."""
+    found = figures.rows("held.jsonl")
+    packed = {name: open_skill(name).samples for name in held.hands()}
+    assert {row["skill"]: row["samples"] for row in found} == packed
+    assert set(SPEC["tables"]["held"]["rows"]) == {f"`{name}`" for name in packed}
+    for row in found:
+        beyond = [k for k, most in held.THRESHOLDS.items() if row["played"][k] > most]
+        assert row["beyond"] == (", ".join(beyond) or "–"), row["skill"]
 
 
 def test_thresholds_for_shipping_are_those_of_the_page() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ import torch
 from torch import Tensor
 
 from understudy.command.cli import main
-from understudy.errors import UnderstudyError
+from understudy.errors import ConfigError, UnderstudyError
+from understudy.random import WorldStreams
 from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
+from understudy_chopsticks.again import Again
 from understudy_chopsticks.relocate import Bank, Relocations, lost, missed, placed, thing
 from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
@@ -253,9 +256,16 @@ def test_a_plan_that_fails_is_made_anew_from_where_everything_is(replanned: Buil
     assert field(replanned, "replans").tolist() == [0, 0, 0]
     assert field(replanned, "plan_stopped").tolist() == pytest.approx([-1, 0.21, -1])
     assert field(replanned, "object_distance")[1] == 0.0, "no plan has it"
-    assert (field(replanned, "planned_velocity")[1] == 0).all(), "the sticks stop"
     assert not bool(field(replanned, "failed").any())
-    environment.advance(torch.zeros(3, 36))
+    speed = []
+    for _ in range(41):
+        arm = field(replanned, "planned_pose")[:, :7].clone()
+        speed.append(field(replanned, "planned_velocity")[1, :7].norm().item())
+        environment.advance(torch.zeros(3, 36))
+        assert (field(replanned, "planned_pose")[1, :7] - arm[1]).abs().max() < 0.05, "no jolt"
+    assert speed[0] > 0.1
+    assert speed == sorted(speed, reverse=True), "the sticks slow down"
+    assert speed[-1] < 0.03 * speed[0]
     assert field(replanned, "replans").tolist() == [0, 1, 0]
     assert not bool(field(replanned, "failed").any()), "what is begun anew is not lost"
     followed = field(replanned, "followed")
@@ -267,7 +277,7 @@ def test_a_plan_that_fails_is_made_anew_from_where_everything_is(replanned: Buil
     assert (new[0, :7] - arm[1]).abs().max() < 0.05
     assert new[:, :7].diff(dim=0).abs().max() < 0.15, "no jump of the arm"
     assert (new[:10, :7] - new[0, :7]).abs().max() < 0.02, "it waits while the plan is found"
-    assert float(field(replanned, "plan_time")[1]) == 0.0
+    assert float(field(replanned, "plan_time")[1]) < 0.03
     assert (field(replanned, "plan_time")[[0, 2]] > 0.2).all()
 
 
@@ -364,6 +374,22 @@ def test_no_two_episodes_of_an_evaluation_follow_the_same_plan(replanned: Built)
     for seed in range(5):
         replanned.environment.reset(seed=seed)
         assert sorted(field(replanned, "plan_row").tolist()) == [0, 1, 2]
+
+
+def test_an_evaluation_elsewhere_waits_for_nothing(built: Built) -> None:
+    """On a device that is not the CPU, as a GPU whose steps are captured: the bank is whole before, and nobody plans anew.
+    Values of torch's device `meta` cannot be read."""
+    context = replace(
+        built.context, device=torch.device("meta"), evaluating=True,
+        _shared={"gripping": built.context._shared["gripping"]},
+    )  # fmt: skip
+    made = Relocations(Relocations.Options(plans=2, refill=0), context)
+    assert not made._bank._missing
+    found = made.sample(WorldStreams(0, "starts", 4, context.device))
+    assert found["qpos"].shape == (4, 57)
+    Again(Again.Options(), context)
+    with pytest.raises(ConfigError, match="device=cpu simulator=mujoco"):
+        Again(Again.Options(most=1), context)
 
 
 def test_plans_have_all_phases(built: Built) -> None:

@@ -11,16 +11,20 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Memory
-from understudy_chopsticks.relocate import bank_of
+from understudy_chopsticks.relocate import SLOWING, bank_of
 from understudy_tool_planner.planner import DT
+
+#: s after which what slows down stands.
+STOPS = 4.0 * SLOWING
 
 
 class Again(Memory):
     """Which plan a world follows, and since when; a plan that fails is made anew, without noise.
 
-    A relocation fails where the object is far from its plan, or elsewhere as it ends. The sticks then stop until the object lies still,
+    A relocation fails where the object is far from its plan, or elsewhere as it ends. The sticks then slow down and stop until the object lies still,
     rest for the 0.1 s that a plan takes to be found, open, go up by 3 cm and begin anew, for the same goals. Trainings never plan
     anew, as in the thesis: nothing leaves the device in them.
 
@@ -28,7 +32,7 @@ class Again(Memory):
     - ``plan_stopped`` () s, the plan's time at which it stopped, -1 where it goes on; ``stopped_since`` () s of the episode
     - ``replans`` () so far; ``given_up`` () 1 where there was no plan
 
-    *Limits:* an object that is not flat on the table, falls off it, does not come to rest, or that no plan reaches, is given up. A
+    *Limits:* evaluations on a GPU are refused, since their steps are captured. An object that is not flat on the table, falls off it, does not come to rest, or that no plan reaches, is given up. A
     sphere rests only if it has rolling friction (``scene.object.rolling``).
     """
 
@@ -58,6 +62,12 @@ class Again(Memory):
         self._options, self._most = options, options.most if context.evaluating else 0
         joint = made.scene.model.joint("object")
         self._at, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
+        if self._most and context.device.type != "cpu":
+            raise ConfigError(
+                f"memory.again.most={self._most} needs device=cpu simulator=mujoco: plans are made on the host, which a step "
+                "that a GPU captures does not wait for. Evaluate the run there: "
+                "understudy evaluate RUN device=cpu simulator=mujoco memory.again.most=4"
+            )
         if self._most:
             self._bank.spare(context.num_worlds)
 
@@ -85,12 +95,13 @@ class Again(Memory):
         new["plan_stopped"] = torch.where(failed, time, new["plan_stopped"])
         new["stopped_since"] = torch.where(failed, episode_time, new["stopped_since"])
         speed = qvel[:, self._dof : self._dof + 3].norm(dim=-1)
-        ready = stopped & (speed < self._options.still)
-        late = episode_time - new["stopped_since"] > self._options.patience
+        since = episode_time - new["stopped_since"]
+        ready = stopped & (speed < self._options.still) & (since > STOPS)
+        late = since > self._options.patience
         late = stopped & ~ready & (late | (qpos[:, self._at + 2] < 0))  # or beside the table
         for world in (ready | late).nonzero()[:, 0].tolist():  # an evaluation's, and few
             thing = qpos[world, self._at : self._at + 7].double().cpu()
-            frame = round(float(new["plan_stopped"][world]) / DT)
+            frame = round((float(new["plan_stopped"][world]) + SLOWING) / DT)
             old, row = int(new["followed"][world]), None
             if ready[world]:
                 row = self._bank.again(old, world, frame, thing[:3], thing[3:])

@@ -52,6 +52,8 @@ _TRIES = 20
 MOST = 8
 #: s that a plan made anew may take longer; m that an object that lies on the table may be off its height.
 LONGER, ON_TABLE = 3.0, 0.003
+#: s in which a plan that has failed slows down by 1 / e.
+SLOWING = 0.1
 
 
 class Bank:
@@ -292,8 +294,10 @@ class Relocations(InitialStates):
                 f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
                 "another stays there. Set one of them alone."
             )
+        # A GPU captures the step in which episodes begin, so its bank has to be whole before.
+        self._later = context.evaluating and context.device.type == "cpu"
         self._bank.fill(
-            options.plans, options.longest, options.relocations, options.noise, context.evaluating
+            options.plans, options.longest, options.relocations, options.noise, self._later
         )
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
@@ -314,7 +318,7 @@ class Relocations(InitialStates):
             share = (torch.arange(len(share), device=share.device) + share) / len(share)
         place = (share * free).long().clamp(max=free - 1)
         row = self._order[place]
-        if self._evaluating:
+        if self._later:
             self._bank.need(row.unique().tolist())
         thing = self._bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
@@ -368,7 +372,9 @@ class Follow(Fields):
     - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
-    reads = ("followed", "plan_since", "plan_stopped", "episode_time", "xpos", "xquat")
+    reads = (
+        "followed", "plan_since", "plan_stopped", "stopped_since", "episode_time", "xpos", "xquat",
+    )  # fmt: skip
     provides: Mapping[str, Shape] = {
         **PLANNED,
         "plan_time": (),
@@ -412,21 +418,28 @@ class Follow(Fields):
         followed: Tensor,
         plan_since: Tensor,
         plan_stopped: Tensor,
+        stopped_since: Tensor,
         episode_time: Tensor,
         xpos: Tensor,
         xquat: Tensor,
     ) -> dict[str, Tensor]:
         made, goes = self._gripping, plan_stopped < 0
-        time = torch.where(goes, episode_time - plan_since, plan_stopped)
+        # Sticks that stopped at once would be thrown out of the hand.
+        rate = torch.exp((stopped_since - episode_time) / SLOWING)
+        rate = torch.where(goes, 1.0, rate)
+        time = torch.where(goes, episode_time - plan_since, plan_stopped + SLOWING * (1.0 - rate))
         row = followed.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
-        frame = (time / DT).round().long()[:, None] + goes[:, None] * self._steps
-        here = self._bank.at(row, frame)
-        after = self._bank.at(row, frame + goes[:, None])
-        arm, angle = here[..., :7], here[..., 7]
-        turning = (after[..., 7] - angle) / DT
+        whole = torch.where(goes, (time / DT).round(), (time / DT).floor())
+        share = torch.where(goes, 0.0, time / DT - whole)[:, None]
+        frame = whole.long()[:, None] + goes[:, None] * self._steps
+        here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
+        turning = rate[:, None] * (after[..., 7] - here[..., 7]) / DT
+        speed = rate[:, None, None] * (after[..., :7] - here[..., :7]) / DT
+        arm = here[..., :7] + share[..., None] * (after[..., :7] - here[..., :7])
+        angle = here[..., 7] + share * (after[..., 7] - here[..., 7])
         hand, slope = made.at(made.poses, angle)
         pose = torch.cat([arm, hand], dim=-1)
-        velocity = torch.cat([(after[..., :7] - arm) / DT, slope * turning[..., None]], dim=-1)
+        velocity = torch.cat([speed, slope * turning[..., None]], dim=-1)
         lower = made.lower.expand(*angle.shape, 7)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
