@@ -214,6 +214,8 @@ MUTANTS = (
            f"{F23} -k cannot_be_read"),
     Mutant("options of any size", PLUGINS, "if root is not None and count(root) > _VALUES else", "if False else",
            f"{F23} -k cannot_be_read"),
+    Mutant("a product takes negative terms", f"{KERNEL}/setup/validation.py", "if low < 0:", "if False:",
+           "tests/kernel/running/test_environment.py -k with_an_exponent"),
     Mutant("a summary is a format", f"{KERNEL}/command/cli.py", 'doubled = text.replace("%", "%%")', "doubled = text", f"{F23} -k per_cent"),
     Mutant("an observer ends a run", TRAINING, "            except BaseException as error:  # it only watches: the run goes on",
            "            except ZeroDivisionError as error:", f"{F23} -k observers_that_end"),

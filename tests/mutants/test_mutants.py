@@ -52,6 +52,17 @@ def test_every_promise_has_a_guard_to_lose() -> None:
         assert all(any(f.startswith(t) for words in tried for t in words) for f in files), claim
 
 
+def test_every_attack_has_a_guard_to_lose() -> None:
+    """Each of the 13 kinds on docs/reliability.md, and each of its rows names what holds it."""
+    page = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
+    section = page.partition("## Attacks, before and after")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (\d+)\. .+ \| .+ \| .+ \| (`[^|]+`) \|$", section, re.MULTILINE)
+    assert len(rows) == section.count("\n| ") - 1, "all but the head"
+    assert sorted({int(number) for number, _ in rows}) == list(range(1, 14))
+    named = {name for _, names in rows for name in re.findall(r"`([^`]+)`", names)}
+    assert named <= {m.name for m in MUTANTS}
+
+
 def test_a_missing_package_notices_nothing() -> None:
     """Only a test that passes with all guards can; where there is none, the mutant could not run."""
     passes = {"status": 0, "passed": ["a"], "failed": [], "skipped": [], "missing": []}
