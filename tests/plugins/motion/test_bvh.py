@@ -385,9 +385,8 @@ Yposition -> Y_POSITION
 def dialects() -> Iterator[str]:
     for line in DIALECTS.strip().splitlines():
         usual, other = line.partition("->")[::2]
-        changed = TEXT.replace(
-            *(side.strip().encode().decode("unicode_escape") for side in (usual, other))
-        )
+        old, new = (side.strip().encode().decode("unicode_escape") for side in (usual, other))
+        changed = TEXT.replace(old, new)
         assert changed != TEXT
         yield changed
     yield TEXT.replace("1 90 3 ", "1,0 90 3 ").replace("0.025", "0,025")
