@@ -250,6 +250,7 @@ def main() -> None:
         for key, value in result[part].items():
             shown = f"{value:,.2f}" if isinstance(value, float) else str(value)
             print(f"{part:12} {key:32} {shown}")
+    print("mjlab, whose physics is for GPUs, is measured beside ours by `make bench-gpu`.")
     with open(RESULTS, "a", encoding="utf-8") as file:
         file.write(json.dumps(result) + "\n")
 

@@ -26,7 +26,10 @@ from typing import Any
 import yaml
 from scipy import stats
 
-from understudy_sweeps.intervals import FAILS, HOLDS, ONE, UNDECIDED, mean_of
+from understudy.setup.plugins import installed
+from understudy_reproduce.card import Card
+from understudy_reproduce.tables import PaperTable, load_table, table_files
+from understudy_sweeps.intervals import FAILS, HOLDS, ONE, UNDECIDED, mean_of, verdict_between
 from understudy_sweeps.intervals import verdict as decided
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,6 +37,7 @@ RECORDS = ROOT / "docs" / "benchmarks"
 PAGES = (
     ROOT / "README.md",
     ROOT / "docs" / "conventions.md",
+    ROOT / "docs" / "reproductions.md",
     ROOT / "docs" / "gallery" / "index.md",
     *sorted((ROOT / "docs" / "papers").glob("*.md")),
     RECORDS / "README.md",
@@ -173,12 +177,7 @@ def verdict(claim: Mapping[str, Any]) -> str:
     if (ours if sign < 0 else theirs).missed:
         return UNDECIDED
     first, second = ours.bounded(), theirs.bounded()
-    both = sorted(set(first.values) & set(second.values))
-    if len(both) > 1:
-        found = _decided(Measured({s: first.values[s] - second.values[s] for s in both}), 0.0, sign)
-    else:
-        samples = [list(m.values.values()) for m in (first, second)]
-        found = _told(_welch(*samples), sign * (first.mean - second.mean))
+    found = verdict_between(first.values, second.values, "less" if sign < 0 else "more")
     return UNDECIDED if found == FAILS and (ours.missed or theirs.missed) else found
 
 
@@ -192,10 +191,6 @@ def _decided(ours: Measured, than: float, sign: int) -> str:
     return decided(list(ours.values.values()), than, "less" if sign < 0 else "more")
 
 
-def _welch(first: list[float], second: list[float]) -> float:
-    return float(stats.ttest_ind(first, second, equal_var=False).pvalue)  # type: ignore[attr-defined]
-
-
 def _told(p: float, difference: float) -> str:
     return UNDECIDED if not p < P else HOLDS if difference > 0 else FAILS
 
@@ -204,9 +199,11 @@ def _told(p: float, difference: float) -> str:
 
 
 def number(value: float, unit: str) -> str:
-    """As a page writes it; `unit` is ``M``, ``%`` or anything that stands behind."""
+    """As a page writes it; `unit` is ``M``, ``k``, ``%`` or anything that stands behind."""
     if unit == "M":
         return f"{value / 1e6:.2f} M"
+    if unit == "k":
+        return f"{value / 1e3:.0f} k"
     if unit == "%1":
         return f"{100 * value:.1f} %"
     if unit == "%":
@@ -318,6 +315,50 @@ def summary(spec: Mapping[str, Any]) -> str:
     return _markdown(lines)
 
 
+@cache
+def reproductions() -> tuple[tuple[str, PaperTable, Card], ...]:
+    """Every table of ``understudy reproduce``, with what is on record."""
+    plugins = installed()
+    named = ((name, load_table(name, plugins)) for name in table_files(plugins))
+    return tuple((name, table, Card(name, table, ROOT / "none", RECORDS)) for name, table in named)
+
+
+def tables_of_papers() -> str:
+    """A line for each table: how much of it is on record, its verdicts, and what is left."""
+    lines = [["table", "what", "state", "verdicts", "left", "takes"]]
+    for name, table, card in reproductions():
+        counts = Counter(said for *_, said in card.verdicts() if said)
+        said = ", ".join(f"{counts[v]} {v}" for v in VERDICTS if counts[v])
+        what = f"{table.title} ({table.source})"
+        cells = [f"`{name}`", what, card.state(), said or "–", table.open or "–", table.cost or "–"]
+        lines.append([cell.replace("|", "\\|") for cell in cells])
+    return _markdown(lines)
+
+
+def rows_of_papers() -> str:
+    """A line for each cell that a paper has a number or words of, and there is a record of."""
+    lines = [["table", "row", "paper", "here (seeds)", "verdict"]]
+    for name, _, card in reproductions():
+        for row, printed, ours, said in card.verdicts():
+            if ours != "–":
+                lines.append([f"`{name}`", row, printed, ours, f"*{said}*" if said else "–"])
+    return _markdown(lines)
+
+
+def film(skill: str) -> str:
+    """What stands under the film of a skill that ships: what `shipped.py` measured of it."""
+    found = [row for row in rows("shipped.jsonl") if row["skill"] == skill]
+    if not found:
+        raise ValueError(f"shipped.jsonl has no '{skill}'.")
+    played, beyond = found[0]["played"], found[0]["beyond"]
+    short = f"; beyond what may ship: {beyond}" if beyond != "–" else ""
+    return (
+        f"feet slide {number(played['slide'], 'm/s')}, {100 * played['sink']:.1f} cm deep in the floor, "
+        f"{played['air']:.2f} s in the air, jerk {number(played['jerk'], 'm/s³')}, "
+        f"{number(found[0]['success'], '%')} of held-out episodes succeed{short}"
+    )
+
+
 def _markdown(lines: list[list[str]]) -> str:
     head, *body = lines
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body))
@@ -342,6 +383,12 @@ def figure(spec: Mapping[str, Any], name: str) -> str:
     kind, _, rest = name.partition("/")
     if name == "claims":
         return f"\n\n{summary(spec)}\n\n"
+    if name == "reproductions":
+        return f"\n\n{tables_of_papers()}\n\n"
+    if name == "reproductions/rows":
+        return f"\n\n{rows_of_papers()}\n\n"
+    if kind == "film":
+        return film(rest)
     if kind == "claims" and rest in spec["claims"]:
         return f"\n\n{claims(spec, rest)}\n\n"
     if name in spec["tables"]:

@@ -2,7 +2,9 @@
 
 For the walk and for a contact-rich scene (the humanoid with self-collision), over world counts:
 bare MuJoCo Warp steps/s; environment steps/s; collecting; learning; everything end to end; and
-their ratios. Prints a table and appends it, with the hardware, to ``docs/benchmarks/gpu.jsonl``.
+their ratios. Beside it, in the same run, what mjlab's environment makes of its own bare steps, where
+``$UNDERSTUDY_MJLAB`` says which Python has it (``mjlab_speed.py``). Prints a table and appends it, with
+the hardware, to ``docs/benchmarks/gpu.jsonl``.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from mjlab_speed import asked
 
 from understudy.records.runs import versions
 from understudy.running.training import Training
@@ -111,11 +114,14 @@ def main() -> None:
                 json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}),
                 flush=True,
             )
+    peer = asked(options.worlds)
+    print(peer if isinstance(peer, str) else "\n".join(map(json.dumps, peer)), flush=True)
     record = {
         "when": time.strftime("%Y-%m-%d"),
         "gpu": torch.cuda.get_device_name(),
         "versions": versions(),
         "rows": rows,
+        "peer": peer,
     }
     with open(options.out, "a", encoding="utf-8") as file:
         file.write(json.dumps(record) + "\n")

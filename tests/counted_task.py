@@ -15,7 +15,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from understudy.command import workflow
 from understudy.random import WorldStreams
 from understudy.running.environment import Environment, Step
 from understudy.running.promises import Parts
@@ -42,6 +41,7 @@ from understudy.task.terms import Term, Wired, make_term, renamed
 from understudy.testing import fake
 from understudy_inspect import commands, judging, origins
 from understudy_sweeps import sweep
+from understudy_training import workflow
 
 
 class LineScene(Scene):
@@ -285,7 +285,7 @@ def line_plugins(**components: Mapping[str, Any] | Callable[..., Any]) -> Plugin
     mine.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
     this = sys.modules[__name__]
     return load(
-        only=["sweeps", "inspect", "reinforcement"],
+        only=["sweeps", "inspect", "reinforcement", "training"],
         extra=[("fake", fake), ("line", this), ("mine", mine)],
     )
 

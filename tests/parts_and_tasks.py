@@ -29,6 +29,7 @@ GIVEN = {
     "initial_states=sequencing/gaussian": ("initial_states.file=RUNS/bank",),
     "curriculum=linear": ("curriculum.samples=1000",),
     "curriculum=adaptive": ("curriculum.threshold=0.5",),
+    "curriculum=staggered": ("curriculum.seconds=1.0",),
     "initial_states=sitting/where_others_ended": ("initial_states.banks=[RUNS/bank]",),
 }
 

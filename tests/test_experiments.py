@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+from stages import above
 
 from understudy.errors import ConfigError, PluginError
 from understudy.setup.composition import compose_raw, load_experiment, options
@@ -61,6 +64,14 @@ def test_it_composes_or_says_what_it_needs(group: str, name: str) -> None:
         return
     assert said.startswith(f"{NEED[chosen]} is not set. It takes ")
     assert "`understudy " in said, "the command that makes it"
+
+
+@pytest.mark.parametrize(
+    "name", [chosen.removeprefix("experiment=") for chosen in NEED if chosen[0] == "e"]
+)
+def test_it_composes_when_it_is_given_what_it_needs(name: str) -> None:
+    """What it needs is missed first, and would hide all other mistakes."""
+    load_experiment([f"experiment={name}", *above(name, Path("runs"))], PLUGINS)
 
 
 @pytest.mark.parametrize(("group", "name"), LOOPS)

@@ -90,7 +90,7 @@ SOURCES = _sources()
 def on_config(config: Any) -> Any:
     config.nav = [
         {"Start": ["index.md", "quick-start.md", "using.md", "how-do-i.md", "from-python.md", "gallery/index.md", "notebook/index.md", "clusters.md"]},
-        {"Guides": ["tour.md", "conventions.md", "choosing.md", "ideas.md", "motion.md", "plugin-tutorial.md", "other-learners.md", "parts-and-tasks.md", "mistakes.md"]},
+        {"Guides": ["tour.md", "conventions.md", "choosing.md", "ideas.md", "motion.md", "plugin-tutorial.md", "other-learners.md", "parts-and-tasks.md", "mistakes.md", "reproductions.md"]},
         {"Papers": [p for p in sorted(_places("papers"))]},
         {"Plugins": [p for p in SOURCES if p.startswith("plugins/")]},
         {"API": [p for p in SOURCES if p.startswith("api/")]},

@@ -84,6 +84,11 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     for name in names:
         head, _, tail = name.rpartition("/") if len(names) > 8 else ("", "", name)
         groups.setdefault(head, []).append(tail)
-    shown = groups.pop("", [])
-    shown += [f"{head}/{{{', '.join(tails)}}}" for head, tails in groups.items()]
+    shown = _first(groups.pop("", []))
+    shown += [f"{head}/{{{', '.join(_first(tails))}}}" for head, tails in groups.items()]
     return f" Known: {', '.join(shown)}."
+
+
+def _first(names: list[str], most: int = 24) -> list[str]:
+    """What a reader looks through, and how many there are beside."""
+    return names if len(names) <= most else [*names[:most], f"… and {len(names) - most} more"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import random
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import parts_and_tasks
 import pytest
 import torch
+from stages import above, make_all_stages
 from torch import Tensor
 from worlds import flat, same_bits
 
@@ -29,7 +31,8 @@ from understudy.setup.config import Experiment
 from understudy_reinforcement.collector import Collector
 
 PLUGINS = parts_and_tasks.bundled()
-EXPERIMENTS = parts_and_tasks.options(PLUGINS, "experiment")
+#: Less the fragments (`_NAME`), which others build on.
+EXPERIMENTS = [name for name in parts_and_tasks.options(PLUGINS, "experiment") if "/_" not in name]
 FAMILIES = sorted({name.partition("/")[0] for name in EXPERIMENTS})
 N, BAD, STEPS = 6, 2, 4
 OTHERS = torch.arange(N) != BAD
@@ -55,12 +58,14 @@ def experiment_of(name: str, runs: Path | None) -> Experiment:
     Raises
     ------
     UnderstudyError
-        if it cannot be composed alone.
+        if it cannot be composed alone, or has no environment.
     """
-    above = [i.replace("RUNS", str(runs)) for i in parts_and_tasks.ABOVE.get(name, ()) if runs]
-    overrides = [f"experiment={name}", f"num_worlds={N}", "device=cpu", *above]
+    given = above(name, runs) if runs else ()
+    overrides = [f"experiment={name}", f"num_worlds={N}", "device=cpu", *given]
     found = load_experiment(overrides, PLUGINS)
-    if found.one("job") is None and found.need("simulator").component.name == "mujoco_warp":
+    if found.one("simulator") is None:
+        raise ConfigError("It has no environment of its own.")
+    if found.need("simulator").component.name == "mujoco_warp":
         found = load_experiment([*overrides, "simulator=mujoco"], PLUGINS)
     members = [m.name for m in found.many("simulators") if m.component.name == "mujoco_warp"]
     if members:  # of a composite; its cloth in as few steps as a small one's
@@ -182,21 +187,20 @@ class Poisonable:
         return ""
 
 
-def poisoned(name: str, runs: Path | None = None, count: int | None = None) -> Outcome:
-    """All poisons of an experiment, or `count` of them.
+def poisoned(
+    name: str, runs: Path | None = None, count: int | None = None, values: Collection[str] = VALUES
+) -> Outcome:
+    """All poisons of an experiment, or `count` of them; of `values` alone.
 
     Raises
     ------
     UnderstudyError
         if it cannot be built alone, or has no environment.
     """
-    experiment = experiment_of(name, runs)
-    if experiment.one("job") is not None:
-        raise ConfigError(f"{name} has no environment of its own.")
-    built = build_environment(experiment).environment
+    built = build_environment(experiment_of(name, runs)).environment
     try:
         world = Poisonable(built)
-        cases = [(field, value) for field in world.fields() for value in VALUES]
+        cases = [(field, value) for field in world.fields() for value in values]
         if count is not None:
             cases = random.Random(name).sample(cases, min(count, len(cases)))
         escaped, failed = [], 0
@@ -231,11 +235,16 @@ def test_some_poisons_stay_in_their_world(family: str) -> None:
         pytest.skip("none of them has an environment of its own")
 
 
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_all_stages(tmp_path_factory.mktemp("all_stages"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_poisons_stay_in_their_world(name: str, built_on: Path) -> None:
+def test_poisons_stay_in_their_world(name: str, stages: Path) -> None:
     try:
-        found = poisoned(name, built_on)
+        found = poisoned(name, stages)
     except UnderstudyError as error:
         pytest.skip(str(error))
     print(f"{name}: {found.tried} poisons, {found.failed} worlds failed")

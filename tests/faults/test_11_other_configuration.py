@@ -6,8 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from worlds import SMALL, assert_same_state, make_training, resumed
 
+from understudy.command import workflow
+from understudy.command.cli import main
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.setup.plugins import Plugins
@@ -79,6 +82,28 @@ def test_another_number_of_threads_is_told(plugins: Plugins, run: Path, two_thre
     training.run.unlock()
     resumed(plugins, run, messages := [])  # made at two by now
     assert not messages
+
+
+@pytest.mark.parametrize(
+    ("began", "said", "then"), [(1, None, 1), (3, None, 2), (1, "2", 2), ("many", None, 2), (-1, None, 2)]
+)  # fmt: skip
+def test_a_resume_takes_as_many_threads_as_the_run_began_with(
+    plugins: Plugins, run: Path, monkeypatch: pytest.MonkeyPatch, two_threads: None,
+    began: object, said: str | None, then: int,
+) -> None:  # fmt: skip
+    """Unless this machine has fewer cores, or OMP_NUM_THREADS says how many."""
+    monkeypatch.setattr(runs, "cores", lambda: 2)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if said is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", said)
+    info = json.loads((run / "run.json").read_text())
+    info["machine"]["threads"] = began
+    (run / "run.json").write_text(json.dumps(info))
+    composed = runs.Run.experiment
+    monkeypatch.setattr(runs.Run, "experiment", lambda of: composed(of, plugins.registry))
+    monkeypatch.setattr(workflow, "_carry_out", lambda training: training.close() or 0)
+    assert main(["resume", str(run)]) == 0
+    assert torch.get_num_threads() == then
 
 
 def test_newer_checkpoint_format(

@@ -32,7 +32,7 @@ WORKER = """
 import os, sys, counted_task as c
 from pathlib import Path
 from understudy.setup import plugins, composition
-from understudy.command import workflow
+from understudy_training import workflow
 found = c.line_plugins()
 for module in (plugins, composition, workflow):
     module.installed = lambda: found

@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 from worlds import PADDLE_TASK, SMALL, all_plugins, make_training
 
-from understudy.command import workflow
 from understudy.command.cli import main
 from understudy.records import checkpoint
 from understudy.setup import composition
 from understudy.setup import plugins as setup_plugins
 from understudy_inspect import judging
+from understudy_training import workflow
 
 GONE = object()
 

@@ -145,6 +145,8 @@ def composed(*overrides: str, plugins: Plugins | None = None) -> Any:
         (["control.substeps=100000"], r"^control\.substeps=100000 .* at most 10000"),
         (["control.substeps=5000", "control.decision=100"], r"^control\.decision=100 .* 100000 steps of physics"),
         (["evaluation.seconds=1e6", "control.frequency=1000"], r"^evaluation\.seconds=1e\+06 .* 1000000 decisions"),
+        (["evaluation.final_episodes=999999"], r"^evaluation\.final_episodes=999999 .* 100000000 decisions"),
+        (["evaluation.episodes=1000000", "evaluation.seconds=4"], r"^evaluation\.episodes=1000000 .* 100000000 decisions"),
         (["num_worlds=1e9"], r"^num_worlds=1000000000 .* at most 1e\+06"),
         (["run.video_size=[100000, 100000]"], r"^run\.video_size=.* at most 8192"),
         (["run.video_seconds=1e9"], r"^run\.video_seconds=.* at most 3600"),

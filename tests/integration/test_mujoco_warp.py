@@ -27,13 +27,13 @@ pytest.importorskip(
 from faults_on_gpu import TASK, apart_after_a_second, build, cold_start, dropped
 
 from understudy.errors import ConfigError
-from understudy.running.captured import Captured
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.task import Rollout
 from understudy.testing import check_environment
 from understudy_mujoco_warp.simulator import MujocoWarpSimulator
 from understudy_reinforcement.job import Reinforcement
+from understudy_tensors.captured import Captured
 
 DEVICES = [
     pytest.param("cpu", marks=pytest.mark.slow),

@@ -97,5 +97,5 @@ def test_the_graph_is_the_real_one() -> None:
     found = graph()
     assert "understudy.running.table" in found["understudy.running.environment"]
     assert "understudy.task.terms" in found["understudy.running.table"]
-    assert "understudy.running.environment" not in found["understudy.running.captured"]
+    assert "understudy.running.environment" not in found["understudy.task.physics"]
     assert "understudy.distributed" in found["understudy.random"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.metadata
+import itertools
 import json
 import os
 import queue
@@ -23,8 +24,8 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -244,28 +245,41 @@ def main(arguments: list[str] | None = None) -> int:
             kept = {"verdict": outcome, "why": why, "seconds": done["seconds"]}
             return keep(mutant.name, kept if outcome == "noticed" else {**kept, "end": done["end"]})
 
-        def each(do: Callable[[Any], Record], them: Iterable[Any], jobs: int) -> None:
-            def in_time(one: Any) -> None:
-                if time.monotonic() - begin < chosen.seconds:
-                    do(one)
+        ended = itertools.count(1)
 
-            with ThreadPoolExecutor(jobs) as pool:
-                for number, done in enumerate(
-                    as_completed([pool.submit(in_time, t) for t in them])
-                ):
-                    done.result()
-                    if number % 20 == 19:
-                        print(f"{time.monotonic() - begin:.0f} s: {number + 1}", flush=True)
+        def in_time(do: Callable[[Any], Record], one: Any) -> bool:
+            if time.monotonic() - begin >= chosen.seconds:
+                return False
+            do(one)
+            if (number := next(ended)) % 20 == 0:
+                print(f"{time.monotonic() - begin:.0f} s: {number}", flush=True)
+            return True
 
-        each(guarded, sorted({m.tests for m in wanted} - records.keys()), chosen.jobs)
-        ready = [m for m in wanted if m.tests in records]
-        ready.sort(key=lambda m: -records[m.tests]["seconds"])
-        each(lost, [m for m in ready if m.name not in records], chosen.jobs)
+        of_tests: dict[str, list[Mutant]] = {}
+        for mutant in wanted:
+            of_tests.setdefault(mutant.tests, []).append(mutant)
+        with ThreadPoolExecutor(chosen.jobs) as pool:
+            waiting: set[Future[bool]] = set()
+            first: dict[Future[bool], str] = {}
+            for tests, those in of_tests.items():
+                if tests not in records:
+                    first[pool.submit(in_time, guarded, tests)] = tests
+                else:
+                    waiting |= {
+                        pool.submit(in_time, lost, m) for m in those if m.name not in records
+                    }
+            waiting |= first.keys()
+            while waiting:  # a mutant follows its tests, so that the slowest holds up no other
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    if future.result() and future in first:
+                        waiting |= {pool.submit(in_time, lost, m) for m in of_tests[first[future]]}
         # What other jobs may have spoilt is tried again alone: a time limit, a memory.
         again = [
             m
-            for m in ready
-            if records.get(m.name, {}).get("verdict") in ("missed", "unclear", "could not run")
+            for m in wanted
+            if m.tests in records
+            and records.get(m.name, {}).get("verdict") in ("missed", "unclear", "could not run")
             and not records[m.name].get("alone")
             and not (records[m.tests]["missing"] and not records[m.tests]["passed"])
         ]
@@ -275,7 +289,8 @@ def main(arguments: list[str] | None = None) -> int:
             return keep(mutant.name, {**lost(mutant), "alone": True})
 
         if chosen.jobs > 1:
-            each(alone, again, 1)
+            for mutant in again:
+                in_time(alone, mutant)
 
     tried = [(m, records[m.name]) for m in wanted if m.name in records]
     for mutant, record in tried:

@@ -67,7 +67,10 @@ NN, WARP = (
     "tests/integration/test_mujoco_warp.py",
 )
 F24 = "tests/faults/test_24_mutated_models.py"
-INPUTS, EVALUATION = f"{KERNEL}/inputs.py", f"{KERNEL}/running/evaluator.py"
+INPUTS, EVALUATION = (
+    f"{KERNEL}/inputs.py",
+    "plugins/learning/reinforcement/understudy_reinforcement/evaluator.py",
+)
 TRIAL, APART, MODELS = (
     "plugins/physics/mujoco/understudy_mujoco/trial.py",
     "plugins/physics/mujoco/understudy_mujoco/apart.py",
@@ -226,11 +229,13 @@ MUTANTS = (
     Mutant("tuples have no range", f"{KERNEL}/options.py", "given if isinstance(given, tuple) else (given,)", "(given,) if type(given) is not tuple else ()", SIZES),
     Mutant("a decision has no end", f"{KERNEL}/setup/root.py", "if self.substeps * self.decision > _STEPS:", "if False:", f"{SIZES} -k asks"),
     Mutant("an evaluation has no end", f"{KERNEL}/setup/root.py", "if decisions > _DECISIONS:", "if False:", f"{SIZES} -k asks"),
+    Mutant("all of an evaluation has no end", f"{KERNEL}/setup/root.py", "if count * decisions > _JUDGED:", "if False:", f"{SIZES} -k asks"),
     Mutant("a network of any size", NN, "if sum(a * b for a, b in (*hidden, last)) > LARGEST:", "if False:", f"{SIZES} -k asks"),
     Mutant("layers of any number", "plugins/learning/networks/understudy_networks/policies.py", " or len(units) > 100:", ":", f"{SIZES} -k asks"),
     Mutant("memory that there is not is a defect", f"{KERNEL}/setup/building.py", 'and "memory" not in str(error):', "and True:", f"{SIZES} -k memory"),
     Mutant("particles of any number", "plugins/papers/amorphous/understudy_amorphous/scene.py",
            "if self.blocks * math.prod(self.block) * self.resolution**3 > _PARTICLES:", "if False:", f"{SIZES} -k scene"),
+    Mutant("a resume takes any number of threads", "plugins/learning/training/understudy_training/workflow.py", "torch.set_num_threads(count)", "pass", "tests/faults/test_11_other_configuration.py -k began_with"),
     Mutant("another number of threads is silent", TRAINING, 'if meta.get("threads", threads()) != threads() and', "if False and",
            f"{F11} -k threads"),
     Mutant("a checkpoint does not know its threads", TRAINING, '        meta["threads"] = threads()\n', "", f"{F11} -k threads"),
@@ -352,7 +357,7 @@ MUTANTS = (
     Mutant("a defect hides the signal", f"{KERNEL}/command/cli.py",
            "if stop.received is not None and not isinstance(error, PreemptedError):",
            "if isinstance(error, KeyboardInterrupt):", f"{ANY} -k library"),
-    Mutant("a closed terminal ends it", f"{KERNEL}/command/workflow.py",
+    Mutant("a closed terminal ends it", "plugins/learning/training/understudy_training/workflow.py",
            "contextlib.suppress(OSError):  # a terminal that was closed stops nothing", "contextlib.nullcontext():",
            f"{ANY} -k printed"),
     # Data from strangers.
@@ -515,7 +520,7 @@ MUTANTS = (
            "return [] if self.options.initial_counts else [*self.trials][: self.options.initial]", "return []",
            "tests/plugins/bayes/test_book.py -k need_not_count"),
     Mutant("a missed criterion decides a verdict", "plugins/search/reproduce/understudy_reproduce/card.py",
-           "return UNDECIDED if missed and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
+           "return UNDECIDED if self.missed(figure) and found else found", "return found", "tests/plugins/reproduce/test_reproduce.py -k verdict"),
     # What strangers' files of the newer parts may be.
     Mutant("a grip is any file", "plugins/figures/gripping/understudy_gripping/grip.py", "json.loads(read(path, _LARGEST))\n        if not isinstance(values",
            "json.loads(path.read_text())\n        if not isinstance(values", "tests/plugins/gripping/test_grip.py -k pipe or none_are_refused"),
@@ -577,8 +582,8 @@ MUTANTS = (
     Mutant(
         "a goal is of a plan of any number",
         "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
-        "plan_row.long().clamp(0, len(self._bank.goals) - 1)",
-        "plan_row.long()",
+        "followed.long().clamp(0, len(self._bank.goals) - 1)",
+        "followed.long()",
         "tests/faults/test_01_poisoned_fields.py -k chopsticks",
     ),
     Mutant(
@@ -629,5 +634,26 @@ MUTANTS = (
         "file.read(_LICENCE_BYTES)",
         "file.read()[:_LICENCE_BYTES]",
         "tests/faults/test_24_endless_files.py -k licence_of_nothing",
+    ),
+    Mutant(
+        "a replay counts only what it keeps",
+        "plugins/learning/imagination/understudy_imagination/replay.py",
+        "size, self.seen = len(self._counts), self.seen + len(inputs)",
+        "size, self.seen = len(self._counts), self.seen + len(inputs[-len(self._counts) :])",
+        "tests/plugins/imagination/test_imagination_learner.py -k counts_what",
+    ),
+    Mutant(
+        "a world gone wrong leaves no number of the cost",
+        "plugins/learning/imagination/understudy_imagination/learner.py",
+        "torch.where(values.isfinite(), values, torch.nan).nanmean()",
+        "values.mean()",
+        "tests/plugins/imagination/test_imagination_learner.py -k wrong_costs",
+    ),
+    Mutant(
+        "what only the critic sees is imagined",
+        "plugins/learning/imagination/understudy_imagination/imagined.py",
+        "for name, e in parts.encoders.items() if name in seen",
+        "for name, e in parts.encoders.items()",
+        "tests/plugins/imagination/test_imagination_learner.py -k critic_may",
     ),
 )  # fmt: skip

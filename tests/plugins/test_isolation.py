@@ -28,8 +28,8 @@ WINGS = re.findall(
 FIGURE = {"networks", "tensors", "humanoid", "characters", "motion", "mujoco"}
 #: Plugins for a training that takes seconds.
 TOYS = {"curricula", "miniature", "networks", "ppo", "skills", "tensors", "terms"}
-#: What every training needs that names no job.
-USUAL = {"reinforcement"}
+#: What every training needs that names no job, and its command.
+USUAL = {"reinforcement", "training"}
 MATERIAL = {
     "amorphous": {"export", "humanoid"},
     "characters": FIGURE,

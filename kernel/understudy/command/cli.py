@@ -105,28 +105,20 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    common: dict[str, Any] = {
-        "epilog": _text("help.txt"),
-        "formatter_class": argparse.RawDescriptionHelpFormatter,
-    }
-    text = "Simulated characters learn physical skills."
-    parser = _Parser("understudy", description=text, **common)
+    parser = _Parser(
+        "understudy",
+        description="Simulated characters learn physical skills.",
+        epilog=_text("help.txt"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="version", version=f"understudy {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name, text in (
-        ("train", "train an experiment: understudy train experiment=spacetime/walk"),
-        ("resume", "continue a training: understudy resume runs/spacetime-walk-001"),
-    ):
-        parser_of = commands.add_parser(name, help=text, description=text, **common)
-        parser_of.set_defaults(function=_work, work=name, overrides_allowed=True)
-        if name != "train":
-            parser_of.add_argument("run", help="run folder")
-    _add_plugin_commands(commands, arguments)
+    _add_commands(commands, arguments)
     return parser
 
 
-def _add_plugin_commands(commands: Any, arguments: Sequence[str]) -> None:
-    """The commands that plugins register; of these only the one that is asked for is imported."""
+def _add_commands(commands: Any, arguments: Sequence[str]) -> None:
+    """The commands, all of which are plugins'; only the one that is asked for is imported."""
     registry = plugins.installed().registry
     groups: dict[str, Any] = {}
     names = registry.names("command")
@@ -178,14 +170,6 @@ def _help(text: str) -> dict[str, str]:
     """`text` as argparse's help and description, both of which it formats."""
     doubled = text.replace("%", "%%")
     return {"help": doubled, "description": doubled if "%(prog)" in text else text}
-
-
-def _work(options: argparse.Namespace, overrides: list[str]) -> int:
-    from understudy.command import workflow
-
-    if options.work == "resume":
-        return workflow.resume(options.run, overrides)
-    return workflow.train(overrides) if overrides else main(["experiments"])
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ from torch import Tensor
 from understudy.errors import ConfigError, TrainingError
 from understudy.random import WorldStreams
 from understudy.running import promises
-from understudy.running.captured import Captured
 from understudy.running.promises import Parts
 from understudy.running.statistics import EpisodeStatistics
 from understudy.running.table import FieldTable
@@ -202,7 +201,7 @@ class Environment:
             for term in parts.rewards
             if parts.combine == "product" and term.weight != 1.0
         }
-        self.captured_step = Captured(self._step, self)
+        self.captured_step = parts.simulator.replayed(self._step, self)
 
     @property
     def action_size(self) -> int:

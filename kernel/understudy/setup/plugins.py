@@ -2,7 +2,8 @@
 
 A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in tables
 (:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. What is
-no data, one of the hooks below does, marked with ``@understudy.hookimpl``. The bundled plugins are loaded
+no data, one of the hooks below does, marked with ``@understudy.hookimpl``; a module that has hooks says
+``REQUIRES`` where its tables are to be read. The bundled plugins are loaded
 exactly like a stranger's.
 """
 
@@ -180,7 +181,8 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
     plugin = LoadedPlugin(name, distribution, version, "ok")
     try:
         hooks = ", ".join(h for h in vars(Hooks) if h.startswith("understudy_"))
-        for item in (item for item in dir(module) if item.startswith("understudy_")):
+        hooked = [item for item in dir(module) if item.startswith("understudy_")]
+        for item in hooked:
             if item not in vars(Hooks) and callable(getattr(module, item)):
                 raise PluginError(f"it defines '{item}', which is no hook. The hooks are: {hooks}.")
             if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):
@@ -188,7 +190,8 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
         manager.register(module, name)
         manager.check_pending()
         register = Registrar(plugins.registry, name, distribution, version)
-        register.tables(module)
+        if not hooked or "REQUIRES" in dir(module):  # else its constants may be its own
+            register.tables(module)
         _hook(manager, "understudy_register", name)(register=register)
         given = _hook(manager, "understudy_config_directory", name)()
         if directory := Path(given[0]) if given else _conf(module):

@@ -70,8 +70,7 @@ TABLES: dict[str, str] = {
 }
 
 
-#: Commands of the kernel's own, and keys of a configuration that are neither slot nor section.
-KERNEL_COMMANDS = ("train", "resume")
+#: Keys of a configuration that are neither slot nor section.
 KERNEL_KEYS = frozenset((
     "ablation", "budget", "checkpoint", "control", "defaults", "device", "difficulty", "episode",
     "evaluation", "experiment", "hydra", "num_worlds", "resolution", "reward",
@@ -193,7 +192,7 @@ class Registry:
 
     def clashing_commands(self) -> dict[str, PluginError]:
         """Once all plugins are loaded: by plugin, a command that cannot be typed, or is another's by then."""
-        whole, groups = set[str](KERNEL_COMMANDS), set[str]()
+        whole, groups = set[str](), set[str]()
         faults: dict[str, PluginError] = {}
         for c in (c for c in self.components.values() if c.kind == "command"):
             *above, _ = words = c.name.split()

@@ -10,8 +10,8 @@ from understudy.options import check_range
 
 __all__ = ["Part", "Root", "StartOptions"]
 
-#: The most steps of physics in a decision, and decisions in an episode of an evaluation.
-_STEPS, _DECISIONS = 100_000, 1_000_000
+#: The most steps of physics in a decision, decisions in an episode of an evaluation, and in all of its episodes.
+_STEPS, _DECISIONS, _JUDGED = 100_000, 1_000_000, 100_000_000
 
 
 @dataclass(frozen=True)
@@ -195,6 +195,12 @@ class Root:
                 f"evaluation.seconds={self.evaluation.seconds:g} is not possible: an episode would be more than "
                 f"{_DECISIONS} decisions."
             )
+        for name in ("episodes", "final_episodes"):
+            count = getattr(self.evaluation, name)
+            if count * decisions > _JUDGED:
+                raise ValueError(
+                    f"evaluation.{name}={count} is not possible: an evaluation would be more than {_JUDGED} decisions."
+                )
         coarse, own = self.resolution.substeps, self.control.substeps
         if coarse is not None and coarse > own:
             raise ValueError(

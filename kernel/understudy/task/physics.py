@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from torch import Tensor
 
 from understudy.errors import ConfigError, UnderstudyError, suggestion
 from understudy.task.base import Shape
+
+if TYPE_CHECKING:
+    from understudy.running.environment import Environment
+
+T = TypeVar("T")
 
 
 class Scene(ABC):
@@ -111,6 +116,13 @@ class Simulator(ABC):
     def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
         """Continue exactly from a :meth:`snapshot` of as many worlds; only those where `worlds`
         (N,) bool is true, if given."""
+
+    def replayed(
+        self, work: Callable[[Tensor], T], environment: Environment
+    ) -> Callable[[Tensor], T]:
+        """`work` on an action (N, A), which steps `environment`, as it is called from now on: an accelerator
+        may take it down once and replay it. What it returns is then overwritten by the next call."""
+        return work
 
     def report(self) -> dict[str, int]:
         """Counts of what went wrong since the start (engine warnings, overflows), by name."""

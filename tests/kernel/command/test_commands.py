@@ -82,13 +82,15 @@ def test_a_command_that_cannot_be_imported_says_so(capsys: pytest.CaptureFixture
     assert "cannot be used" in capsys.readouterr().err
 
 
-def test_a_command_of_the_kernels_name_is_refused() -> None:
+def test_a_command_of_a_bundled_name_is_refused() -> None:
     class Taker:
         @plugins.hookimpl
         def understudy_register(self, register: Registrar) -> None:
             register.component("command", "train", Greet, "take over")
 
-    loaded = plugins.load(only=[], extra=[("taker", Taker())])
-    why = "PluginError: it registers the command 'train', which exists already."
-    assert loaded.registry.broken == {"taker": why}
-    assert not loaded.registry.names("command")
+    loaded = plugins.load(only=["training"], extra=[("taker", Taker())])
+    assert (
+        "'training' and plugin 'taker' register the command 'train'"
+        in loaded.registry.broken["taker"]
+    )
+    assert loaded.registry.find("command", "train").plugin == "training"

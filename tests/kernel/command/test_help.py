@@ -26,15 +26,6 @@ def test_an_example_and_the_keys(name: str, capsys: pytest.CaptureFixture[str]) 
         assert "seed=3" in said
 
 
-@pytest.mark.parametrize("name", ["train", "resume"])
-def test_of_the_kernels_own(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="0"):
-        main([name, "--help"])
-    said = capsys.readouterr().out
-    assert "KEY=VALUE" in said
-    assert "understudy train experiment=spacetime/walk" in said or "understudy resume runs/" in said
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_each_argument_has_a_sentence(name: str) -> None:
     parser = argparse.ArgumentParser()

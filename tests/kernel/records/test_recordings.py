@@ -12,7 +12,6 @@ import pytest
 import worlds
 from worlds import PADDLE_TASK, SMALL, PaddleScene
 
-from understudy.command import workflow
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run
@@ -21,6 +20,7 @@ from understudy.setup import plugins as setup_plugins
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import hookimpl, load
 from understudy_inspect import judging
+from understudy_training import workflow
 
 QUICK = (
     *PADDLE_TASK, *SMALL, "budget.samples=128", "evaluation.episodes=4", "evaluation.seconds=0.2",

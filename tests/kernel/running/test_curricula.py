@@ -16,9 +16,9 @@ from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.running.evaluator import Evaluator
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, Curriculum, Rollout, State
+from understudy_reinforcement.evaluator import Evaluator
 
 
 class Stairs(Curriculum):

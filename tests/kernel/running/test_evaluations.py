@@ -17,10 +17,10 @@ from worlds import make_training
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.running.evaluation import Evaluation, Measured, wilson_interval
-from understudy.running.evaluator import Evaluator, Reducer
-from understudy.running.success import Success, success_of
 from understudy.setup.composition import load_experiment
 from understudy.task.terms import Reduction
+from understudy_reinforcement.evaluator import Evaluator, Reducer
+from understudy_reinforcement.success import Success, success_of
 
 VALUES = torch.tensor([[3.0, 0.0, -1.0], [1.0, 0.0, -4.0], [2.0, 0.0, 0.0]])  # (T, N)
 

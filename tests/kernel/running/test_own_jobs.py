@@ -140,7 +140,8 @@ def plugins(broken: bool = False) -> Plugins:
 
     module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
     return load(
-        only=["sweeps", "inspect", "reinforcement"], extra=[("fake", fake), ("regression", module)]
+        only=["sweeps", "inspect", "reinforcement", "training"],
+        extra=[("fake", fake), ("regression", module)],
     )
 
 

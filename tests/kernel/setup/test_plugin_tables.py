@@ -107,6 +107,32 @@ def test_a_hook_may_stand_beside_tables(package: ModuleType, tmp_path: Path) -> 
     assert dict(plugins.config_directories())["data"] == tmp_path / "options"
 
 
+@pytest.mark.parametrize(
+    "own",
+    [("walk", "run"), {"walk": 3}, {"walk": "walk"}, 5, {"reward": {"walk": "no row"}}],
+    ids=repr,
+)
+@pytest.mark.parametrize("title", sorted(TABLES))
+def test_a_module_with_hooks_may_call_its_own_as_tables_are_called(title: str, own: object) -> None:
+    """Unless it says, by ``REQUIRES``, that it is a plugin's with tables."""
+    module = ModuleType("own")
+    setattr(module, title, own)
+    module.understudy_register = hookimpl(  # type: ignore[attr-defined]
+        lambda register: register.component("reward", "own/found", object, "found")
+    )
+    registry = loaded(module).registry
+    assert registry.names("reward").count("own/found") == 1
+    assert [*registry.tasks, *registry.citations] == []
+
+
+def test_a_broken_table_of_a_plugin_with_hooks_is_named() -> None:
+    module = ModuleType("broken")
+    module.REQUIRES, module.TASKS = (), ("walk", "run")  # type: ignore[attr-defined]
+    module.understudy_register = hookimpl(lambda register: None)  # type: ignore[attr-defined]
+    broken = load(only=(), extra=[("data", module)]).registry.broken
+    assert "its table TASKS is not as tables are. Write TASKS = {" in broken["data"]
+
+
 def test_a_module_in_no_package_has_no_options_by_convention(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,6 +13,7 @@ import torch
 from robots import MOTORS, robot_file, robot_xml
 
 from understudy.errors import ConfigError
+from understudy.setup.plugins import installed
 from understudy.task import Context
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene
@@ -205,7 +206,7 @@ def shaken(model: mujoco.MjModel, hertz: int, worlds: int = 8, decisions: int = 
     return np.array(found)
 
 
-@pytest.mark.parametrize("named", ["humanoid", "jumper", "sitting/humanoid", "robot"])
+@pytest.mark.parametrize("named", [*installed().registry.names("character"), "robot"])
 def test_servos_track_at_any_time_step_as_they_do_at_a_fine_one(tmp_path: Path, named: str) -> None:
     """Root mean square over worlds, of the worst joint, away from where it is at 2400 Hz."""
     source = robot_file(tmp_path) if named == "robot" else named

@@ -156,8 +156,8 @@ def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_i
         qpos=qpos, qvel=torch.zeros(4, 54), xpos=torch.zeros(4, 60, 3),
         xquat=torch.tensor([1.0, 0, 0, 0]).expand(4, 60, 4), planned_object=torch.tensor([0.0, 0, 0, 1, 0, 0, 0]).expand(4, 7),
         planned_goal=torch.zeros(4, 3), planned_leg=torch.tensor([2.0, 2.0, 2.0, 0.0]),
-        leg_over=torch.tensor([0.0, 1.0, 1.0, 1.0]), plan_seconds=torch.full((4,), 1.5),
-        episode_time=torch.tensor([1.8, 1.79, 1.8, 5.0]),
+        leg_over=torch.tensor([0.0, 1.0, 1.0, 1.0]), plan_lasts=torch.full((4,), 1.5),
+        plan_stopped=torch.full((4,), -1.0), plan_time=torch.tensor([1.8, 1.79, 1.8, 5.0]),
     )  # fmt: skip
     assert found["object_placed"].tolist() == [1, 0, 0, 1]
     assert found["plan_over"].tolist() == [1, 0, 1, 1]
@@ -202,6 +202,104 @@ def test_a_noisy_plan_takes_beside_the_object(plugins: Plugins) -> None:
     off = (exact - noisy)[..., :7][held].abs().amax(dim=-1)
     assert off.min() > 1e-3
     assert off.max() < 0.1
+
+
+def test_a_box_is_put_upon_another(plugins: Plugins) -> None:
+    """The goal is on top of what lies there; nothing is in the way of the plan, nor are the two in each other."""
+    box = "{kind: box, sizes: [0.015, 0.015, 0.015]}"
+    words = [*WORDS[:1], "num_worlds=4", "initial_states.plans=3", f"scene.object={box}", "scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    made.environment.reset(seed=0)
+    goal, qpos = field(made, "plan_goal").clone(), field(made, "qpos").clone()
+    assert goal[:, 2].tolist() == pytest.approx([0.0275] * 4)
+    torch.testing.assert_close(qpos[:, 57:59], goal[:, :2])
+    assert qpos[:, 59].tolist() == pytest.approx([0.01] * 4)
+    assert (qpos[:, 50:52] - goal[:, :2]).norm(dim=1).min() > 0.03
+    _, bank = parts(made)
+    for row in range(3):
+        way = bank.frames[row, : int(bank.lengths[row]) + 1]
+        held, under = way[way[:, 15] > 0, 8:11], way[-1, 8:10]
+        near = (held[:, :2] - under).abs().amax(1) < 0.01
+        assert held[near, 2].min() > 0.0275 - 5e-4, "not through the lower one"
+    for _ in range(20):
+        made.environment.advance(torch.zeros(4, 36))
+    torch.testing.assert_close(field(made, "qpos")[:, 57:60], qpos[:, 57:60], atol=1e-4, rtol=0)
+    made.environment.close()
+
+
+@pytest.fixture(scope="module")
+def replanned(plugins: Plugins) -> Any:
+    words = [*WORDS[:1], "num_worlds=3", "initial_states.plans=3", "memory.again.most=2"]
+    made = build_environment(load_experiment(words, plugins), evaluating=True)
+    yield made
+    made.environment.close()
+
+
+def test_a_plan_that_fails_is_made_anew_from_where_everything_is(replanned: Built) -> None:
+    """In that world alone: a plan of its own, to the same goal, that begins with the arm where it is."""
+    environment, (_, bank) = replanned.environment, parts(replanned)
+    environment.reset(seed=3)
+    for _ in range(20):
+        environment.advance(torch.zeros(3, 36))
+    before = {n: field(replanned, n).clone() for n in ("plan_row", "plan_goal", "followed")}
+    simulator = environment.parts.simulator
+    state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+    state["qpos"][1, 50:53] = torch.tensor([-0.05, 0.0, 0.01])
+    state["qvel"][1, 48:] = 0.0
+    simulator.set_state(torch.tensor([False, True, False]), state)
+    environment.refresh()
+    arm = field(replanned, "planned_pose")[:, :7].clone()
+    environment.advance(torch.zeros(3, 36))
+    assert field(replanned, "replans").tolist() == [0, 0, 0]
+    assert field(replanned, "plan_stopped").tolist() == pytest.approx([-1, 0.21, -1])
+    assert field(replanned, "object_distance")[1] == 0.0, "no plan has it"
+    assert (field(replanned, "planned_velocity")[1] == 0).all(), "the sticks stop"
+    assert not bool(field(replanned, "failed").any())
+    environment.advance(torch.zeros(3, 36))
+    assert field(replanned, "replans").tolist() == [0, 1, 0]
+    assert not bool(field(replanned, "failed").any()), "what is begun anew is not lost"
+    followed = field(replanned, "followed")
+    assert followed.tolist() == [before["followed"][0], 3 + 1, before["followed"][2]]
+    assert torch.equal(field(replanned, "plan_row"), before["plan_row"])
+    new = bank.frames[4, : int(bank.lengths[4]) + 1]
+    torch.testing.assert_close(new[0, 8:10], torch.tensor([-0.05, 0.0]), atol=2e-3, rtol=0)
+    torch.testing.assert_close(new[-1, 8:11], before["plan_goal"][1])
+    assert (new[0, :7] - arm[1]).abs().max() < 0.05
+    assert new[:, :7].diff(dim=0).abs().max() < 0.15, "no jump of the arm"
+    assert (new[:10, :7] - new[0, :7]).abs().max() < 0.02, "it waits while the plan is found"
+    assert float(field(replanned, "plan_time")[1]) == 0.0
+    assert (field(replanned, "plan_time")[[0, 2]] > 0.2).all()
+
+
+def test_what_no_plan_reaches_is_given_up(replanned: Built) -> None:
+    environment = replanned.environment
+    environment.reset(seed=3)
+    simulator = environment.parts.simulator
+    state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+    state["qpos"][0, 50:53] = torch.tensor([0.0, 0.0, -0.3])
+    state["qpos"][2, 50:53] = float("nan")
+    simulator.set_state(torch.tensor([True, False, True]), state)
+    environment.refresh()
+    for _ in range(2):
+        environment.advance(torch.zeros(3, 36))
+    assert field(replanned, "given_up").tolist() == [1, 0, 0]
+    assert field(replanned, "replans").tolist() == [0, 0, 0]
+    assert field(replanned, "failed")[[0, 2]].all()
+
+
+def test_trainings_never_plan_anew(plugins: Plugins) -> None:
+    """Nothing is asked of the device: what was kept is returned as it is, and the bank has no spare rows."""
+    words = [*WORDS[:1], "num_worlds=2", "initial_states.plans=2", "memory.again.most=2"]
+    made = build_environment(load_experiment(words, plugins))
+    memory = made.environment.parts.memories["again"].part
+    kept = {"followed": torch.zeros(2)}
+    lost = torch.full((2,), 0.5)
+    found = memory.advance(
+        kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost
+    )  # fmt: skip
+    assert found is kept
+    assert len(parts(made)[1].frames) == 2
+    made.environment.close()
 
 
 def rollout(rows: list[list[float]]) -> Any:
@@ -250,9 +348,22 @@ def test_a_bank_goes_on_as_it_was(plugins: Plugins, built: Built) -> None:
 
 def test_evaluations_follow_plans_that_no_training_has(plugins: Plugins, built: Built) -> None:
     made = build_environment(load_experiment(WORDS, plugins), evaluating=True)
-    goals = parts(made)[1].goals
+    bank = parts(made)[1]
+    assert not bank.lengths.any(), "each is made when it is needed"
+    bank.need([4, 1])
+    some = bank.frames[[1, 4]].clone()
+    bank.need(range(5))
+    assert torch.equal(bank.frames[[1, 4]], some)
+    goals = bank.goals
     assert torch.cdist(goals, parts(built)[1].goals).min() > 1e-4
     made.environment.close()
+
+
+def test_no_two_episodes_of_an_evaluation_follow_the_same_plan(replanned: Built) -> None:
+    """Where there are as many plans: episodes that repeat would make intervals too narrow."""
+    for seed in range(5):
+        replanned.environment.reset(seed=seed)
+        assert sorted(field(replanned, "plan_row").tolist()) == [0, 1, 2]
 
 
 def test_plans_have_all_phases(built: Built) -> None:
@@ -274,6 +385,11 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["scene.object={kind: box, sizes: [0.01]}"], "a box has 3 of them"),
         (["scene.object.kind=cone"], "cone"),
         (["initial_states.refill=5"], "some have to stay"),
+        (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),
+        (["scene.below={kind: box, sizes: [0.03, 0.02, 0.02]}"], "none of table 5.2"),
+        (["scene.object.rolling=-1"], "rolling=-1"),
+        (["memory.again.most=-1"], "most=-1"),
+        (["memory.again.patience=0"], "patience=0"),
         (["initial_states.longest=0.2"], "longest=0.2"),
         (["scene=hand/tri_finger"], "is one of a hand with 5 fingers"),
         (["scene.contact.noslip_iterations=5"], "noslip_iterations=5 is not possible"),

@@ -11,7 +11,6 @@ from torch import Tensor
 from worlds import make_training
 
 from understudy.running.evaluation import Evaluation
-from understudy.running.evaluator import Evaluator
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
@@ -21,6 +20,7 @@ from understudy_deepmimic.encoders import StateEncoder
 from understudy_deepmimic.horizon import Horizon, NormalisedReturn, horizon
 from understudy_networks.nn import DiagonalGaussian
 from understudy_ppo.learner import PPO
+from understudy_reinforcement.evaluator import Evaluator
 from understudy_tensors import rotations
 
 WALK = ("experiment=deepmimic/walk", "num_worlds=4")

@@ -130,6 +130,15 @@ def test_deformation_is_punished_between_its_limits() -> None:
     assert paper.tolist() == pytest.approx([-0.06, -0.5, -0.94], abs=0.01)
 
 
+def test_torn_cloth_is_counted_and_ends_nothing(environment: Environment) -> None:
+    """Section 7.2: to end there made policies too cautious."""
+    (torn,) = (term for term in environment.parts.terminations if term.name == "torn")
+    ratio = torch.tensor([1.0, 1.9, 2.0, 30.0])
+    assert torn.function(value=ratio, **torn.options).tolist() == [False, False, True, True]
+    assert torn.reads == {"value": "area_ratio"}
+    assert torn.outcome == "report"
+
+
 def test_the_geodesic_term() -> None:
     contained, distance = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([1.0, 0.25, 0.7])
     assert geodesic(contained, distance).tolist() == pytest.approx([0.0, 0.75, 1.0])

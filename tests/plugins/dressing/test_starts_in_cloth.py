@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import ConvexHull
 
 from understudy.command.cli import main
 from understudy_dressing.initial_states import Track
@@ -52,6 +53,27 @@ def test_what_is_held_passes_the_person(held: float, deepest: float) -> None:
     way = [np.add(Track.Options().end, (x, 0.0, 0.0)) for x in np.linspace(0.0, 0.3, 31)]
     found = max(float(depth(vertices + place).max()) for place in way)
     assert found == pytest.approx(deepest, abs=0.012)
+
+
+def test_the_entrance_goes_around_a_shoulder_that_is_raised() -> None:
+    """Across the arm, the shortest loop from the strip that is held around the shoulder's joint (65 mm and the gap of 3 mm): longer than
+    the entrance unless the shoulder is raised by a centimetre, and above three it is in the strip."""
+    options = SleeveScene.Options()
+    scene = SleeveScene(options)
+    held = np.asarray(scene.model().grips[0].vertices)
+    first = scene.mesh[0][held[held < scene.loops["entrance"].size]]
+    strip = np.add(first[:, 1:], (0.0, Track.Options().end[2]))
+    angle = 2 * np.pi * np.arange(720) / 720
+    joint = 0.068 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    def loop(raised: float) -> float:
+        points = np.concatenate([np.add(joint, (0.0, raised)), strip])
+        around = points[ConvexHull(points).vertices]
+        return float(np.linalg.norm(around - np.roll(around, -1, axis=0), axis=1).sum())
+
+    assert loop(0.0) == pytest.approx(0.476, abs=0.002)
+    assert loop(0.0) > options.around > loop(0.012)
+    assert strip[:, 1].max() - 0.068 == pytest.approx(0.032)
 
 
 def test_three_quarters_are_in_only_near_the_shoulder() -> None:

@@ -9,7 +9,7 @@ import pytest
 from gltf_file import GltfFile
 
 from understudy.command.cli import main
-from understudy.command.workflow import train
+from understudy_training.workflow import train
 
 Y_UP = [1, 2, 0]
 

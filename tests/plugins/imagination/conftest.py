@@ -15,11 +15,11 @@ from understudy_reinforcement.job import Reinforcement
 
 @pytest.fixture
 def job(plugins: Plugins) -> Iterator[Callable[..., Reinforcement]]:
-    """The prepared job of the walk with other options."""
+    """The prepared job of the walk, or of another small task, with other options."""
     made: list[Reinforcement] = []
 
-    def make(*overrides: str) -> Reinforcement:
-        one = Reinforcement(None, load_experiment([*WALK, *overrides], plugins))
+    def make(*overrides: str, task: tuple[str, ...] = WALK) -> Reinforcement:
+        one = Reinforcement(None, load_experiment([*task, *overrides], plugins))
         one.prepare()
         made.append(one)
         return one

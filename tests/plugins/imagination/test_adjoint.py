@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from imagined_walk import IMITATION, WALK
 from torch import Tensor
 
+from understudy.task import Rollout
 from understudy.task.terms import Margin
 from understudy_imagination.adjoint import Adjoint, Weights, Window, clean, limited
 from understudy_imagination.errors import model_errors
@@ -17,6 +19,19 @@ from understudy_reinforcement.job import Reinforcement
 
 STEPS = 5
 WEIGHTS = Weights(margins=1.0, actions=0.01, rewards=1.0, norm=8.0, power=2.0)
+
+
+def window_of(job: Reinforcement, learner: Imagination) -> Window:
+    return window_in(job.collector.collect(STEPS), learner)
+
+
+def window_in(rollout: Rollout, learner: Imagination) -> Window:
+    return Window(
+        {name: rollout.fields[name] for name in learner.rollout_fields},
+        rollout.next_fields,
+        rollout.actions,
+        rollout.terminated | rollout.truncated,
+    )
 
 
 def parts(job: Reinforcement) -> tuple[Imagination, Adjoint]:
@@ -97,19 +112,59 @@ def test_it_is_the_derivative_of_what_the_model_imagines(
         )).actions[0, 1])  # fmt: skip
 
 
+@pytest.mark.parametrize("task", [WALK, IMITATION], ids=["margins", "margins_and_rewards"])
+def test_the_costs_derivative_is_its_difference(
+    job: Callable[..., Reinforcement], task: tuple[str, ...]
+) -> None:
+    """Of the task's own terms at the simulator's states, by every state and by the action."""
+    made = job(task=task)
+    learner, adjoint = parts(made)
+    rigid = adjoint._rigid
+    window = window_of(made, learner)
+    cost, by_state, by_action = adjoint._costs(window)
+    draw = torch.Generator().manual_seed(3)
+    way = torch.randn(by_state.shape, generator=draw)
+    way /= torch.linalg.vector_norm(way, dim=-1, keepdim=True)
+    size, costs = 2e-3, []
+    place, speed = (part.flatten(0, 1) for part in way.chunk(2, dim=-1))
+    for side in (size, -size):
+        qpos, qvel = (window.reached[name].flatten(0, 1) for name in ("qpos", "qvel"))
+        moved = {"qpos": rigid.moved(qpos, side * place), "qvel": qvel + side * speed}
+        moved = {k: v.unflatten(0, window.ended.shape) for k, v in moved.items()}
+        costs.append(adjoint._costs(replace(window, reached={**window.reached, **moved}))[0])
+    expected = ((costs[0] - costs[1]) / (2 * size)).view_as(window.ended)
+    found = (by_state * way).sum(-1)
+    scale = float(expected.abs().max())
+    assert scale > 0.01
+    torch.testing.assert_close(found / scale, expected / scale, rtol=0, atol=0.02)
+    assert cost.isfinite().all()
+    assert not by_action.any()  # no term of these tasks reads the action
+
+
+def test_where_it_stands_on_the_reference_itself_a_margin_has_a_derivative(
+    job: Callable[..., Reinforcement],
+) -> None:
+    """Distances that are 0 make no number that is not finite, which would cost the whole row."""
+    made = job()
+    learner, adjoint = parts(made)
+    imagined, rigid = adjoint._imagined, adjoint._rigid
+    table = made.environment.table  # the first states are the clip's
+    state = {name: table[name].clone() for name in learner.rollout_fields}
+    step = torch.zeros(len(state["qpos"]), 2 * rigid.nv, requires_grad=True)
+    fields = imagined.fields(
+        adjoint._posed(state, step), imagined.constants(state), made.environment.action
+    )
+    (found,) = torch.autograd.grad(imagined.used(fields, WEIGHTS.norm, WEIGHTS.power).sum(), step)
+    assert found.isfinite().all()
+
+
 def test_what_it_says_of_the_policy_is_what_the_policy_does(
     job: Callable[..., Reinforcement],
 ) -> None:
     made = job()
     learner, adjoint = parts(made)
     rollout = made.collector.collect(STEPS)
-    window = Window(
-        {name: rollout.fields[name] for name in learner.rollout_fields},
-        rollout.next_fields,
-        rollout.actions,
-        rollout.terminated | rollout.truncated,
-    )
-    found = adjoint(window)
+    found = adjoint(window_in(rollout, learner))
     assert found.observations.keys() == rollout.observations.keys()
     for name, value in rollout.observations.items():
         torch.testing.assert_close(found.observations[name], value, rtol=1e-4, atol=1e-4)

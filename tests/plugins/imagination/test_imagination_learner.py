@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -87,6 +88,25 @@ def test_seeds_differ_and_repeat(job: Callable[..., Reinforcement]) -> None:
     assert any(not torch.equal(ours[name], theirs[name]) for name in ours)
 
 
+def test_a_world_whose_numbers_went_wrong_costs_only_itself(
+    job: Callable[..., Reinforcement],
+) -> None:
+    """No step is skipped for it, and what is reported is of the others."""
+    made = job()
+    for samples in (0, 32, 64):
+        made.policy.schedule(samples)
+        rollout = made.collector.collect(made.learner.rollout_steps)
+        rollout.next_fields["qpos"][3, 1] = torch.nan
+        rollout.next_fields["qvel"][5, 2] = torch.inf
+        rollout.terminated[3, 1] = rollout.terminated[5, 2] = True
+        row = made.learner.update(rollout)
+        assert {k: v for k, v in row.items() if not math.isfinite(v)} == {}
+        assert row["skipped_steps"] == 0
+    assert "cost" in row
+    for name, weights in made.policy.state_dict().items():
+        assert torch.as_tensor(weights).isfinite().all(), name
+
+
 def test_nothing_is_learned_before_there_is_enough(job: Callable[..., Reinforcement]) -> None:
     made = job()
     rows = iterate(made, 3)
@@ -121,6 +141,34 @@ def test_a_field_of_contact_forces_is_refused_by_name(refusal: Callable[..., str
 def test_a_former_value_is_refused(refusal: Callable[..., str]) -> None:
     sentence = refusal("termination.terms.com.reads={com_position: previous_com_position}")
     assert "'previous_com_position'" in sentence
+
+
+def test_a_critic_may_know_what_is_not_imagined(
+    job: Callable[..., Reinforcement], refusal: Callable[..., str]
+) -> None:
+    """An encoder that reads a former value: the critic's alone is accepted, the actor's is refused."""
+    former = (
+        "+encoder.former={name: spacetime/feedforward,"
+        " reads: {reference_joint_targets: previous_reference_joint_targets}}"
+    )
+    made = job(former, "policy.feedback.critic=[state, former]")
+    learner = made.learner
+    assert isinstance(learner, Imagination)
+    iterate(made, 3)
+    found = learner.adjoint(learner._window)  # type: ignore[arg-type]
+    assert set(found.observations) == {"state", "feedforward"}
+    sentence = refusal(former, "policy.feedback.observation=[state, former]")
+    assert "'previous_reference_joint_targets'" in sentence
+    assert "encoder.former" in sentence
+
+
+def test_an_actor_may_see_several_observations(job: Callable[..., Reinforcement]) -> None:
+    made = job(
+        "+encoder.again={name: spacetime/feedforward}", "policy.feedback.observation=[state, again]"
+    )
+    rows = iterate(made, 3)
+    assert "cost" in rows[-1]
+    assert rows[-1]["skipped_steps"] == 0
 
 
 def test_a_task_without_anything_to_differentiate_is_refused(refusal: Callable[..., str]) -> None:
@@ -158,6 +206,18 @@ def test_the_replay_keeps_the_newest() -> None:
     other = Replay(5, 2, 1, torch.device("cpu"))
     other.load_state_dict(replay.state_dict())
     assert_same_state(other.state_dict(), replay.state_dict())
+
+
+def test_the_replay_counts_what_it_does_not_keep() -> None:
+    """Steps shrink with all decisions that there were, of an iteration larger than the replay too."""
+    replay = Replay(5, 1, 1, torch.device("cpu"))
+    for first in (0.0, 8.0):
+        rows = first + torch.arange(8.0).view(8, 1)
+        replay.add(rows, rows)
+    assert replay.seen == 16
+    assert sorted(replay.sound()[0][:, 0].tolist()) == [11.0, 12.0, 13.0, 14.0, 15.0]
+    with pytest.raises(ValueError, match="replay"):
+        replay.load_state_dict({**replay.state_dict(), "seen": -1})
 
 
 def test_rows_that_are_not_finite_do_not_count() -> None:

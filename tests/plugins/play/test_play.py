@@ -188,6 +188,9 @@ def test_the_page_shows_any_other_scene() -> None:
         found = [place for place, _ in page.places()]
         np.testing.assert_allclose(found, data.geom_xpos, atol=1e-6)
         assert not np.allclose(found, before, atol=1e-4)
+        assert player.fallen == "no failure", "a hand does not fall"
+        with pytest.raises(ConfigError, match="no character that can be pushed"):
+            player.push((0.0, 1.0, 0.0))
         page._controls.again = True
         page.advance()
         assert not np.allclose([place for place, _ in page.places()], found, atol=1e-5)

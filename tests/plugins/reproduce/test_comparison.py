@@ -78,7 +78,7 @@ def test_a_card_of_what_is_there_trains_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["reproduce", "cmfbo/toy", "--card", f"run.dir={tmp_path}"]) == 0
-    assert "0 of 15 searches are finished, 0 begun" in capsys.readouterr().out
+    assert "0 of 18 searches are finished, 0 begun" in capsys.readouterr().out
     assert not list(tmp_path.rglob("journal.jsonl"))
 
 

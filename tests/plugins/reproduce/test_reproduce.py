@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -132,6 +133,16 @@ def test_a_share_of_episodes_is_in_per_cent_and_within_them() -> None:
     assert cell.text(Figure("energy")).startswith("0.1 [-0.148, ")
 
 
+def test_a_figure_may_be_the_last_value_of_a_metric() -> None:
+    """One that is not in every row, of a learner that has it; another has none."""
+    rows = [{"model_error_8": 0.5}, {"model_error_8": 0.25, "samples": 2}, {"samples": 3}]
+    learned = Cell([replace(result(2e6), rows=rows)])
+    assert learned.values("metrics/model_error_8") == [0.25]
+    assert learned.values("metrics/samples") == [3.0]
+    other = Cell([replace(result(2e6), rows=[{"samples": 3}])])
+    assert other.text(Figure("metrics/model_error_8")) == "–"
+
+
 def test_an_unfinished_table_has_a_card(tmp_path: Path) -> None:
     table = PaperTable("A title", "a paper", {"a": ("experiment=miniature/go",)})
     card = Card("mine/one", table, tmp_path / "none")
@@ -180,6 +191,14 @@ def test_what_is_not_there_is_named(
     assert capsys.readouterr().out.startswith("mine/one: How near a point gets, <b>by far</b> (")
 
 
+def test_a_table_that_another_command_makes_names_it(
+    offered: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered(TABLE + "\ncommand: make tea\n")
+    assert reproduce("mine/one") == 2
+    assert "is made by another command: make tea" in capsys.readouterr().err
+
+
 def test_a_variant_that_cannot_be_composed_stops_it_before_anything_runs(
     offered: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,7 +215,7 @@ def test_every_bundled_table_can_be_composed() -> None:
     for name in names:
         table = load_table(name, installed())
         assert table.variants()
-        if not table.searches:  # those that compare searches are composed in test_comparison.py
+        if not table.searches and not table.command:  # searches are composed in test_comparison.py
             assert command.experiment_of(table)
             assert card_module.Card(name, table, Path("nowhere")).text()
 
@@ -207,12 +226,9 @@ def test_every_bundled_table_can_be_composed() -> None:
      ((1.0,), "one seed")],
 )  # fmt: skip
 def test_a_verdict_says_whether_ours_is_better(samples: tuple[float, ...], expected: str) -> None:
-    figure = Figure("samples", better="less")
-    assert Cell([result(s) for s in samples]).verdict(figure, 2.0) == expected
-    assert Cell([result(s) for s in samples]).verdict(figure, "much less") == ""
-    assert Cell([result(s) for s in samples]).verdict(Figure("samples"), 2.0) == ""
+    assert Cell([result(s) for s in samples]).verdict("samples", 2.0, "less") == expected
     missed = [*map(result, samples), result(9.0, outcome="budget")]
-    assert Cell(missed).verdict(figure, 2.0) == "undecided"
+    assert Cell(missed).verdict("samples", 2.0, "less") == "undecided"
 
 
 def test_the_list_has_every_table_with_the_papers_number_and_ours(

@@ -13,7 +13,6 @@ import pytest
 import torch
 
 from understudy.command.cli import main
-from understudy.command.workflow import train
 from understudy.errors import ConfigError, FileError
 from understudy.records import checkpoint
 from understudy.setup.building import build_environment
@@ -23,6 +22,7 @@ from understudy_cloth.scene import ClothModel, ClothScene
 from understudy_mujoco.scene import MujocoScene
 from understudy_pbd.scene import ParticleModel, ParticleScene, Springs
 from understudy_skills import bank
+from understudy_training.workflow import train
 
 #: A task whose sleeve is small enough to settle within a second or two.
 SLEEVE = [

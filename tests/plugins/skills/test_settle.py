@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 import torch
 
-from understudy.command.workflow import train
 from understudy.errors import ConfigError, TrainingError
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_skills import bank
+from understudy_training.workflow import train
 
 #: Points at rest that nobody pushes; those less than 1 m from the place end at once.
 REST = [

@@ -9,7 +9,6 @@ import torch
 from robots import robot_file
 
 from understudy.errors import ConfigError
-from understudy.running.evaluator import Evaluator
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
@@ -19,6 +18,7 @@ from understudy_characters.character import load_character
 from understudy_motion.clip import Clip
 from understudy_motion.writing import write_clip
 from understudy_networks.nn import DiagonalGaussian
+from understudy_reinforcement.evaluator import Evaluator
 from understudy_retarget.retarget import retarget
 
 WALK = ("experiment=spacetime/walk", "num_worlds=4")

@@ -51,6 +51,9 @@ class HandScene(MujocoScene):
         size: float = 1.0  #: of the hand, in that of the human hand; the arm stays as it is
         tool: tools.Tool = "sticks"  #: what it holds
         object: tools.Thing | None = None  #: what lies on the table; null is nothing
+        below: tools.Thing | None = (
+            None  #: what it is put upon, free to move, too; null is the table
+        )
         friction: float = 1.0  #: sliding, of everything (the release)
         contact: Contact = field(
             default_factory=Contact
@@ -71,8 +74,9 @@ class HandScene(MujocoScene):
 
     def spec(self) -> mujoco.MjSpec:
         spec = build_spec(
-            self.measures, self.options.tool, self.options.friction, self.options.object
-        )
+            self.measures, self.options.tool, self.options.friction, self.options.object,
+            self.options.below,
+        )  # fmt: skip
         spec.option.timestep = self.timestep
         FIRM.apply(spec)
         self.contact.apply(spec)

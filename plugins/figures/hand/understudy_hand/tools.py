@@ -37,7 +37,7 @@ _DENSITY = 1000.0
 #: Of the upper and the lower part.
 _WOOD = ((0.80, 0.58, 0.30, 1.0), (0.55, 0.27, 0.15, 1.0))
 _STEEL = (0.62, 0.65, 0.70, 1.0)
-_FRUIT = (0.85, 0.25, 0.22, 1.0)
+_FRUIT, _LEAF = (0.85, 0.25, 0.22, 1.0), (0.36, 0.55, 0.30, 1.0)
 #: Names of the bodies, the upper one first.
 BODIES: dict[Tool, tuple[str, ...]] = {
     "sticks": ("upper_stick", "lower_stick"),
@@ -123,6 +123,9 @@ class Thing:
     friction: float | None = (
         None  #: sliding, with whatever it touches; null is the scene's (figure 5.21 varies it)
     )
+    rolling: float = (
+        0.0  #: m, of rolling friction: a sphere that has none rolls on for ever (the release)
+    )
 
     def __post_init__(self) -> None:
         count = {"sphere": 1, "capsule": 2, "box": 3}[self.kind]
@@ -132,6 +135,7 @@ class Thing:
             )
         check_range(self, "sizes", above=0, most=1.0)
         check_range(self, "density", "friction", above=0)
+        check_range(self, "rolling", least=0, most=0.01)
 
     @property
     def height(self) -> float:
@@ -139,10 +143,13 @@ class Thing:
         return 0.5 * self.sizes[2] if self.kind == "box" else self.sizes[0]
 
 
-def add_thing(spec: mujoco.MjSpec, thing: Thing, friction: float, contact: tuple[int, int]) -> None:
-    """Add the body ``object``, on the table and out of the hand's way, with the contact masks (type, affinity)."""
-    body = spec.worldbody.add_body(name="object", pos=[-0.5, 0.25, thing.height])
-    body.add_freejoint(name="object")
+def add_thing(
+    spec: mujoco.MjSpec, name: str, thing: Thing, friction: float, contact: tuple[int, int]
+) -> None:
+    """Add the body `name`, on the table and out of the hand's way, with the contact masks (type, affinity)."""
+    y = 0.25 if name == "object" else 0.15
+    body = spec.worldbody.add_body(name=name, pos=[-0.5, y, thing.height])
+    body.add_freejoint(name=name)
     kinds = {
         "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
         "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
@@ -155,14 +162,16 @@ def add_thing(spec: mujoco.MjSpec, thing: Thing, friction: float, contact: tuple
     elif thing.kind == "capsule":
         size[1] *= 0.5
     geom = body.add_geom(
-        name="object", type=kinds[thing.kind], size=size, density=thing.density, condim=4,
+        name=name, type=kinds[thing.kind], size=size, density=thing.density, condim=4,
         contype=contact[0], conaffinity=contact[1], friction=[friction, 0.005, 0.0001],
-        rgba=_FRUIT,
+        rgba=_FRUIT if name == "object" else _LEAF,
     )  # fmt: skip
     if (
         thing.friction is not None
     ):  # of two frictions the larger one counts, unless one has priority
         geom.friction[0], geom.priority = thing.friction, 1
+    if thing.rolling > 0:
+        geom.friction[2], geom.condim = thing.rolling, 6
     if thing.kind == "capsule":
         half = float(np.sqrt(0.5))
         geom.quat = [half, 0, half, 0]

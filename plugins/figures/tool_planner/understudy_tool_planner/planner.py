@@ -29,12 +29,26 @@ from understudy_tool_planner.configuration import (
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.trajectory import Frames, Pose, Way
 
-__all__ = ["ASIDE", "CLOSING", "DT", "LEAST", "PHASES", "PRESSING", "Plan", "Planner"]
+__all__ = [
+    "ASIDE",
+    "CLOSING",
+    "DT",
+    "LEAST",
+    "LIFTING",
+    "PHASES",
+    "PRESSING",
+    "WAITING",
+    "Moment",
+    "Plan",
+    "Planner",
+]
 
 #: s of a frame; m/s and s: speed of the sticks (thesis), and the least that a phase takes (release).
 DT, SPEED, LEAST = 0.01, 0.25, 0.5
 #: s that closing and opening take; that closed sticks rest before they lift; that open ones take to go aside.
 CLOSING, PRESSING, ASIDE = 0.15, 0.1, 0.1
+#: s that sticks wait before they begin anew, as long as a plan takes to be found; m and s of their way up first.
+WAITING, LIFT, LIFTING = 0.1, 0.03, 0.3
 PHASES = ("approach", "close", "relocate", "release")
 _FRAMES = ("place", "turn", "angle")
 #: rad: how far a hinge of the arm may go in a frame.
@@ -54,6 +68,7 @@ class Task:
     goal: tuple[float, float]  #: m
     heading: float = 0.0  #: rad, at the start
     goal_heading: float | None = None  #: rad; None leaves it as it is
+    upon: float = 0.0  #: m: how high what it is put upon is; 0 is the table
 
 
 @dataclass(frozen=True)
@@ -124,7 +139,14 @@ class Planner:
         return Moment(torch.cat([place, rotation]), torch.zeros((), dtype=torch.float64), angles)
 
     @torch.no_grad()
-    def plan(self, task: Task, now: Moment, others: Things, error: Tensor | None = None) -> Plan:
+    def plan(
+        self,
+        task: Task,
+        now: Moment,
+        others: Things,
+        error: Tensor | None = None,
+        anew: bool = False,
+    ) -> Plan:
         """The way to take the object and to put it at its goal.
 
         Parameters
@@ -135,6 +157,8 @@ class Planner:
             objects that stay.
         error
             (3,) m: how far beside the object's middle the sticks take, carry and put it (noise of section 5.7.5).
+        anew
+            whether something has failed: the sticks wait, open and go up before they approach (section 5.7.5).
 
         Raises
         ------
@@ -143,9 +167,9 @@ class Planner:
         """
         heading = torch.tensor(task.heading, dtype=torch.float64)
         last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
-        start, goal = (
-            heading.new_tensor((*at, task.shape.height)) for at in (task.start, task.goal)
-        )
+        start = heading.new_tensor((*task.start, task.shape.height))
+        goal = heading.new_tensor((*task.goal, task.shape.height + task.upon))
+        away = _away(now) if anew else None
         found = choose(task.shape, start, heading, goal, last, now.lower[3:], others, self._holder)
         own = Things.of([task.shape], start[None, :2], heading[None])
         everything = Things(
@@ -155,8 +179,8 @@ class Planner:
         for row in range(min(_TRIED, len(found.score))):
             try:
                 return self._complete(
-                    task, now, found, row, start, goal, heading, last, others, everything, error
-                )
+                    task, now, found, row, start, goal, heading, last, others, everything, error, away
+                )  # fmt: skip
             except NoPlan as refused:
                 worst = worst or refused
         assert worst is not None
@@ -175,6 +199,7 @@ class Planner:
         others: Things,
         everything: Things,
         error: Tensor | None,
+        away: Frames | None,
     ) -> Plan:
         closed, wide = found.closed[row], found.open[row]
         takes, puts = found.turn[row], found.end[row]
@@ -183,9 +208,13 @@ class Planner:
             return Pose(gripper.placed(rotations.to_matrix(turn), angle, middle), turn, angle)
 
         begin = Pose(now.lower[:3], now.lower[3:], now.angle)
+        if away is not None:
+            begin = Pose(away.place[-1], away.turn[-1], away.angle[-1])
+        # What is put upon another comes nearer to it than the sphere around it.
+        carried = task.shape.height - SUNK if task.upon > 0 else task.shape.reach
         ways = [
             Way(begin, pose(takes, wide, start), everything),
-            Way(pose(takes, closed, start), pose(puts, closed, goal), others, task.shape.reach),
+            Way(pose(takes, closed, start), pose(puts, closed, goal), others, carried),
         ]
         inner, value = trajectory.find(ways, 1)
         parts, clear = [], []
@@ -201,15 +230,17 @@ class Planner:
                 )
             parts.append(frames)
             clear.append(least)
+        if away is not None:
+            parts[0] = _joined(away, parts[0])
         shares = torch.linspace(0.0, 1.0, round(CLOSING / DT) + 1, dtype=torch.float64)[1:]
         close = self._turning(takes, wide, closed, start, shares)
         count = round(PRESSING / DT)
         rest = Frames(*(getattr(close, n)[-1:].repeat_interleave(count, 0) for n in _FRAMES))
-        close = Frames(*(torch.cat([getattr(close, n), getattr(rest, n)]) for n in _FRAMES))
+        close = _joined(close, rest)
         free = self._release(puts, closed, goal, shares)
         order = [parts[0], close, parts[1], free]
         clear += [float(trajectory.clearance(f, others).amin()) for f in (close, free)]
-        whole = Frames(*(torch.cat([getattr(f, n) for f in order]) for n in _FRAMES))
+        whole = _joined(*order)
         phase = torch.repeat_interleave(
             torch.arange(4), torch.tensor([len(f.angle) for f in order])
         )
@@ -317,6 +348,18 @@ class Planner:
             poses.append(solved.pose[:, best])
             swivel, before = ends[best], solved.pose[-1, best]
         return torch.cat(poses)
+
+
+def _joined(*parts: Frames) -> Frames:
+    return Frames(*(torch.cat([getattr(part, name) for part in parts]) for name in _FRAMES))
+
+
+def _away(now: Moment) -> Frames:
+    """From `now`: at rest, then open and up."""
+    up = torch.linspace(0.0, 1.0, round(LIFTING / DT) + 1, dtype=torch.float64)
+    share = torch.cat([torch.zeros(round(WAITING / DT), dtype=torch.float64), up[1:]])
+    place = now.lower[:3] + share[:, None] * now.lower.new_tensor([0.0, 0.0, LIFT])
+    return Frames(place, now.lower[3:].expand(len(share), 4), now.angle * (1.0 - share))
 
 
 def _height(pose: Pose) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from understudy_tool_planner.objects import KINDS, LENGTH, RADIUS, SIDE, Shape, Things
 from understudy_tool_planner.planner import Task
 
-__all__ = ["Table", "random_goal"]
+__all__ = ["APART", "Table", "random_goal"]
 
 Point = tuple[float, float]
 #: m: where objects begin and where they are put. The release's regions, of 15 × 7.5 and 15 × 5 cm, hold one in play;
@@ -43,8 +43,9 @@ class Table:
         places = (*self.places[:one], goal, *self.places[one + 1 :])
         return replace(self, places=places)
 
-    def task(self, one: int, goal: Point) -> Task:
-        return Task(self.shapes[one], self.places[one], goal, self.headings[one])
+    def task(self, one: int, goal: Point, upon: float = 0.0) -> Task:
+        """To move number `one` to `goal`, onto something that is `upon` m high."""
+        return Task(self.shapes[one], self.places[one], goal, self.headings[one], upon=upon)
 
 
 def random_shape(generator: Generator) -> Shape:

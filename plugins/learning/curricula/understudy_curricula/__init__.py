@@ -1,4 +1,4 @@
-"""Curricula of a difficulty, and what curricula make of the episodes that end."""
+"""Curricula of a difficulty, worlds out of step, and what curricula make of the episodes that end."""
 
 #: Plugins that this one builds on.
 REQUIRES: tuple[str, ...] = ()
@@ -8,5 +8,9 @@ PARTS = {
     "curriculum": {
         "linear": ("curricula:Linear", "difficulty by samples"),
         "adaptive": ("curricula:Adaptive", "difficulty by success"),
+        "staggered": (
+            "staggered:Staggered",
+            "first episodes are cut, so that worlds are out of step",
+        ),
     },
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -25,7 +25,7 @@ _WHO = "learner 'imagination'"
 
 
 class Imagined:
-    """What a task makes of positions and velocities.
+    """What a task makes of positions and velocities; of its encoders those of the observations `seen`.
 
     Fields are of three kinds: what moves with the state, which providers compute anew; what they
     compute from the clock and an episode's constants alone, once for many states; and these
@@ -38,8 +38,9 @@ class Imagined:
         and velocities do not decide; names it.
     """
 
-    def __init__(self, parts: Parts, context: Context, rigid: Rigid) -> None:
+    def __init__(self, parts: Parts, context: Context, rigid: Rigid, seen: Collection[str]) -> None:
         self._parts, self._rigid = parts, rigid
+        self._encoders = {name: e for name, e in parts.encoders.items() if name in seen}
         self._gives = {f: p for p in parts.fields for f in p.provides.values()}
         curriculum = parts.curriculum.provides if parts.curriculum else {}
         parameters = parts.simulator.parameters
@@ -98,7 +99,7 @@ class Imagined:
 
     def _readers(self) -> Iterator[tuple[str, Sequence[str]]]:
         parts = self._parts
-        for part in (parts.actuation, *parts.encoders.values()):
+        for part in (parts.actuation, *self._encoders.values()):
             yield part.where, tuple(part.reads.values())
         for term in (*parts.rewards, *parts.terminations):
             yield term.where, tuple(term.reads.values())
@@ -152,7 +153,7 @@ class Imagined:
     def observations(self, fields: Mapping[str, Tensor]) -> dict[str, Tensor]:
         return {
             name: encoder.part.encode(**_picked(encoder.reads, fields))
-            for name, encoder in self._parts.encoders.items()
+            for name, encoder in self._encoders.items()
         }
 
     def control(self, action: Tensor, fields: Mapping[str, Tensor]) -> Tensor:

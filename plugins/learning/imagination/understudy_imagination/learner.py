@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -167,7 +167,7 @@ class Imagination(Learner):
             for body in range(compiled.nbody)
             if compiled.body_weldid[body] != 0
         }
-        self._imagined = imagined = Imagined(parts, context, rigid)
+        self._imagined = imagined = Imagined(parts, context, rigid, _seen(policy, context))
         self.rollout_fields = self.next_fields = (*_STATE, *imagined.taken)
         own, seed = options.model, context.seed
         with private_rng(seed, "imagination/model"):
@@ -230,11 +230,10 @@ class Imagination(Learner):
             rollout.terminated | rollout.truncated,
         )
         metrics |= self._errors(newest)
-        before = self.replay.seen
+        before = self._samples
         surprise = self._remember(newest)
-        seen = self.replay.seen
         window = self._window.followed_by(newest) if self._window is not None else newest
-        if seen >= own.first_samples:
+        if self._samples >= own.first_samples:
             if self._trained < _SETTLING:
                 self._settle()
             first = before < own.first_samples
@@ -248,6 +247,11 @@ class Imagination(Learner):
         self._iterations += 1
         optimisers.refuse_hopeless(int(self._bad), options.patience)
         return metrics | {"skipped_steps": float(self._skipped)}
+
+    @property
+    def _samples(self) -> int:
+        """Decisions so far, of all processes."""
+        return self.replay.seen * distributed.size()
 
     @torch.no_grad()
     def _remember(self, window: Window) -> float:
@@ -263,19 +267,21 @@ class Imagination(Learner):
         inputs = self.model.inputs(posed, self._imagined.control(action, fields))
         targets = self.model.targets(posed.qpos, posed.qvel, after["qpos"], after["qvel"])
         self.replay.add(inputs, targets)
-        return float(averages.mean(self.model.loss(inputs, targets).nanmean()))
+        return _mean(self.model.loss(inputs, targets))
 
     def _errors(self, window: Window) -> dict[str, float]:
-        """Now and then, of decisions that the model has not seen: ``model_error/BODY/HORIZON``, m."""
+        """Now and then, of decisions that the model has not seen: ``model_error/BODY/HORIZON``, m, and
+        the mean over bodies, ``model_error_HORIZON``."""
         if not self._trained or self._trained % _LOOKS:
             return {}
-        found = model_errors(self._rigid, self._imagined, self.model, window)
-        return {
-            f"model_error/{name}/{horizon}": off[body]
-            for horizon, off in ((h, o.tolist()) for h, o in found.items())
-            for body, name in self._bodies.items()
-            if math.isfinite(off[body])
-        }
+        found: dict[str, float] = {}
+        every = model_errors(self._rigid, self._imagined, self.model, window)
+        for horizon, off in ((h, o.tolist()) for h, o in every.items()):
+            own = {name: off[b] for b, name in self._bodies.items() if math.isfinite(off[b])}
+            found |= {f"model_error/{name}/{horizon}": value for name, value in own.items()}
+            if own:
+                found[f"model_error_{horizon}"] = sum(own.values()) / len(own)
+        return found
 
     def _settle(self) -> None:
         """Set the model's units by what there is."""
@@ -300,7 +306,7 @@ class Imagination(Learner):
     def _improve(self, window: Window) -> dict[str, float]:
         """Move the policy's actions against the cost's derivative, where enough followed them."""
         options = self.options
-        share = options.anneal.at(self.replay.seen)
+        share = options.anneal.at(self._samples)
         self._rate.fill_(options.learning_rate * share)
         found = self.adjoint(window)
         kept = len(window) - options.tail
@@ -317,7 +323,7 @@ class Imagination(Learner):
             now = self.policy.distribution(seen).mode()
             moved = ((now - found.means[:kept].flatten(0, 1)) / reach).square().mean().sqrt()
         return {
-            "cost": float(found.cost.mean()),
+            "cost": _mean(found.cost),
             "gradient": float(found.actions[:kept].square().mean().sqrt()),
             "moved": float(moved),
             "step": options.step * share,
@@ -431,3 +437,36 @@ class Imagination(Learner):
         self._bad.copy_(state["bad_steps"])
         self._generator.set_state(state["generator"].cpu())
         self._capture()
+
+
+class _Watched(Mapping[str, Tensor]):
+    """Observations that note which of them are read."""
+
+    def __init__(self, context: Context) -> None:
+        self._shapes, self._device = context.observation_shapes, context.device
+        self.read: set[str] = set()
+
+    def __getitem__(self, name: str) -> Tensor:
+        shape = self._shapes[name]
+        self.read.add(name)
+        return torch.zeros(1, *shape, device=self._device)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._shapes)
+
+    def __len__(self) -> int:
+        return len(self._shapes)
+
+
+@torch.no_grad()
+def _seen(policy: Policy, context: Context) -> set[str]:
+    """The observations that actions follow from: a critic's own are never imagined, so they may be of
+    anything."""
+    observations = _Watched(context)
+    policy.distribution(observations)
+    return observations.read
+
+
+def _mean(values: Tensor) -> float:
+    """Of those that are finite, in the mean over processes: a world whose numbers went wrong has none."""
+    return float(averages.mean(torch.where(values.isfinite(), values, torch.nan).nanmean()))

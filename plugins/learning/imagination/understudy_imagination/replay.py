@@ -22,14 +22,13 @@ class Replay:
 
     def add(self, inputs: Tensor, targets: Tensor) -> None:
         """Rows (B, D) and (B, E) in the place of the oldest."""
-        size = len(self._counts)
+        size, self.seen = len(self._counts), self.seen + len(inputs)
         inputs, targets = inputs[-size:], targets[-size:]
         sound = inputs.isfinite().all(1) & targets.isfinite().all(1)
-        rows = (torch.arange(len(inputs), device=inputs.device) + self.seen) % size
+        rows = (torch.arange(len(inputs), device=inputs.device) + self.seen - len(inputs)) % size
         self._inputs[rows] = torch.where(sound.unsqueeze(1), inputs, 0.0)
         self._targets[rows] = torch.where(sound.unsqueeze(1), targets, 0.0)
         self._counts[rows] = sound.float()
-        self.seen += len(inputs)
 
     def sound(self) -> tuple[Tensor, Tensor]:
         """All rows that count."""
@@ -52,6 +51,8 @@ class Replay:
     def load_state_dict(self, state: State) -> None:
         """Restore what :meth:`state_dict` returned; ValueError if that is of another ring."""
         self.seen = int(state["seen"])
+        if self.seen < 0:
+            raise ValueError(f"the replay has seen {self.seen} decisions")
         for name, mine in self._rows().items():
             value = state["rows"][name]
             if value.shape != mine.shape or not value.isfinite().all():

@@ -13,16 +13,16 @@ from understudy import distributed
 from understudy.records.recording import Recording
 from understudy.running.environment import Environment, Fault
 from understudy.running.evaluation import Evaluation
-from understudy.running.evaluator import Evaluator
 from understudy.running.jobs import Job
-from understudy.running.success import success_of
 from understudy.running.warm_start import misshapen
 from understudy.setup.building import Built, build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Learner, Policy, State
 from understudy_reinforcement.collector import Collector
+from understudy_reinforcement.evaluator import Evaluator
 from understudy_reinforcement.hopeless import Hopeless
 from understudy_reinforcement.start import take_over
+from understudy_reinforcement.success import success_of
 
 __all__ = ["Reinforcement"]
 

@@ -9,7 +9,6 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from understudy.command.workflow import tell
 from understudy.errors import RunError
 from understudy.folders import read
 from understudy.records import runs
@@ -18,6 +17,7 @@ from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.plugins import installed
 from understudy_skills.skill import open_skill, unpack
+from understudy_training.workflow import tell
 
 __all__ = ["run_folder"]
 

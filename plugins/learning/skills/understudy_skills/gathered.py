@@ -1,15 +1,19 @@
-"""The states that a job has gathered, and how far it has come in its words and figures."""
+"""Jobs that gather states: what they have, and how far they have come in words and figures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError, suggestion
 from understudy.records.runs import Run
+from understudy.running.environment import Environment
 from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.jobs import Job
+from understudy.setup.building import Built
 from understudy.task import Scene, State
 from understudy_skills import bank
 
@@ -58,3 +62,47 @@ class Gathered:
 
     def load_state_dict(self, state: State) -> None:
         self._states, self.barren = dict(state["found"]), state["barren"]
+
+
+class Gathering(Job):
+    """A job that gathers states of an environment. A subclass builds that, iterates, and keeps the products."""
+
+    environment: Environment
+    _gathered: Gathered
+    _built: Built | None = None
+
+    def _keeps(self, fields: Sequence[str], of: str) -> list[str]:
+        """What is kept of a state: the simulator's own, and `fields`, or an error that names the task `of` whose
+        they are not."""
+        shapes = self.environment.table.shapes
+        for name in fields:
+            if name not in shapes:
+                raise ConfigError(
+                    f"job.fields names '{name}', which is no field of {of}."
+                    + suggestion(name, shapes)
+                )
+        return list(dict.fromkeys((*self.environment.parts.simulator.state_fields, *fields)))
+
+    def finished(self) -> bool:
+        return self._gathered.enough
+
+    def stage(self) -> str:
+        return self._gathered.stage()
+
+    def evaluate(
+        self, draw: str, episodes: int, *, give_up_below: float | None = None
+    ) -> Evaluation:
+        return self._gathered.evaluation()
+
+    def report(self) -> Mapping[str, int]:
+        return self._built.environment.parts.simulator.report() if self._built else {}
+
+    def load_learned(self, state: State, samples: int) -> None:
+        self._gathered.load_state_dict(state)
+
+    def forget_worlds(self) -> None:
+        self.environment.reset()
+
+    def close(self) -> None:
+        if self._built is not None:
+            self._built.environment.close()

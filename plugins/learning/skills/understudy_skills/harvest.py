@@ -14,20 +14,16 @@ from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.running.captured import Captured
-from understudy.running.environment import Environment
-from understudy.running.evaluation import Evaluation
-from understudy.running.jobs import Job
 from understudy.running.warm_start import newest_state
-from understudy.setup.building import Built, build_environment, build_policy, device_of
+from understudy.setup.building import build_environment, build_policy, device_of
 from understudy.setup.config import Experiment
 from understudy.task import Policy, State
 from understudy_reinforcement.start import load_part
 from understudy_skills.folder import run_folder
-from understudy_skills.gathered import Gathered
+from understudy_skills.gathered import Gathered, Gathering
 
 
-class Harvest(Job):
+class Harvest(Gathering):
     """Runs a finished run's policy in its own task until there are enough states of the wanted kind.
 
     The worlds' number, device and seed are those of this run, and so is the simulator where it sets one
@@ -64,7 +60,6 @@ class Harvest(Job):
                     "field that changes, other moments have none."
                 )
 
-    environment: Environment
     policy: Policy
 
     def __init__(self, options: Options, experiment: Experiment) -> None:
@@ -79,7 +74,6 @@ class Harvest(Job):
         found = self._source.experiment(experiment.registry, config)
         chosen = {**found.choices, "simulator": simulator or found.choices["simulator"]}
         self._experiment = replace(found, choices=chosen)
-        self._built: Built | None = None
         self._gathered = Gathered(options.count)
 
     def prepare(self) -> None:
@@ -89,13 +83,7 @@ class Harvest(Job):
         )
         self.environment = environment = built.environment
         simulator, table = environment.parts.simulator, environment.table
-        self._names = list(dict.fromkeys((*simulator.state_fields, *self.options.fields)))
-        for name in self._names:
-            if name not in table.shapes:
-                raise ConfigError(
-                    f"job.fields names '{name}', which is no field of {self.options.run}."
-                    + suggestion(name, table.shapes)
-                )
+        self._names = self._keeps(self.options.fields, self.options.run)
         field = self.options.field
         if field is not None and table.shapes.get(field) != ():
             known = [name for name, shape in table.shapes.items() if shape == ()]
@@ -122,7 +110,7 @@ class Harvest(Job):
         self._streams = WorldStreams(
             self._root.seed, "harvest", environment.num_worlds, self.device
         )
-        self._decide = Captured(self._advance, environment)
+        self._decide = simulator.replayed(self._advance, environment)
         self._age = torch.zeros(environment.num_worlds, device=self.device)
         self._begun = torch.zeros_like(self._age, dtype=torch.bool)  # by a decision
         self._kept: dict[str, Tensor] = {}  # of each world's present episode
@@ -199,17 +187,6 @@ class Harvest(Job):
             return f"changed job.field={options.field} to job.value={options.value:g}"
         return f"ended by job.ending={options.ending}"
 
-    def finished(self) -> bool:
-        return self._gathered.enough
-
-    def stage(self) -> str:
-        return self._gathered.stage()
-
-    def evaluate(
-        self, draw: str, episodes: int, *, give_up_below: float | None = None
-    ) -> Evaluation:
-        return self._gathered.evaluation()
-
     def products(self, run: Run) -> None:
         options = self.options
         about = {"run": options.run, "moment": options.moment, "kept": self._wanted()}
@@ -217,9 +194,6 @@ class Harvest(Job):
 
     def sources(self) -> Mapping[str, Any]:
         return {**self._source.info["sources"], "bank": {"run": self.options.run}}
-
-    def report(self) -> Mapping[str, int]:
-        return self._built.environment.parts.simulator.report() if self._built else {}
 
     def state_dict(self) -> State:
         return {
@@ -239,13 +213,6 @@ class Harvest(Job):
         self._kept = {name: value.to(self.device) for name, value in state["kept"].items()}
         self.load_learned(state, 0)
 
-    def load_learned(self, state: State, samples: int) -> None:
-        self._gathered.load_state_dict(state)
-
     def forget_worlds(self) -> None:
-        self.environment.reset()
+        super().forget_worlds()
         self._begun.zero_()
-
-    def close(self) -> None:
-        if self._built is not None:
-            self._built.environment.close()

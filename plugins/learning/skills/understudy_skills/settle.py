@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 
-from understudy.errors import ConfigError, TrainingError, suggestion
+from understudy.errors import TrainingError
 from understudy.options import check_range
 from understudy.records.runs import Run
-from understudy.running.environment import Environment
-from understudy.running.evaluation import Evaluation
-from understudy.running.jobs import Job
-from understudy.setup.building import Built, build_environment, device_of
+from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
-from understudy_skills.gathered import Gathered
+from understudy_skills.gathered import Gathered, Gathering
 
 
-class Settle(Job):
+class Settle(Gathering):
     """Begins the task's episodes, acts with zeros for some seconds, and keeps the states of those that did not
     end. A termination of any outcome discards; so do numbers that go wrong. It leaves the bank ``bank`` in its
     folder.
@@ -38,12 +34,9 @@ class Settle(Job):
             check_range(self, "count", "patience", least=1)
             check_range(self, "seconds", above=0, most=3600)
 
-    environment: Environment
-
     def __init__(self, options: Options, experiment: Experiment) -> None:
         self.options, self._experiment = options, experiment
         self.device = device_of(experiment.root.device)
-        self._built: Built | None = None
         self._gathered = Gathered(options.count)
 
     def prepare(self) -> None:
@@ -51,14 +44,7 @@ class Settle(Job):
         self._built = build_environment(self._experiment, episode_seconds=2.0 * seconds)
         self.environment = environment = self._built.environment
         self._decisions = max(1, math.ceil(seconds / environment.control_dt / environment.decision))
-        state = environment.parts.simulator.state_fields
-        self._names = list(dict.fromkeys((*state, *self.options.fields)))
-        for name in self._names:
-            if name not in environment.table.shapes:
-                raise ConfigError(
-                    f"job.fields names '{name}', which is no field of this task."
-                    + suggestion(name, environment.table.shapes)
-                )
+        self._names = self._keeps(self.options.fields, "this task")
         environment.reset()
 
     @torch.no_grad()
@@ -83,23 +69,9 @@ class Settle(Job):
             "discarded": float(gone.float().mean()),
         }
 
-    def finished(self) -> bool:
-        return self._gathered.enough
-
-    def stage(self) -> str:
-        return self._gathered.stage()
-
-    def evaluate(
-        self, draw: str, episodes: int, *, give_up_below: float | None = None
-    ) -> Evaluation:
-        return self._gathered.evaluation()
-
     def products(self, run: Run) -> None:
         scene = self._built.scene if self._built else None
         self._gathered.save(run, {"settled": f"{self.options.seconds:g} s"}, scene)
-
-    def report(self) -> Mapping[str, int]:
-        return self._built.environment.parts.simulator.report() if self._built else {}
 
     def state_dict(self) -> State:
         return {"environment": self.environment.state_dict(), **self._gathered.state_dict()}
@@ -107,13 +79,3 @@ class Settle(Job):
     def load_state_dict(self, state: State) -> None:
         self.environment.load_state_dict(state["environment"])
         self.load_learned(state, 0)
-
-    def load_learned(self, state: State, samples: int) -> None:
-        self._gathered.load_state_dict(state)
-
-    def forget_worlds(self) -> None:
-        self.environment.reset()
-
-    def close(self) -> None:
-        if self._built is not None:
-            self._built.environment.close()

@@ -33,6 +33,9 @@ PARTS = {
         "chopsticks/follow": ("relocate:Follow", "where everything shall be, by a plan of its own"),
         "chopsticks/object": ("relocate:Object", "the object in the palm, and errors"),
     },
+    "memory": {
+        "chopsticks/again": ("again:Again", "which plan is followed; made anew where one fails"),
+    },
     "encoder": {
         "chopsticks/state": ("control:State", "table 5.1"),
     },

@@ -8,8 +8,9 @@ m, rad, s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -37,7 +38,7 @@ from understudy_tool_planner.planner import (
     Plan,
     Planner,
 )
-from understudy_tool_planner.tasks import Table, random_goal
+from understudy_tool_planner.tasks import APART, Table, random_goal
 
 #: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, whether it is held, which
 #: relocation it is of, and 1 in that one's last frame.
@@ -49,6 +50,8 @@ RESTING = 0.3
 _TRIES = 20
 #: Relocations in an episode, at most.
 MOST = 8
+#: s that a plan made anew may take longer; m that an object that lies on the table may be off its height.
+LONGER, ON_TABLE = 3.0, 0.003
 
 
 class Bank:
@@ -65,33 +68,100 @@ class Bank:
                 "Relocation takes one grip. Set grip.name, grip.file or grip.style, and no grip.candidates."
             )
         self._shape = objects.Shape(thing.kind, thing.sizes)
+        below = made.scene.options.below
+        #: What the object is put upon, and how high that is, m.
+        self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
+        self._upon = 2.0 * self._below.height if self._below is not None else 0.0
         self._planner = Planner(made.grips[0], made.scene)
         self._device = context.device
         # An evaluation's plans are ones that no training follows.
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
-        self._relocations, self._noise = 1, 0.0
+        self._relocations, self._noise, self._spare = 1, 0.0, 0
+        self._missing: set[int] = set()
         self.frames = self.goals = self.lengths = torch.zeros(0)
 
-    def fill(self, count: int, seconds: float, relocations: int, noise: float) -> None:
+    def fill(
+        self, count: int, seconds: float, relocations: int, noise: float, later: bool = False
+    ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
-        take and put with an error of `noise` m."""
+        take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`)."""
         if len(self.frames):
             return
         self._relocations, self._noise = relocations, noise
         longest = relocations * seconds + (relocations - 1) * RESTING
-        self.frames = torch.zeros(count, round(longest / DT) + 1, _FRAME, device=self._device)
+        self._room = round(longest / DT) + 1
+        self.frames = torch.zeros(count, self._room, _FRAME, device=self._device)
         #: (P, L, 3) m
         self.goals = torch.zeros(count, relocations, 3, device=self._device)
         #: (P,) int64: the last frame.
         self.lengths = torch.zeros(count, dtype=torch.int64, device=self._device)
-        for row in range(count):
+        self._missing = set(range(count))
+        if not later:
+            self.need(range(count))
+        self._extend()
+
+    def need(self, rows: Iterable[int]) -> None:
+        """Make the plans `rows` that are not there yet; which they are depends on no other."""
+        for row in self._missing.intersection(rows):
+            self._drawn = row * _TRIES * MOST
             self.replace(row)
+        self._missing.difference_update(rows)
+
+    def spare(self, count: int) -> None:
+        """Keep so many rows more, which nobody draws, for plans that are made within episodes."""
+        self._spare = count
+        if len(self.frames):
+            self._extend()
+
+    def _extend(self) -> None:
+        if not self._spare:
+            return
+        self.drawn = len(self.frames)
+        count, longer = self._spare, self._room + round(LONGER / DT)
+        frames = torch.zeros(self.drawn + count, longer, _FRAME, device=self._device)
+        frames[: self.drawn] = self.frames[:, [*range(self._room), *[-1] * (longer - self._room)]]
+        self.frames = frames
+        self.goals = torch.cat([self.goals, self.goals[:1].repeat(count, 1, 1)])
+        self.lengths = torch.cat([self.lengths, self.lengths[:1].repeat(count)])
 
     def replace(self, row: int) -> None:
         """Put a new plan into a row, in place."""
+        plans = self._plans()
+        for leg, plan in enumerate(plans):
+            self.goals[row, leg] = plan.object[-1, :3].float().to(self._device)
+        self._put(row, plans, 0)
+
+    def again(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
+        """The row of `world` itself with the plan `row` made anew at its frame `frame`, without noise: from where arm
+        and sticks are planned then, and the object is, at `place` (3,) m turned by `turn` (4,). None where there is no such plan.
+        """
+        frame = min(frame, int(self.lengths[row]))
+        here = self.frames[row, frame].double().cpu()
+        leg = int(here[_LEG])
+        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
+            return None
+        goals = [(float(x), float(y)) for x, y in self.goals[row, leg:, :2]]
+        start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
+        plans: list[Plan] = []
+        try:
+            for k, goal in enumerate(goals):
+                table = Table((self._shape,), (start,), (heading,))
+                plan = self._planner.plan(table.task(0, goal), now, table.without(0), anew=k == 0)
+                plans.append(plan)
+                now, heading = plan.end, float(rotations.heading(plan.object[-1, 3:]))
+                start = goal
+        except NoPlan:
+            return None
+        own = self.drawn + world
+        self.goals[own] = self.goals[row].clone()
+        return own if self._put(own, plans, leg) else None
+
+    def _put(self, row: int, plans: list[Plan], first: int) -> bool:
+        """Write the frames of `plans`, whose first is the relocation number `first`; whether they had room."""
         parts: list[Tensor] = []
-        for leg, plan in enumerate(self._plans()):
+        for leg, plan in enumerate(plans, first):
             held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
             count = len(plan.angle)
             which, last = torch.full((count, 1), float(leg)), torch.zeros(count, 1)
@@ -102,11 +172,21 @@ class Bank:
                 frames = torch.cat([frames, frames[-1:].repeat(round(RESTING / DT), 1)])
             frames[-1, _LAST] = 1.0
             parts.append(frames)
-            self.goals[row, leg] = plan.object[-1, :3].float().to(self._device)
         frames = torch.cat(parts).to(self._device)
+        if len(frames) > self.frames.shape[1]:
+            return False
         self.frames[row, : len(frames)] = frames
         self.frames[row, len(frames) :] = frames[-1]
         self.lengths[row] = len(frames) - 1
+        return True
+
+    def _table(
+        self, start: tuple[float, float], heading: float, goal: tuple[float, float]
+    ) -> Table:
+        """The object, and at its goal what it is put upon."""
+        if self._below is None:
+            return Table((self._shape,), (start,), (heading,))
+        return Table((self._shape, self._below), (start, goal), (heading, 0.0))
 
     def _plans(self) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
@@ -125,6 +205,10 @@ class Bank:
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
             empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
+            if self._below is not None:
+                apart = self._shape.reach + self._below.reach + APART
+                if math.dist(start, goal) < apart:
+                    continue
             most = 0.25 if self._shape.kind == "capsule" else 0.5
             heading = most * float(torch.rand((), generator=stream)) * np.pi
             error = self._noise * torch.randn(3, generator=stream, dtype=torch.float64)
@@ -132,9 +216,10 @@ class Bank:
             if before is not None:
                 now, (x, y) = before.end, before.object[-1, :2].tolist()
                 start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
-            table = Table((self._shape,), (start,), (heading,))
+            table = self._table(start, heading, goal)
             try:
-                plan = self._planner.plan(table.task(0, goal), now, table.without(0), error)
+                task = table.task(0, goal, self._upon)
+                plan = self._planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
                 continue
@@ -167,14 +252,14 @@ def bank_of(context: Context, who: str) -> tuple[Gripping, Bank]:
 
 
 class Relocations(InitialStates):
-    """The sticks in the hand, open, and the object at the start of a plan that each world draws.
+    """The sticks in the hand, open, and the object at the start of a plan that each world draws; in an evaluation each from
+    a share of the bank of its own.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end;
-    ``plan_seconds`` () s, how long it lasts.
+    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
 
     rollout_fields = ("plan_row",)
-    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,), "plan_seconds": ()}
+    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,)}
 
     @dataclass(frozen=True)
     class Options:
@@ -200,12 +285,23 @@ class Relocations(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
+        self._evaluating = context.evaluating
         self._refill = 0 if context.evaluating else options.refill
-        self._bank.fill(options.plans, options.longest, options.relocations, options.noise)
+        if made.scene.options.below is not None and options.relocations > 1:
+            raise ConfigError(
+                f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
+                "another stays there. Set one of them alone."
+            )
+        self._bank.fill(
+            options.plans, options.longest, options.relocations, options.noise, context.evaluating
+        )
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
         self._start, self._velocity = start, torch.zeros(model.nv, device=device)
         self._at = int(model.joint("object").qposadr[0])
+        below = made.scene.options.below
+        self._under = None if below is None else int(model.joint("below").qposadr[0])
+        self._height = 0.0 if below is None else below.height
         #: Rows that may be drawn, then those that wait to be replaced.
         self._order = torch.arange(options.plans, device=device)
         self._waiting: list[int] = []
@@ -213,17 +309,24 @@ class Relocations(InitialStates):
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         free = len(self._order) - self._refill
-        place = (streams.uniform(1)[:, 0] * free).long().clamp(max=free - 1)
+        share = streams.uniform(1)[:, 0]
+        if self._evaluating:  # no two worlds the same plan, where there are as many: episodes that repeat tell nothing
+            share = (torch.arange(len(share), device=share.device) + share) / len(share)
+        place = (share * free).long().clamp(max=free - 1)
         row = self._order[place]
+        if self._evaluating:
+            self._bank.need(row.unique().tolist())
         thing = self._bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
+        if self._under is not None:
+            qpos[:, self._under : self._under + 2] = self._bank.goals[row, 0, :2]
+            qpos[:, self._under + 2] = self._height
         return {
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
             "plan_goal": self._bank.goals[row, -1],
-            "plan_seconds": DT * self._bank.lengths[row].float(),
         }
 
     def update(self, rollout: Rollout) -> dict[str, float]:
@@ -258,15 +361,18 @@ class Relocations(InitialStates):
 class Follow(Fields):
     """The plan that each world follows, at its time: what ``chopsticks/plan`` gives, and the object.
 
+    - ``plan_time`` () s, since the plan began, and ``plan_lasts`` () s, how long it is
     - ``planned_object`` (7,): where the object shall be, in the world; ``planned_held`` () 1 while the sticks hold it
     - ``planned_goal`` (3,) m, of the relocation that is on; ``planned_leg`` () its number, from 0; ``leg_over`` () 1
       in its last frame
     - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
-    reads = ("plan_row", "episode_time", "xpos", "xquat")
+    reads = ("followed", "plan_since", "plan_stopped", "episode_time", "xpos", "xquat")
     provides: Mapping[str, Shape] = {
         **PLANNED,
+        "plan_time": (),
+        "plan_lasts": (),
         "planned_object": (7,),
         "planned_held": (),
         "planned_goal": (3,),
@@ -302,12 +408,20 @@ class Follow(Fields):
         self._palm = self._gripping.scene.model.body("palm").id
 
     def compute(
-        self, plan_row: Tensor, episode_time: Tensor, xpos: Tensor, xquat: Tensor
+        self,
+        followed: Tensor,
+        plan_since: Tensor,
+        plan_stopped: Tensor,
+        episode_time: Tensor,
+        xpos: Tensor,
+        xquat: Tensor,
     ) -> dict[str, Tensor]:
-        made = self._gripping
-        row = plan_row.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
-        frame = (episode_time / DT).round().long()[:, None] + self._steps
-        here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
+        made, goes = self._gripping, plan_stopped < 0
+        time = torch.where(goes, episode_time - plan_since, plan_stopped)
+        row = followed.long().clamp(0, len(self._bank.goals) - 1)  # a number that went wrong
+        frame = (time / DT).round().long()[:, None] + goes[:, None] * self._steps
+        here = self._bank.at(row, frame)
+        after = self._bank.at(row, frame + goes[:, None])
         arm, angle = here[..., :7], here[..., 7]
         turning = (after[..., 7] - angle) / DT
         hand, slope = made.at(made.poses, angle)
@@ -316,7 +430,7 @@ class Follow(Fields):
         lower = made.lower.expand(*angle.shape, 7)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
-        held, now = here[:, 0, _HELD], lower[:, 0]
+        held, now = here[:, 0, _HELD] * goes, lower[:, 0]
         targets, _ = made.at(made.targets, angle[:, 0] + self._squeeze * held)
         palm, turn = xpos[:, self._palm, None], xquat[:, self._palm, None]
         thing, leg = here[:, 1:, _OBJECT], here[:, 0, _LEG]
@@ -330,6 +444,8 @@ class Follow(Fields):
             "planned_upper": torch.cat(upper_pose(now[:, :3], now[:, 3:], angle[:, 0]), dim=1),
             "planned_lower": now,
             "plan_ahead": torch.cat([pose, velocity, gripper], dim=-1)[:, 1:],
+            "plan_time": time,
+            "plan_lasts": DT * self._bank.lengths[row].float(),
             "planned_object": here[:, 0, _OBJECT],
             "planned_held": held,
             "planned_goal": self._bank.goals[row, leg.long()],
@@ -355,12 +471,12 @@ class Object(Fields):
     - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal
     - ``plan_over`` () 1 once the plan has ended
     - ``legs_placed`` (8,) 1 in the moment at which that relocation is over and its object within `within` m;
-      ``leg_placed`` () 1 where any is
+      ``leg_placed`` () 1 where any is, ``leg_missed`` () 1 where one is over and its object elsewhere
     """
 
     reads = (
         "qpos", "qvel", "xpos", "xquat", "planned_object", "planned_goal", "planned_leg", "leg_over",
-        "plan_seconds", "episode_time",
+        "plan_lasts", "plan_time", "plan_stopped",
     )  # fmt: skip
     provides: Mapping[str, Shape] = {
         "object_state": (13,),
@@ -371,6 +487,7 @@ class Object(Fields):
         "plan_over": (),
         "legs_placed": (MOST,),
         "leg_placed": (),
+        "leg_missed": (),
     }
 
     @dataclass(frozen=True)
@@ -403,18 +520,20 @@ class Object(Fields):
         planned_goal: Tensor,
         planned_leg: Tensor,
         leg_over: Tensor,
-        plan_seconds: Tensor,
-        episode_time: Tensor,
+        plan_lasts: Tensor,
+        plan_time: Tensor,
+        plan_stopped: Tensor,
     ) -> dict[str, Tensor]:
         place, rotation = qpos[:, self._at : self._at + 3], qpos[:, self._at + 3 : self._at + 7]
         speed = qvel[:, self._dof : self._dof + 3]
         spin = rotations.rotate(rotation, qvel[:, self._dof + 3 : self._dof + 6])
         palm, turn = xpos[:, self._palm], xquat[:, self._palm]
         away = (place - planned_goal).norm(dim=-1)
-        over = episode_time >= plan_seconds + self._options.settle - 0.5 * DT
+        goes = plan_stopped < 0
+        over = goes & (plan_time >= plan_lasts + self._options.settle - 0.5 * DT)
         turned = rotations.angle_between(rotation, planned_object[:, 3:])
         # The last one is judged when the plan is over, the others in their last frame.
-        done = torch.where(episode_time < plan_seconds - 0.5 * DT, leg_over > 0, over)
+        done = torch.where(plan_time < plan_lasts - 0.5 * DT, goes & (leg_over > 0), over)
         there = done & (away <= self._options.within)
         legs = planned_leg.long()[:, None] == self._legs
         return {
@@ -427,13 +546,15 @@ class Object(Fields):
                 ],
                 dim=-1,
             ),
-            "object_distance": (place - planned_object[:, :3]).norm(dim=-1),
+            # Where a plan has stopped there is none for the object.
+            "object_distance": (place - planned_object[:, :3]).norm(dim=-1) * goes,
             "object_turn": torch.zeros_like(turned) if self._round else turned,
             "goal_distance": away,
             "object_placed": (over & (away <= self._options.within)).float(),
             "plan_over": over.float(),
             "legs_placed": (there[:, None] & legs).float(),
             "leg_placed": there.float(),
+            "leg_missed": (done & ~there).float(),
         }
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
+from understudy.running.environment import Environment
 from understudy.task import Context, Shape, Simulator
 from understudy_composite.couplings import Coupling
 from understudy_composite.scene import CompositeScene
+from understudy_tensors.captured import Captured
 
 
 class CompositeSimulator(Simulator):
@@ -167,6 +169,9 @@ class CompositeSimulator(Simulator):
                 for coupling, columns in couplings:
                     own.index_copy_(1, columns, coupling.control(**self._take(coupling)))
                 member.step(own)
+
+    def replayed(self, work: Callable[[Tensor], Any], environment: Environment) -> Captured[Any]:
+        return Captured(work, environment)
 
     def failed(self) -> Tensor:
         result = torch.zeros(self._n, dtype=torch.bool, device=self._device)

@@ -1,6 +1,6 @@
 """MuJoCo Warp: the same scenes as MuJoCo on the CPU, with all worlds on one GPU."""
 
-REQUIRES = ("mujoco", "warp_torch")
+REQUIRES = ("mujoco", "tensors", "warp_torch")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

@@ -14,12 +14,14 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
+from understudy.running.environment import Environment
 from understudy.task import Context, Shape, Simulator
 from understudy_mujoco.fields import RECENT, Stage, limits, often, readable
 from understudy_mujoco.parameters import MOCAP, Parameter, chosen, parameters
 from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco_warp.capacity import constraint_capacity, contact_capacity
 from understudy_mujoco_warp.narrow import refuse_narrow_ranges
+from understudy_tensors.captured import Captured
 from understudy_warp_torch.kernels import Kernels, put_rows
 
 try:
@@ -318,6 +320,9 @@ class MujocoWarpSimulator(Simulator):
         if self._limited:
             force = self._views["actuator_force"].abs()
             self._reached[1] += (force >= self._limits).sum()
+
+    def replayed(self, work: Callable[[Tensor], Any], environment: Environment) -> Captured[Any]:
+        return Captured(work, environment)
 
     def failed(self) -> Tensor:
         self._asked = True

@@ -1,7 +1,7 @@
 """Position-based dynamics of particles in Warp, N worlds at once."""
 
 #: Plugins that this one builds on: pictures are drawn with the renderer that `mujoco` has chosen.
-REQUIRES = ("mujoco", "warp_torch")
+REQUIRES = ("mujoco", "tensors", "warp_torch")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

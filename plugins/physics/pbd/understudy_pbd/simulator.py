@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,10 +14,12 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
+from understudy.running.environment import Environment
 from understudy.task import Context, Shape, Simulator
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
+from understudy_tensors.captured import Captured
 from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.shapes import build_tools
 from understudy_warp_torch.world_state import WorldState
@@ -330,6 +332,9 @@ class ParticleSimulator(Simulator):
         self._control.copy_(control)
         changed = (*self._worlds.state.values(), self._overflow)
         self._warp.run(count, lambda: self._advance(count), changed)
+
+    def replayed(self, work: Callable[[Tensor], Any], environment: Environment) -> Captured[Any]:
+        return Captured(work, environment)
 
     def failed(self) -> Tensor:
         return self._worlds.failed()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from understudy.running.environment import rows
+from understudy.running.environment import Environment, rows
 from understudy.task import Simulator
+from understudy_tensors.captured import Captured
 
 __all__ = ["TensorSimulator"]
 
@@ -38,3 +40,6 @@ class TensorSimulator(Simulator):
             some = next(iter(self._state.values()))
             worlds = torch.ones(len(some), dtype=torch.bool, device=some.device)
         self.set_state(worlds, snapshot)
+
+    def replayed(self, work: Callable[[Tensor], Any], environment: Environment) -> Captured[Any]:
+        return Captured(work, environment)

@@ -6,10 +6,10 @@ import csv
 import io
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from markupsafe import Markup
 
@@ -20,10 +20,11 @@ from understudy_report import words
 from understudy_report.markup import check_markup, piece
 from understudy_report.page import html_page
 from understudy_report.values import mapping
-from understudy_reproduce.tables import Figure, PaperTable, variant_name
-from understudy_sweeps.intervals import UNDECIDED, mean_of, verdict
+from understudy_reproduce.records import recorded
+from understudy_reproduce.tables import Figure, PaperTable, Printed, variant_name
+from understudy_sweeps.intervals import FAILS, UNDECIDED, mean_of, verdict, verdict_between
 from understudy_sweeps.journal import Journal
-from understudy_sweeps.results import SAMPLES, SECONDS, SUCCESS, Result, Results
+from understudy_sweeps.results import OBJECTIVE, SAMPLES, SECONDS, SUCCESS, Result, Results
 from understudy_sweeps.tables import Table, in_markdown, shown_mean
 
 _INTERVALS = (
@@ -39,6 +40,16 @@ class Cell:
     """The trials of one row and column."""
 
     results: Sequence[Result]
+    less: str = ""  #: how far they fall short of what the table asks for, in words
+
+    def by_seed(self, figure: str) -> dict[int, float]:
+        """As `values`; and of samples, those that a training had that missed its criterion."""
+        found = {r.trial.seed or 0: r.figure(figure) for r in self.results}
+        return {seed: value for seed, value in found.items() if value is not None}
+
+    def missed(self, figure: str) -> bool:
+        """Whether a training did not meet its criterion, so that it needs more samples than it had."""
+        return figure == SAMPLES and any(r.ok and r.state != "criterion" for r in self.results)
 
     def values(self, figure: str) -> list[float]:
         """One a finished seed; samples only of those that met their criterion."""
@@ -62,14 +73,21 @@ class Cell:
             parts.append(f"{failed} failed")
         return "; ".join(parts) or _NOTHING
 
-    def verdict(self, figure: Figure, printed: Any) -> str:
-        """Whether ours is better than the paper's number; "" where there is none. Samples of a training that
-        missed its criterion are more than it had, which decides nothing."""
-        if figure.better is None or not isinstance(printed, int | float):
-            return ""
-        missed = figure.of == SAMPLES and any(r.ok and r.state != "criterion" for r in self.results)
-        found = verdict(self.values(figure.of), float(printed), figure.better)
-        return UNDECIDED if missed and found else found
+    def verdict(self, figure: str, than: float, better: Literal["less", "more"]) -> str:
+        """Whether ours is less, or more, `than` a number; "" of none. Samples of a training that missed its
+        criterion are more than it had, which decides nothing."""
+        found = verdict(self.values(figure), than, better)
+        return UNDECIDED if self.missed(figure) and found else found
+
+    def verdict_beside(self, other: Cell, figure: str, better: Literal["less", "more"]) -> str:
+        """Whether ours is less, or more, than what the `other` has. What missed its criterion counts with the samples
+        that it had, where more would say the same."""
+        if self.less != other.less:
+            return ""  # trained otherwise
+        found = verdict_between(self.by_seed(figure), other.by_seed(figure), better)
+        ours, theirs = self.missed(figure), other.missed(figure)
+        unknown = (ours if better == "less" else theirs) or (found == FAILS and (ours or theirs))
+        return UNDECIDED if found and unknown else found
 
     @property
     def minutes(self) -> float:
@@ -78,23 +96,32 @@ class Cell:
 
 
 class Card:
-    """The card of `table`, of whatever the sweep in `folder` has finished."""
+    """The card of `table`, of whatever the sweep in `folder` has finished, and, where that lacks a training, the
+    folder of `records`."""
 
-    def __init__(self, name: str, table: PaperTable, folder: Path) -> None:
+    def __init__(
+        self, name: str, table: PaperTable, folder: Path, records: Path | None = None
+    ) -> None:
         self.name, self.table, self.folder = name, table, folder
         results = Results(folder).of(Journal.read(folder / "journal.jsonl"))
         seeds = set(table.seeds)
+        here = [r for r in results if r.trial.seed in seeds]
+        known = {} if records is None else recorded(table, records)
+        for result in here:  # what was begun here is not hidden by what is recorded
+            known.pop(result.trial.key, None)
+        self.recorded = {key: record for key, (record, _) in known.items()}
+        every = [*here, *(result for _, result in known.values())]
         self.cells = {
-            (row, column): Cell(
-                [
-                    r
-                    for r in results
-                    if r.trial.variant == variant_name(row, column) and r.trial.seed in seeds
-                ]
-            )
+            (row, column): self._cell(every, variant_name(row, column))
             for row in table.rows
             for column in table.columns
         }
+        self._by_name = {variant_name(*at): cell for at, cell in self.cells.items()}
+
+    def _cell(self, results: Sequence[Result], variant: str) -> Cell:
+        own = [r for r in results if r.trial.variant == variant]
+        less = (self.recorded[k].less for r in own if (k := r.trial.key) in self.recorded)
+        return Cell(own, "; ".join(dict.fromkeys(filter(None, less))))
 
     # ------------------------------------------------------------------ what it says
 
@@ -111,44 +138,85 @@ class Card:
             "(building and evaluating not counted)."
         )
 
-    def compared(self) -> Iterator[str]:
-        """A line for each cell that the paper has: its number, ours, and the verdict."""
-        figure = self.table.figures[0]
-        for row, cells in self.table.paper.items():
-            for column, number in cells.items():
-                cell = self.cells[row, column]
-                said = cell.verdict(figure, number)
+    def state(self) -> str:
+        """How much of the table is finished: ``done``, ``partly``, ``in small``, where all of it falls short of what
+        the table asks for, or ``not begun``; and by how many trainings."""
+        asked = len(self.table.variants()) * len(self.table.seeds)
+        done = {r.trial.key: r for cell in self.cells.values() for r in cell.results if r.ok}
+        small = [key for key in done if key in self.recorded and self.recorded[key].less]
+        on_record = len([key for key in done if key in self.recorded])
+        what = "searches" if self.table.searches else "trainings"
+        short = f", {len(small)} in small" if small else ""
+        word = (
+            "not begun" if not done
+            else "in small" if len(small) == len(done)
+            else "done" if len(done) == asked and not small
+            else "partly"
+        )  # fmt: skip
+        return f"{word}: {len(done)} of {asked} {what}, {on_record} of them on record{short}"
+
+    def verdict(self, row: str, column: str) -> str:
+        """On what the paper says of a cell; "" where nothing tells, or ours has nothing."""
+        one, cell = self.table.printed(row, column), self.cells[row, column]
+        figure = self._figure(one).of
+        for better, than in (("less", one.less), ("more", one.more)):
+            if isinstance(than, str):
+                other = self._by_name.get(self.table.other(than, row, column))
+                return cell.verdict_beside(other, figure, better) if other else ""
+            if than is not None:
+                return cell.verdict(figure, than, better)
+        return ""
+
+    def verdicts(self) -> Iterator[tuple[str, str, str, str]]:
+        """For each cell that the paper or we have: its name, what the paper says, ours, and the verdict."""
+        for (row, column), cell in self.cells.items():
+            one = self.table.printed(row, column)
+            if one.says is not None or cell.results:
+                figure = self._figure(one)
                 ours = cell.text(figure)
-                where = row if len(self.table.columns) == 1 else f"{row}, {column}"
-                yield f"{where}: paper {_printed(number)}; ours {ours}{f'; {said}' if said else ''}"
+                if one.of and ours != _NOTHING:
+                    ours = f"{one.of.replace('_', ' ')} {ours}"
+                ours += f" ({cell.less})" if cell.less else ""
+                name = row if len(self.table.columns) == 1 else f"{row}, {column}"
+                yield name, _claimed(one), ours, self.verdict(row, column)
+
+    def _figure(self, one: Printed) -> Figure:
+        """The one that is compared: what it names, else the table's first, of searches the best value."""
+        named = {figure.of: figure for figure in self.table.figures}
+        first = Figure(OBJECTIVE) if self.table.searches else self.table.figures[0]
+        return named.get(one.of, Figure(one.of)) if one.of else first
+
+    def compared(self) -> Iterator[str]:
+        """A line for each cell that the paper or we have."""
+        for where, printed, ours, said in self.verdicts():
+            yield f"{where}: paper {printed}; ours {ours}{f'; {said}' if said else ''}"
 
     def tables(self) -> Iterator[tuple[str, Table]]:
         """A table for each figure, the paper's first."""
         for figure in self.table.figures:
-            printed = self.table.paper if figure is self.table.figures[0] else {}
-            yield _title(figure), self._of(figure, printed)
+            yield _title(figure), self._of(figure, figure is self.table.figures[0])
         rows = [
             [row, *(f"{self.cells[row, column].minutes:.1f}" for column in self.table.columns)]
             for row in self.table.rows
         ]
         yield "Minutes of training, all seeds", Table(["", *self.table.columns], rows)
 
-    def _of(self, figure: Figure, printed: Mapping[str, Mapping[str, Any]]) -> Table:
+    def _of(self, figure: Figure, is_papers: bool) -> Table:
         heads, columns = [""], []
         for column in self.table.columns:
-            of_paper = any(column in cells for cells in printed.values())
+            said = [self.table.printed(row, column) for row in self.table.rows] if is_papers else []
+            of_paper = any(one.says is not None for one in said)
+            judged = any(one.less is not None or one.more is not None for one in said)
             own = [f"{column}, paper", f"{column}, ours"] if of_paper else [column]
-            heads += [*own, "verdict"] if of_paper and figure.better else own
-            columns.append((column, of_paper))
+            heads += [*own, "verdict"] if judged else own
+            columns.append((column, of_paper, judged))
         rows = []
         for row in self.table.rows:
             cells = [row]
-            for column, of_paper in columns:
-                number = printed.get(row, {}).get(column)
-                cells += [_printed(number)] if of_paper else []
+            for column, of_paper, judged in columns:
+                cells += [_printed(self.table.printed(row, column).says)] if of_paper else []
                 cells.append(self.cells[row, column].text(figure))
-                if of_paper and figure.better:
-                    cells.append(self.cells[row, column].verdict(figure, number) or _NOTHING)
+                cells += [self.verdict(row, column) or _NOTHING] if judged else []
             rows.append(cells)
         return Table(heads, rows)
 
@@ -211,7 +279,7 @@ class Card:
         for (row, column), cell in self.cells.items():
             for figure in self.table.figures:
                 first = figure is self.table.figures[0]
-                printed = self.table.paper.get(row, {}).get(column) if first else None
+                printed = self.table.printed(row, column).says if first else None
                 mean = mean_of(cell.values(figure.of))
                 found = (mean.value, mean.low, mean.high, mean.count) if mean else ("", "", "", 0)
                 writer.writerow(
@@ -223,6 +291,15 @@ class Card:
 
 def _title(figure: Figure) -> str:
     return figure.title or figure.of.replace("_", " ")
+
+
+def _claimed(one: Printed) -> str:
+    """What the paper says; and where that is no number, what is told of ours."""
+    beside = {"less than": one.less, "more than": one.more}
+    told = [
+        f"{way} {words.text(than)}" for way, than in beside.items() if than not in (None, one.says)
+    ]
+    return _printed(one.says) + (f" ({told[0]})" if told else "")
 
 
 def _printed(number: Any) -> str:

@@ -37,19 +37,28 @@ class Reproduce(Command):
         parser.add_argument(
             "--card", action="store_true", help="train nothing: the card of what is there"
         )
+        parser.add_argument(
+            "--records",
+            type=Path,
+            default=Path("docs/benchmarks"),
+            metavar="FOLDER",
+            help="of the list: trainings that were run elsewhere (docs/benchmarks, as of a clone)",
+        )
 
     def run(self, options: argparse.Namespace) -> int:
         plugins = installed()
         if options.table is None:
             for name in table_files(plugins):
                 try:
-                    print("\n    ".join(listed(name, load_table(name, plugins))))
+                    print("\n    ".join(listed(name, load_table(name, plugins), options.records)))
                 except UnderstudyError as error:
                     print(f"{name} cannot be used: {error}")
             return 0
         whole = load_table(options.table, plugins)
         _refuse_what_is_not_used(options.overrides, card=options.card and not whole.searches)
         table = whole.only(options.rows, options.columns, options.seeds)
+        if whole.command:
+            raise ConfigError(f"{options.table} is made by another command: {whole.command}")
         folder = folder_of(options.table)
         for override in options.overrides:
             if override.lstrip("+").startswith("run.dir="):
@@ -94,18 +103,11 @@ def folder_of(name: str) -> Path:
     return Path("runs") / "reproduce" / name
 
 
-def listed(name: str, table: PaperTable) -> list[str]:
-    """The table in lines: what it is, what of it was run here and came out, and what it takes."""
-    lines = [f"{name}: {table.title} ({table.source})"]
-    if table.searches:
-        searches = len(table.variants()) * len(table.seeds)
-        lines.append(
-            f"{searches} searches; `understudy reproduce {name} --card` compares what is there"
-        )
-    else:
-        card = Card(name, table, folder_of(name))
-        lines.append(card.headline())
-        lines += card.compared()
+def listed(name: str, table: PaperTable, records: Path) -> list[str]:
+    """The table in lines: what it is, what of it was run, here or on `records`, what came out, and what it takes."""
+    card = Card(name, table, folder_of(name), records)
+    lines = [f"{name}: {table.title} ({table.source})", card.state(), *card.compared()]
+    lines += [f"made by: {table.command}"] if table.command else []
     lines += [f"takes: {table.cost}"] if table.cost else []
     lines += [f"needs first: {table.needs}"] if table.needs else []
     lines += [f"not run yet: {table.open}"] if table.open else []

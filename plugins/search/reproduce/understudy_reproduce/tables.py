@@ -23,11 +23,47 @@ FOLDER = "reproduction"
 class Figure:
     """A number that is read off every trial."""
 
-    of: str  #: ``samples``, ``success_rate``, ``objective``, ``seconds``, or a measure
+    #: ``samples``, ``success_rate``, ``objective``, ``seconds``, a measure, or ``metrics/NAME``: a metric's last value.
+    of: str
     title: str = ""  #: in words; empty is the name
     share: bool = False  #: whether it is of episodes, and so in per cent, as every success is
     #: Which way is better than the number that the paper prints: verdicts say whether ours is; null gives none.
     better: Literal["less", "more"] | None = None
+
+
+@dataclass(frozen=True)
+class Record:
+    """A file of trainings that were run elsewhere: the journal of a sweep, or with ``by`` rows of CSV or JSON."""
+
+    cells: Mapping[str, str] = field(
+        default_factory=dict
+    )  #: what it calls cells, ROW/COLUMN, otherwise
+    less: str = ""  #: in words: how far its trainings fall short of the table's
+    by: tuple[str, ...] = ()  #: of a row: the dotted paths of the words that make the cell's name
+    values: Mapping[str, str] = field(default_factory=dict)  #: of a row: by figure, its path
+    where: Mapping[str, str] = field(
+        default_factory=dict
+    )  #: of a row: by path, what it must say to count
+    seed: str = "seed"  #: of a row: the path of its seed; 0 where it has none
+
+    def __post_init__(self) -> None:
+        if bool(self.by) != bool(self.values):
+            raise ValueError("by and values belong together.")
+
+
+@dataclass(frozen=True)
+class Printed:
+    """What the paper has of a cell, and how it is told whether that holds of ours."""
+
+    says: Any = None  #: its number, or its words
+    of: str = ""  #: the figure that is compared; empty is the first
+    #: That ours is less, or more, than a number or another cell: a column, a row, or ROW/COLUMN.
+    less: float | str | None = None
+    more: float | str | None = None
+
+    def __post_init__(self) -> None:
+        if self.less is not None and self.more is not None:
+            raise ValueError("less and more cannot both be given.")
 
 
 @dataclass(frozen=True)
@@ -45,7 +81,7 @@ class PaperTable:
     rows: Mapping[str, tuple[str, ...]]
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"ours": ()})
     figures: tuple[Figure, ...] = (Figure("success_rate"),)
-    #: By row and column: the number that the paper prints, or its words.
+    #: By row and column: the number that the paper prints, or its words, alone or as `Printed`.
     paper: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0, 1, 2)
     overrides: tuple[str, ...] = ()
@@ -55,6 +91,10 @@ class PaperTable:
     cost: str = ""  #: what all of it takes, in words: samples, minutes, and on what
     needs: str = ""  #: what must be trained before, as a command
     open: str = ""  #: what of it nobody has run yet, in words
+    #: By file in the folder of records, docs/benchmarks of a clone: the trainings of this table that are there.
+    records: Mapping[str, Record] = field(default_factory=dict)
+    #: The command that makes it, where that is not a sweep of ours; the table is then listed and not run.
+    command: str = ""
     searches: bool = False  #: whether each cell is a search with an outer loop of its own
 
     def __post_init__(self) -> None:
@@ -65,10 +105,33 @@ class PaperTable:
                 raise ValueError(
                     f"the name {name!r} has other signs than letters, digits, _, - and ."
                 )
+        for name in self.records:
+            if Path(name).is_absolute() or ".." in Path(name).parts:
+                raise ValueError(f"records names '{name}', which is not in the folder of records.")
         for row, cells in self.paper.items():
             unknown = [c for c in cells if c not in self.columns] if row in self.rows else [row]
             if unknown:
                 raise ValueError(f"paper names '{unknown[0]}', which is no row or column.")
+            for column in cells:
+                self.printed(row, column)
+
+    def printed(self, row: str, column: str) -> Printed:
+        """What the paper has of a cell; where it has nothing, ``says`` is None."""
+        cell = self.paper.get(row, {}).get(column)
+        if isinstance(cell, Mapping):
+            return make_options(Printed, cell, f"paper.{row}.{column}")
+        better = self.figures[0].better
+        if better is None or not isinstance(cell, int | float):
+            return Printed(cell)
+        return Printed(cell, **{better: float(cell)})
+
+    def other(self, name: str, row: str, column: str) -> str:
+        """The cell that `row` and `column` have beside them by the `name` of a column, a row, or ROW/COLUMN."""
+        return (
+            name if "/" in name
+            else variant_name(row, name) if name in self.columns
+            else variant_name(name, column)
+        )  # fmt: skip
 
     def variants(self) -> dict[str, tuple[str, ...]]:
         """By name: what is trained, row by row."""

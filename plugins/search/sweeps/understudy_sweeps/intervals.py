@@ -10,7 +10,7 @@ from typing import Literal
 
 from scipy.special import stdtr, stdtrit
 
-__all__ = ["UNDECIDED", "mean_of", "paired_difference", "verdict"]
+__all__ = ["UNDECIDED", "mean_of", "paired_difference", "verdict", "verdict_between"]
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,32 @@ def verdict(values: Sequence[float], than: float, better: Literal["less", "more"
     """Whether what the `values` are drawn around is less, or more, `than` a number; "" of none."""
     if len(values) < 2:
         return ONE if values else ""
-    ahead = statistics.fmean(values) - than if better == "more" else than - statistics.fmean(values)
-    spread = statistics.stdev(values) / math.sqrt(len(values))
-    p = 2 * float(stdtr(len(values) - 1, -abs(ahead) / spread)) if spread > 0 else float(ahead == 0)
+    more = statistics.fmean(values) - than
+    error = statistics.stdev(values) / math.sqrt(len(values))
+    return _told(more if better == "more" else -more, error, len(values) - 1)
+
+
+def verdict_between(
+    ours: Mapping[int, float], theirs: Mapping[int, float], better: Literal["less", "more"]
+) -> str:
+    """Whether `ours` are less, or more, than `theirs`, each by seed; "" where one has none. Seed by seed where two
+    or more are of both, else as two samples (Welch's t)."""
+    fewest = min(len(ours), len(theirs))
+    if fewest < 2:
+        return ONE if fewest else ""
+    both = [ours[seed] - theirs[seed] for seed in ours if seed in theirs]
+    if len(both) > 1:
+        return verdict(both, 0.0, better)
+    first, second = list(ours.values()), list(theirs.values())
+    more = statistics.fmean(first) - statistics.fmean(second)
+    parts = [statistics.variance(v) / len(v) for v in (first, second)]
+    down = sum(part**2 / (len(v) - 1) for part, v in zip(parts, (first, second), strict=True))
+    degrees = sum(parts) ** 2 / down if down > 0 else 1.0
+    return _told(more if better == "more" else -more, math.sqrt(sum(parts)), degrees)
+
+
+def _told(ahead: float, error: float, degrees: float) -> str:
+    p = 2 * float(stdtr(degrees, -abs(ahead) / error)) if error > 0 else float(ahead == 0)
     return UNDECIDED if p >= 0.05 else HOLDS if ahead > 0 else FAILS
 
 

@@ -18,6 +18,8 @@ __all__ = ["SAMPLES", "SECONDS", "SUCCESS", "Result", "Results"]
 
 #: Figures of every trial beside its measures.
 SUCCESS, OBJECTIVE, SAMPLES, SECONDS = "success_rate", "objective", "samples", "seconds"
+#: Before the name of a training's metric: a figure of its last value.
+METRICS = "metrics/"
 #: The share of episodes whose numbers went wrong, a measure of the trials that had some.
 UNSOUND = "unsound"
 
@@ -49,7 +51,13 @@ class Result:
     @property
     def seconds(self) -> float | None:
         """Of training, over all resumes."""
-        return next((s for row in self.rows[::-1] if (s := number(row.get("seconds")))), None)
+        return self._last(SECONDS)
+
+    def _last(self, name: str) -> float | None:
+        """The last value of a metric."""
+        return next(
+            (x for row in self.rows[::-1] if (x := number(row.get(name))) is not None), None
+        )
 
     @property
     def worth(self) -> float | None:
@@ -58,9 +66,12 @@ class Result:
         return objective if objective is None else number(self.said.get("y", objective))
 
     def figure(self, name: str) -> float | None:
-        """``objective``, ``samples``, ``seconds``, or a measure; None where it has none."""
+        """``objective``, ``samples``, ``seconds``, a measure, or ``metrics/NAME``, the last value of that
+        metric; None where it has none."""
         if self.report is None or not self.ok:
             return None
+        if name.startswith(METRICS):
+            return self._last(name.removeprefix(METRICS))
         found = {OBJECTIVE: self.report.objective, SAMPLES: self.report.cost, SECONDS: self.seconds}
         none = 0.0 if name == UNSOUND else None
         return number(found.get(name, self.report.measures.get(name, none)))

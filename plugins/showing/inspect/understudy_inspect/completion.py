@@ -92,7 +92,7 @@ def words(line: str, plugins: Plugins) -> list[str]:
 
 
 def _words(before: Sequence[str], last: str, plugins: Plugins) -> Iterator[str]:
-    commands = ["train", "resume", *plugins.registry.names("command")]
+    commands = plugins.registry.names("command")
     typed = " ".join(before)
     if typed not in commands:
         start = f"{typed} " if typed else ""

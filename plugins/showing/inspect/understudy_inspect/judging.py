@@ -15,7 +15,6 @@ from typing import Any
 import yaml
 
 from understudy.command.command import Command
-from understudy.command.workflow import judge, tell
 from understudy.errors import ConfigError, RunError
 from understudy.records import checkpoint, runs
 from understudy.records.checkpoint import write_atomically
@@ -25,6 +24,7 @@ from understudy.setup.composition import compose_raw, replaced
 from understudy.setup.plugins import installed
 from understudy_inspect.half_step import compared
 from understudy_skills.folder import run_folder
+from understudy_training.workflow import judge, tell
 
 __all__ = ["load"]
 

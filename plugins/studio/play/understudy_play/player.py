@@ -45,12 +45,15 @@ class World(ABC):
         self._mass, self._alone = 0.0, False
         if isinstance(self.scene, MujocoScene):
             model = self.scene.spec().compile()
-            self._mass, self._alone = float(model.body_mass.sum()), _alone(model)
+            if model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE:  # not a hand's arm
+                self._mass, self._alone = float(model.body_mass.sum()), _alone(model)
         self.restart()
 
     @property
     def fallen(self) -> str:
-        """How often, in words; and whether it is down now."""
+        """How often, in words; and whether it is down now. What has no character with a free root fails instead."""
+        if not self._mass:
+            return f"{self.falls or 'no'} failure{'s' if self.falls > 1 else ''}"
         if self.falls:
             return f"{self.falls} fall{'s' if self.falls > 1 else ''}"
         if (height := self._root_height()) < _DOWN * self._height:

@@ -9,14 +9,13 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from understudy.running.captured import Captured
 from understudy.running.environment import Step
 from understudy.running.evaluation import Evaluation, Measured
-from understudy.running.success import success_of
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Experiment
 from understudy.task import Context, Policy
 from understudy.task.terms import Reduction
+from understudy_reinforcement.success import success_of
 
 __all__ = ["Evaluator"]
 
@@ -89,7 +88,7 @@ class Evaluator:
         self._reducers = {"return": Reducer("sum", n, device)}
         for term in environment.parts.measures:
             self._reducers[term.name] = Reducer(term.reduce, n, device)
-        self._step = Captured(self._judge, environment)
+        self._step = environment.parts.simulator.replayed(self._judge, environment)
         own = self.built.context
         self._starts = {c.name: c.build(own) for c in experiment.many("evaluation.starts")}
 

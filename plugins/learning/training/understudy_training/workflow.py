@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Iterator, Sequence
+
+import torch
 
 from understudy import distributed
 from understudy.errors import RunError, shown
@@ -46,6 +49,9 @@ def train(overrides: Sequence[str]) -> int:
 def resume(path: str, overrides: Sequence[str]) -> int:
     """Continue the run at `path` to its criterion or budget."""
     run = runs.open_run(path)
+    count = at(run.info, "machine.threads")  # the same bits follow at an equal number
+    if type(count) is int and 0 < count <= runs.cores() and "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(count)
     if overrides:
         run.info["overrides"] = run.words(overrides)
         experiment = validate(compose_raw(run.info["overrides"]), installed().registry)

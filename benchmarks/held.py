@@ -1,0 +1,102 @@
+"""Whether what hands do is to be believed: each packaged skill of a hand, played.
+
+``python benchmarks/held.py`` plays every skill of a hand that `understudy play` lists, measures how deep fingers are in the
+sticks and sticks in the object, and how far the lower stick slips in the hand, and writes ``docs/benchmarks/held.jsonl``, from which
+``make figures`` writes a table in the gallery.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from understudy_hand.scene import HandScene
+from understudy_hand.tools import BODIES
+from understudy_play.command import record
+from understudy_play.player import Player
+from understudy_skills.skill import names, open_skill
+
+RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "held.jsonl"
+SECONDS = 8.0
+#: m: the deepest that fingers may be in sticks, anything in the object; how far the lower stick may slip in the palm.
+THRESHOLDS = {"fingers": 1e-3, "object": 1e-3, "slip": 5e-3}
+#: rad: a hinge that turns farther within a frame begins a new episode.
+JUMP = 0.15
+
+
+def hands() -> list[str]:
+    """The packaged skills of hands."""
+    return [name for name in names() if open_skill(name).card["config"]["scene"]["name"] == "hand"]
+
+
+def measured(scene: HandScene, qpos: np.ndarray, dt: float) -> dict[str, float]:
+    """Of a motion (T, nq), m: ``fingers``, the deepest that a finger is in a stick, and ``object``, that anything is in the object;
+    ``slip``, how far the lower stick moves in the palm; and median ``jerk`` of the hinges, rad/s³."""
+    model, data = scene.model, mujoco.MjData(scene.model)
+    sticks = {model.body(name).id for name in BODIES[scene.options.tool]}
+    thing = model.body("object").id if scene.options.object is not None else -1
+    palm, lower = model.body("palm").id, model.body(scene.tool_bodies[1]).id
+    deep, places = {"fingers": 0.0, "object": 0.0}, []
+    for frame in qpos:
+        data.qpos[:] = frame
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        for contact in data.contact:
+            bodies = {int(model.geom_bodyid[k]) for k in contact.geom}
+            kind = "object" if thing in bodies else "fingers" if bodies & sticks else None
+            if kind is not None:
+                deep[kind] = max(deep[kind], -float(contact.dist))
+        turn = data.xmat[palm].reshape(3, 3)
+        places.append(turn.T @ (data.xpos[lower] - data.xpos[palm]))
+    third = np.diff(qpos[:, : scene.hinges], n=3, axis=0) / dt**3
+    whole = np.array(places)
+    return {
+        **deep,
+        "slip": float(np.linalg.norm(whole - whole[0], axis=1).max()),
+        "jerk": float(np.median(np.linalg.norm(third, axis=1))),
+    }
+
+
+def row(name: str) -> dict[str, Any]:
+    """The skill `name`, played from where it begins; whole episodes are apart, since a hand jumps from one to the next."""
+    skill = open_skill(name)
+    player = Player(skill)
+    try:
+        tracks, scene, dt, failures = record(player, SECONDS), player.scene, player.dt, player.falls
+    finally:
+        player.close()
+    assert isinstance(scene, HandScene)
+    qpos = tracks["qpos"]
+    jumps = np.abs(np.diff(qpos[:, : scene.hinges], axis=0)).max(1) > JUMP
+    parts = [part for part in np.split(qpos, np.flatnonzero(jumps) + 1) if len(part) > 3]
+    found = [measured(scene, part, dt) for part in parts]
+    played = {key: max(one[key] for one in found) for key in (*THRESHOLDS, "jerk")}
+    return {
+        "skill": name,
+        "when": datetime.date.today().isoformat(),
+        "seconds": SECONDS,
+        "seed": 0,
+        "samples": skill.samples,
+        "success": skill.card["evaluation"]["success_rate"],
+        "episodes": len(parts),
+        "failures": failures,
+        "played": played,
+        "beyond": ", ".join(k for k, most in THRESHOLDS.items() if played[k] > most) or "–",
+    }
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.parse_args()
+    lines = []
+    for one in hands():
+        lines.append(json.dumps(row(one)) + "\n")
+        print(lines[-1], end="", flush=True)
+    RESULTS.write_text("".join(lines), encoding="utf-8")

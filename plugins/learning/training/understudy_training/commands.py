@@ -1,0 +1,35 @@
+"""What is typed to begin or continue a training."""
+
+from __future__ import annotations
+
+import argparse
+
+from understudy.command.cli import main
+from understudy.command.command import Command
+from understudy_training import workflow
+
+
+class Train(Command):
+    """Trains what the overrides compose; without any, lists the experiments."""
+
+    takes_overrides = True
+    example = "understudy train experiment=spacetime/walk"
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        pass
+
+    def run(self, options: argparse.Namespace) -> int:
+        return workflow.train(options.overrides) if options.overrides else main(["experiments"])
+
+
+class Resume(Command):
+    """Continues a run, with what the overrides change of it."""
+
+    takes_overrides = True
+    example = "understudy resume runs/spacetime-walk-001"
+
+    def arguments(self, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("run", help="run folder")
+
+    def run(self, options: argparse.Namespace) -> int:
+        return workflow.resume(options.run, options.overrides)

@@ -1,0 +1,166 @@
+"""The list of tables: what is on record, how much of a table that is, and what it bears."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from understudy.errors import FileError
+from understudy.setup.plugins import installed
+from understudy_reproduce.card import Card
+from understudy_reproduce.command import listed
+from understudy_reproduce.tables import Figure, PaperTable, Printed, Record, load_table, table_files
+
+TABLE = PaperTable(
+    "A title",
+    "a paper",
+    {"walk": (), "run": ()},
+    {"full": (), "without": ()},
+    (Figure("samples", better="less"),),
+    {"walk": {"full": 4e6, "without": {"says": "slower", "more": "full"}}},
+    records={"whole.jsonl": Record(), "small.jsonl": Record(less="a tenth of the samples")},
+)
+
+
+def journal(
+    folder: Path, name: str, cells: dict[str, tuple[float, ...]], outcome: str = "criterion"
+) -> None:
+    """The final reports of trainings that took so many samples, seed by seed."""
+    lines = [
+        {
+            "event": "finished",
+            "report": {
+                "key": f"{cell}/seed{seed}",
+                "status": "ok",
+                "cost": cost,
+                "outcome": outcome,
+            },
+        }
+        for cell, costs in cells.items()
+        for seed, cost in enumerate(costs)
+    ]
+    with (folder / name).open("a") as file:
+        file.writelines(json.dumps(line) + "\n" for line in lines)
+
+
+def card(folder: Path, table: PaperTable = TABLE) -> Card:
+    return Card("mine/one", table, folder / "here", folder)
+
+
+def test_a_table_of_no_record_is_not_begun_and_has_no_verdict(tmp_path: Path) -> None:
+    found = card(tmp_path)
+    assert found.state().startswith("not begun: 0 of 12 trainings")
+    assert [said for *_, said in found.verdicts()] == ["", ""]
+
+
+def test_states_by_what_is_on_record(tmp_path: Path) -> None:
+    journal(tmp_path, "small.jsonl", {"walk/full": (1e5, 2e5, 1e5), "other/full": (1.0,)})
+    assert card(tmp_path).state() == "in small: 3 of 12 trainings, 3 of them on record, 3 in small"
+    journal(tmp_path, "whole.jsonl", {"walk/full": (1e6, 1.1e6)})
+    partly = card(tmp_path)
+    assert partly.state() == "partly: 2 of 12 trainings, 2 of them on record", (
+        "never mixed in a cell"
+    )
+    assert "a tenth" not in next(partly.compared())
+    cells = {
+        f"{row}/{column}": (1e6, 1.1e6, 1.2e6) for row in TABLE.rows for column in TABLE.columns
+    }
+    journal(tmp_path, "whole.jsonl", cells)
+    assert card(tmp_path).state() == "done: 12 of 12 trainings, 12 of them on record"
+
+
+@pytest.mark.parametrize(
+    ("full", "without", "expected"),
+    [
+        ((1e6, 1.1e6, 1.2e6), (2e6, 2.2e6, 2.1e6), ["holds", "holds"]),
+        ((5e6, 5.1e6, 5.2e6), (2e6, 2.2e6, 2.1e6), ["does not hold", "does not hold"]),
+        ((1e6, 3e6, 9e6), (2e6, 2.2e6, 2.1e6), ["undecided", "undecided"]),
+        ((1e6,), (2e6,), ["one seed", "one seed"]),
+        ((1e6, 1.1e6, 1.2e6), (), ["holds", ""]),
+    ],
+)
+def test_verdicts_on_a_number_and_on_the_cell_beside(
+    tmp_path: Path, full: tuple[float, ...], without: tuple[float, ...], expected: list[str]
+) -> None:
+    journal(tmp_path, "whole.jsonl", {"walk/full": full, "walk/without": without})
+    assert [said for *_, said in card(tmp_path).verdicts()] == expected
+
+
+def test_what_missed_its_criterion_is_known_from_below(tmp_path: Path) -> None:
+    journal(tmp_path, "whole.jsonl", {"walk/full": (1e6, 1.1e6, 1.2e6)})
+    journal(tmp_path, "whole.jsonl", {"walk/without": (5e6, 5e6, 5e6)}, outcome="budget")
+    assert [said for *_, said in card(tmp_path).verdicts()] == ["holds", "holds"]
+    turned = replace(TABLE, paper={"walk": {"without": {"says": "quicker", "less": "full"}}})
+    assert [said for *_, said in card(tmp_path, turned).verdicts()] == ["", "undecided"]
+
+
+def test_cells_that_were_trained_otherwise_are_not_compared(tmp_path: Path) -> None:
+    journal(tmp_path, "small.jsonl", {"walk/full": (1e5, 1.1e5, 1.2e5)})
+    journal(tmp_path, "whole.jsonl", {"walk/without": (2e6, 2.2e6, 2.1e6)})
+    assert [said for *_, said in card(tmp_path).verdicts()] == ["holds", ""]
+    assert "(a tenth of the samples)" in next(card(tmp_path).compared())
+
+
+def test_what_was_begun_here_goes_before_the_record(tmp_path: Path) -> None:
+    journal(tmp_path, "whole.jsonl", {"walk/full": (1e6, 1e6, 1e6)})
+    (tmp_path / "here").mkdir()
+    trial = {"key": "walk/full/seed0", "overrides": [], "variant": "walk/full", "seed": 0}
+    (tmp_path / "here" / "journal.jsonl").write_text(json.dumps({"event": "asked", "trial": trial}))
+    assert card(tmp_path).state() == "partly: 2 of 12 trainings, 2 of them on record"
+
+
+def test_rows_of_csv_and_json(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "skill,kind,speed,seed,done\nwalk,full,2.5,1,True\nwalk,full,fast,2,True\nwalk,full,9,0,False\n"
+    )
+    (tmp_path / "b.jsonl").write_text(
+        'no JSON\n[1]\n{"what": "a run", "found": {"speed": 3}}\n{"what": "a run"}\n'
+    )
+    named = {"walk-full": "walk/full", "a run": "run/full"}
+    table = replace(
+        TABLE,
+        figures=(Figure("speed", better="more"),),
+        records={
+            "a.csv": Record(
+                by=("skill", "kind"), values={"speed": "speed"}, where={"done": "True"}
+            ),
+            "b.jsonl": Record(by=("what",), cells=named, values={"speed": "found.speed"}),
+        },
+    )
+    found = card(tmp_path, table)
+    assert found.cells["walk", "full"].by_seed("speed") == {1: 2.5}
+    assert found.cells["run", "full"].by_seed("speed") == {0: 3.0}
+
+
+def test_a_record_that_is_no_file_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").mkdir()
+    table = replace(TABLE, records={"a.csv": Record(by=("skill",), values={"samples": "n"})})
+    with pytest.raises(FileError, match="cannot be read"):
+        card(tmp_path, table)
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../x.jsonl"])
+def test_records_stay_in_their_folder(name: str) -> None:
+    with pytest.raises(ValueError, match="not in the folder of records"):
+        replace(TABLE, records={name: Record()})
+
+
+def test_less_and_more_exclude_each_other() -> None:
+    with pytest.raises(ValueError, match="both"):
+        Printed(1.0, less=1.0, more="walk")
+    with pytest.raises(ValueError, match="belong together"):
+        Record(by=("skill",))
+
+
+def test_every_bundled_record_is_there_and_is_of_its_table() -> None:
+    records = Path(__file__).parents[3] / "docs" / "benchmarks"
+    for name in table_files(installed()):
+        table = load_table(name, installed())
+        known = Card(name, table, Path("nowhere"), records).recorded
+        for file, record in table.records.items():
+            if not table.open.startswith("all of it"):
+                assert record in known.values(), f"{name}: {file} has nothing of it"
+        assert listed(name, table, records)

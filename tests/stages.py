@@ -1,0 +1,79 @@
+"""Runs for the shipped experiments that build on others: trained next to not at all, since what they can do does not
+matter to who only wants the experiment composed."""
+
+from __future__ import annotations
+
+import os
+from fnmatch import fnmatch
+from pathlib import Path
+
+from miniatures import make_stages, train
+
+#: Where the clips are that are not part of the distribution.
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+if DATA.is_dir():
+    os.environ.setdefault("UNDERSTUDY_DATA", str(DATA))
+
+#: The whole person and its cloth in as few steps as a small one's, on the CPU.
+COARSE = ("simulators.person={name: mujoco}", "scene.steps.cloth=3")
+
+_BANK = ("job.moment=anywhere", "job.ending=any", "job.count=8", "device=cpu", "num_worlds=4")
+
+#: Each stage: its words, RUNS standing for the folder of all.
+STAGES = {
+    "walk": ("experiment=sitting/walk",),
+    "ends": ("experiment=sitting/ends", "job.run=RUNS/walk", *_BANK),
+    "meta": ("experiment=sitting/meta",),
+    "switches": (
+        "experiment=sitting/switches", "job.run=RUNS/meta", "job.field=null", "job.value=0", *_BANK
+    ),
+    "dressed": ("experiment=dressing/sleeve", *COARSE),
+    "shirt": ("experiment=dressing/shirt_grip", *COARSE),
+    "worn": ("experiment=sitting/ends", "job.run=RUNS/shirt", *_BANK),
+    "second": ("experiment=miniature/second_place",),
+}  # fmt: skip
+
+_ONE_SAMPLE = (
+    "device=cpu", "num_worlds=4", "budget.samples=1", "learner.minibatches=1", "learner.rollout_steps=4",
+    "evaluation.episodes=1", "evaluation.final_episodes=1", "evaluation.seconds=0.1",
+    "evaluation.criterion=null", "run.video_seconds=0",
+)  # fmt: skip
+
+_STAGE = "{{run: RUNS/{run}, until: {{field: {name}_distance, at_most: 0.2}}, seconds: 3, reads: {{offset: {name}_offset}}}}"
+
+#: What experiments are given, by pattern.
+GIVEN = {
+    "miniature/sitting": ("actuation.runs=[RUNS/go,RUNS/stop]",),
+    "miniature/dressing": ("start.run=RUNS/sleeve", "initial_states.file=RUNS/bank"),
+    "miniature/styles": ("actuation.run=RUNS/poses",),
+    "miniature/sleeve_bank": ("job.run=RUNS/sleeve",),
+    "miniature/in_sequence": (
+        f"actuation.stages=[{_STAGE.format(run='sleeve', name='first')},{_STAGE.format(run='second', name='second')}]",
+    ),
+    "sitting/ends": ("job.run=RUNS/walk",),
+    "sitting/switches": ("job.run=RUNS/meta", "job.value=3"),
+    "sitting/*_tuned": ("initial_states.banks=[RUNS/ends]", "start.run=RUNS/walk"),
+    "sitting/turn_*_slowed": ("initial_states.banks=[RUNS/ends]", "start.run=RUNS/walk"),
+    "sitting/turn_*_switched": ("initial_states.banks=[RUNS/ends]", "start.run=RUNS/walk"),
+    "sitting/sit_switched": ("initial_states.banks=[RUNS/switches]", "start.run=RUNS/walk"),
+    "sitting/sit_any_chair": ("initial_states.banks=[RUNS/switches]", "start.run=RUNS/walk"),
+    "dressing/gripper": ("actuation.run=RUNS/dressed",),
+    "dressing/shirt_regrip": ("initial_states.file=RUNS/worn",),
+    "dressing/shirt_finish": ("initial_states.file=RUNS/worn",),
+    "dressing/shirt_*_second": ("initial_states.file=RUNS/worn",),
+}
+
+
+def above(name: str, runs: Path) -> list[str]:
+    """What the experiment `name` is given, above the runs in `runs`."""
+    found = [words for pattern, words in GIVEN.items() if fnmatch(name, pattern)]
+    return [word.replace("RUNS", str(runs)) for words in found for word in words]
+
+
+def make_all_stages(folder: Path) -> Path:
+    """Make every stage, the miniatures' too, in `folder`, by the command line."""
+    make_stages(folder)
+    for name, words in STAGES.items():
+        given = [word.replace("RUNS", str(folder)) for word in words]
+        train(*given, *([] if "job.run" in str(words) else _ONE_SAMPLE), f"run.dir={folder / name}")
+    return folder
