@@ -72,6 +72,48 @@ def test_blank_lines_and_delimiters_at_the_end(tmp_path: Path, character: Charac
     assert read(path).num_frames == FRAMES
 
 
+def test_names_above_and_times_before(tmp_path: Path, character: Character) -> None:
+    qpos = moving(character)
+    columns = qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]]
+    names = [
+        "x",
+        "y",
+        "z",
+        "qx",
+        "qy",
+        "qz",
+        "qw",
+        *(f"h{n}_joint" for n in range(columns.shape[1] - 7)),
+    ]
+    path = tmp_path / "x.csv"
+    for first, rate in ((np.arange(FRAMES) / 50.0, 50.0), (np.arange(FRAMES), 30.0), (None, 30.0)):
+        rows = columns if first is None else np.column_stack((first, columns))
+        head = names if first is None else ["t", *names]
+        lines = [",".join(head), *(",".join(f"{v:.9g}" for v in row) for row in rows)]
+        for text in ("\n".join(lines), "\n".join(lines[1:])):
+            path.write_text(text)
+            clip = read(path)
+            assert clip.frame_rate == pytest.approx(rate)
+            np.testing.assert_allclose(clip.root_position, qpos[:, :3], atol=1e-6)
+        path.write_text("\n".join(lines))
+        assert (angle_names(read(path)) or ())[:2] == ("h0", "h1")
+
+
+@pytest.mark.parametrize(
+    ("places", "angles", "said"), [(1.0, 57.3, "in degrees"), (100.0, 1.0, "write it in metres")]
+)
+def test_other_units_are_named(
+    tmp_path: Path, character: Character, places: float, angles: float, said: str
+) -> None:
+    qpos = moving(character) + np.eye(1, character.model.nq, 2)
+    qpos[:, :3] *= places
+    qpos[:, 7:] *= 2.0 * angles
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join(",".join(map(str, row)) for row in qpos))
+    with pytest.raises(FileError, match=said):
+        read(path)
+
+
 def test_another_robots_angles(tmp_path: Path, character: Character) -> None:
     path = tmp_path / "x.csv"
     np.savetxt(path, moving(character)[:, :-1], delimiter=",")

@@ -171,6 +171,35 @@ def test_a_file_that_is_no_model(tmp_path: Path) -> None:
         load(tmp_path / "none.MJCF")
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('<sdf version="1.7"><model name="m"/></sdf>', "<sdf> is neither MJCF .* nor URDF"),
+        ("<html><body>404</body></html>", "<html> is neither"),
+        ('<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:property name="a"/></robot>', "expand it"),
+        ("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "git lfs pull"),
+        (robot_xml().replace("<default>", '<option gravity="0 -9.81 0"/><default>'), "gravity is .* z is up"),
+    ],
+)  # fmt: skip
+def test_what_is_near_to_a_model_is_named(tmp_path: Path, content: str, said: str) -> None:
+    (tmp_path / "robot.xml").write_text(content)
+    with pytest.raises((FileError, ConfigError), match=said):
+        load(tmp_path / "robot.xml")
+
+
+def test_a_mesh_that_is_a_pointer_or_differs_in_capitals_is_named(tmp_path: Path) -> None:
+    xml = robot_xml().replace(
+        "<default>", '<asset><mesh name="m" file="foot.obj"/></asset><default>'
+    )
+    (tmp_path / "robot.xml").write_text(xml)
+    (tmp_path / "Foot.OBJ").write_text(TETRAHEDRON)
+    with pytest.raises(FileError, match=r"foot\.obj\. There is Foot\.OBJ"):
+        load(tmp_path / "robot.xml")
+    (tmp_path / "foot.obj").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\n")
+    with pytest.raises(FileError, match=r"foot\.obj only points to a file of Git LFS"):
+        load(tmp_path / "robot.xml")
+
+
 NAMED = '<mujoco model="bipède 步">'
 
 

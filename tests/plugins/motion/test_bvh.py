@@ -202,6 +202,12 @@ def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("Frames: 2", "Frames: 3", "line 26: 3 frames are announced, but 2 lines"),
+        ("Frames: 2\n", "Frames: 1\n", "1 frames are announced, but 2 lines"),
+        (
+            TEXT.partition("MOTION")[2],
+            "\nFrames: 0\nFrame Time: 0.025\n",
+            "no frame follows MOTION",
+        ),
         ("Frames: 2", "Frames: 999999999", "are announced, but 2 lines"),
         ("Frames: 2", "Frames: two", "'Frames: <count>' and 'Frame Time: <seconds>'"),
         ("Frame Time: 0.025\n", "", "'Frame Time: <seconds>'"),
@@ -223,7 +229,7 @@ def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
         ("CHANNELS 1 Yrotation", "CHANNELS 1 Wrotation", "'wrotation' is not a channel"),
         ("}\nMOTION", "MOTION", "line 24: MOTION comes before the hierarchy is complete"),
         ("}\nMOTION", "}\n}\nMOTION", "'}' stands outside of any joint"),
-        ("MOTION", "", "'FRAMES:' stands outside of any joint"),
+        ("MOTION", "", "'FRAMES' stands outside of any joint"),
         ("ROOT Hips", "ROOT Hips\n{\n" * 3, "line 4: one ROOT is expected"),
     ],
 )
@@ -365,6 +371,13 @@ Frames: 2 -> Frames 2.0
 0.025 -> 2.5e-2 s
 Frame Time: 0.025 -> FPS: 40
 1 90 3 -> 1; 90; 3;
+1 90 3 -> 1 90\n3
+Frame Time: 0.025 -> Frame Time: 25 ms
+Frame Time: 0.025 -> Frame Time: 1/40
+MOTION -> MOTION:
+CHANNELS 3 -> CHANNEL 3
+Zrotation -> Zrot
+JOINT Head -> JOINT "Head"
 Yposition -> Y_POSITION
 """
 
@@ -372,15 +385,16 @@ Yposition -> Y_POSITION
 def dialects() -> Iterator[str]:
     for line in DIALECTS.strip().splitlines():
         usual, other = line.partition("->")[::2]
-        changed = TEXT.replace(
-            *(side.strip().encode().decode("unicode_escape") for side in (usual, other))
-        )
+        old, new = (side.strip().encode().decode("unicode_escape") for side in (usual, other))
+        changed = TEXT.replace(old, new)
         assert changed != TEXT
         yield changed
     yield TEXT.replace("1 90 3 ", "1,0 90 3 ").replace("0.025", "0,025")
     yield "# exported\n\n// by hand\n" + TEXT
     yield "/* made by\n a program */\n% and by hand\n" + TEXT
     yield from (TEXT + "\0", TEXT + "\x1a")
+    yield TEXT.replace("-10 -20", "\u221210 \u221220")
+    yield TEXT.replace("40\n1 90", "40 # first\n1 90")
 
 
 @pytest.mark.parametrize("text", dialects())

@@ -279,3 +279,25 @@ def test_what_is_no_archive(tmp_path: Path) -> None:
         assert not SmplReader().recognises(content, path)
         with pytest.raises(FileError):
             SmplReader().read(path)
+
+
+def test_scaled_places_and_spellings_of_the_rate(tmp_path: Path) -> None:
+    arrays = dict(smpl_arrays())
+    usual = read(tmp_path, arrays)
+    rate = next(name for name in arrays if "rate" in name)
+    arrays["mocap_frameRate"] = arrays.pop(rate)
+    arrays["smpl_trans"] = 100.0 * arrays.pop("trans")
+    arrays["smpl_scaling"] = np.array([100.0])
+    clip = read(tmp_path, arrays)
+    torch.testing.assert_close(clip.root_position, usual.root_position)
+    torch.testing.assert_close(clip.times, usual.times)
+
+
+def test_other_units_are_named(tmp_path: Path) -> None:
+    arrays = smpl_arrays()
+    with pytest.raises(FileError, match="in degrees"):
+        read(tmp_path, {**arrays, "poses": 1000.0 + 0.0 * arrays["poses"]})
+    millimetres = {**arrays, "trans": 1000.0 * arrays["trans"] + [0.0, 0.0, 1000.0]}
+    with pytest.raises(FileError, match=r"m from the floor; give motion\.unit"):
+        read(tmp_path, millimetres)
+    assert read(tmp_path, millimetres, ReadOptions(unit="mm")).num_frames > 1

@@ -32,6 +32,7 @@ def test_newest_first_with_what_came_of_it(
     make(Path("runs/new"), "2026-02-01T00:00:00")
     make(Path("runs/sweep/trials/a/seed0"), "2026-01-15T00:00:00", {"measures": {"d": {"mean": 2}}})
     make(Path("runs/new/renders/again"), "2026-03-01T00:00:00")  # of a run, none of its own
+    make(Path("runs/skills/.begun/run"), "2026-03-01T00:00:00")  # by a command that died
     before = sorted(tmp_path.rglob("*"))
     assert main(["runs"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -8,6 +8,7 @@ one joint, which is where the first of them is. Bodies without joints belong to 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -165,7 +166,7 @@ class Character:
     Raises
     ------
     ConfigError
-        no free root, a root without joints, a slide joint, a ball beside hinges, more than
+        gravity that is not along -z, no free root, a root without joints, a slide joint, a ball beside hinges, more than
         three hinges of one body, or one with a reference angle.
     """
 
@@ -178,6 +179,12 @@ class Character:
             raise ConfigError(
                 f"Model '{name}' is no character: none of its bodies has a freejoint. Give it to the "
                 "one that carries all others."
+            )
+        x, y, z = model.opt.gravity
+        if z > 0.0 or math.hypot(x, y) > 0.01 * abs(z):
+            raise ConfigError(
+                f"Model '{name}' stands in another frame: its gravity is ({x:g}, {y:g}, {z:g}) m/s², and here z is up. "
+                "Turn the model, and let gravity be along -z."
             )
         carried = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
         root = max(free, key=lambda j: carried[model.jnt_bodyid[j]])

@@ -35,6 +35,8 @@ _MARKS = {
 }
 _DECLARED = re.compile(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.:-]+)")
 _PACKAGE = "package://"
+#: How the small files begin that a checkout without Git LFS has in place of large ones.
+_POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,15 @@ class _Reader:
         root = self._parse(self._folder / self._path.name)
         self._include(root, (self._path.resolve(),), self._folder)
         urdf = root.tag == "robot"
+        if not urdf and root.tag != "mujoco":
+            raise FileError(
+                f"The model {self._path} does not load: <{root.tag}> is neither MJCF (<mujoco>) nor URDF (<robot>)."
+            )
         if urdf:
+            if any("xacro}" in element.tag for element in root.iter()):
+                raise FileError(
+                    f"The model {self._path} is a template: expand it first, by xacro FILE > robot.urdf."
+                )
             _without_visuals(root)
         elements = list(root.iter())
         for element in elements:
@@ -218,13 +228,24 @@ class _Reader:
             raise FileError(f"The model {self._path} refers to more than {MAX_FILES} files.")
         try:
             if not path.is_file():
-                raise FileError(f"The model {self._path} cannot be read: there is no file {path}.")
+                alike = [
+                    p.name for p in path.parent.glob("*") if p.name.lower() == path.name.lower()
+                ]
+                hint = f" There is {alike[0]}: names differ in capitals here." if alike else ""
+                raise FileError(
+                    f"The model {self._path} cannot be read: there is no file {path}.{hint}"
+                )
             with path.open("rb") as file:
                 content = file.read(limit + 1)
         except OSError as error:
             raise FileError(
                 f"The model {self._path} cannot be read: {path}: {error.strerror}."
             ) from error
+        if content.startswith(_POINTER):
+            raise FileError(
+                f"The model {self._path} cannot be read: {path} only points to a file of Git LFS; fetch it with "
+                "`git lfs pull` where the model is from."
+            )
         if len(content) > limit:
             raise FileError(f"The model {self._path} is larger than {total >> 20} MiB.")
         return content

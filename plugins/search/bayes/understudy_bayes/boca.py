@@ -26,9 +26,9 @@ _GRID = 100
 class BOCA(BookedSearch):
     """The point is GP-UCB's at z = 1; the fidelity the cheapest at which something is to be learned:
 
-    x_t = argmax μ(x, 1) + β_t^½ σ(x, 1)
-    z_t = the cheapest of {1} ∪ {z: σ(x_t, z) > γ(z), ξ(z) > max ξ / β_t^½}
-    γ(z) = κ^½ ξ(z) (λ(z) / λ(1))^q,  q = 1 / (p + d + 2)
+        x_t = argmax μ(x, 1) + β_t^½ σ(x, 1)
+        z_t = the cheapest of {1} ∪ {z: σ(x_t, z) > γ(z), ξ(z) > max ξ / β_t^½}
+        γ(z) = κ^½ ξ(z) (λ(z) / λ(1))^q,  q = 1 / (p + d + 2)
 
     with the information gap ξ(z) = (1 - φ(z, 1)²)^½ of the fidelity's kernel φ, the cost λ, the
     kernel's variance κ (1 here) and p = 1 fidelity. The first trials are at points and fidelities

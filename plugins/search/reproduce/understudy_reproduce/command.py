@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 from understudy.command.command import Command
@@ -54,6 +55,7 @@ class Reproduce(Command):
                     print(f"{name} cannot be used: {error}")
             return 0
         whole = load_table(options.table, plugins)
+        _refuse_what_is_not_used(options.overrides, card=options.card and not whole.searches)
         table = whole.only(options.rows, options.columns, options.seeds)
         if whole.command:
             raise ConfigError(f"{options.table} is made by another command: {whole.command}")
@@ -78,6 +80,22 @@ class Reproduce(Command):
         print(card.text())
         print(f"card: {path}")
         return 0
+
+
+def _refuse_what_is_not_used(words: list[str], *, card: bool) -> None:
+    """Raise ConfigError on words that the table says itself, or that the card of what is there ignores."""
+    for word in words:
+        key, _, value = word.lstrip("+").partition("=")
+        if key in ("rows", "columns", "seeds"):
+            plain = re.sub(r"[\[\]{} ]", "", value)
+            raise ConfigError(f"{word} is not possible here: write --{key} {plain}.")
+        if key in ("experiment", "seed"):
+            choice = "--seeds" if key == "seed" else "--rows and --columns"
+            raise ConfigError(f"{word} is not possible: the table sets it. Choose by {choice}.")
+        if card and key != "run.dir":
+            raise ConfigError(
+                f"{word} is not possible: --card trains nothing. Leave one of them out."
+            )
 
 
 def folder_of(name: str) -> Path:

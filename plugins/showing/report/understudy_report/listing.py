@@ -90,13 +90,15 @@ def list_runs(folders: Sequence[Path]) -> tuple[list[Listed], list[str]]:
 
 
 def _run_folders(folder: Path, depth: int) -> Iterator[Path]:
-    """`folder` if it is a run, else those in it; links and what a run holds are not followed."""
+    """`folder` if it is a run, else those in it; links, hidden folders and what a run holds are not followed."""
     if os.path.lexists(folder / "run.json"):
         yield folder
     elif depth:
         try:
             inside = sorted(
-                entry.path for entry in os.scandir(folder) if entry.is_dir(follow_symlinks=False)
+                entry.path
+                for entry in os.scandir(folder)
+                if entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".")
             )
         except OSError:
             return

@@ -3,7 +3,7 @@
 Two are read. *Without a header*, as mjlab, BeyondMimic and Unitree's retargeted LAFAN1 have it: the
 root's position (m), its quaternion (xyzw; or, as MuJoCo's ``qpos``, wxyz, if only so the root is
 upright), then the angles (rad) in the order of the robot's model; commas, semicolons or blanks stand
-between. *ProtoMotions'*: columns ``Frame``, ``root_translateX`` … (cm), ``root_rotateX`` … (degrees,
+between; a row of names may stand above, and a column of times (s) or of frames' numbers before. *ProtoMotions'*: columns ``Frame``, ``root_translateX`` … (cm), ``root_rotateX`` … (degrees,
 extrinsic about x, y, z), ``NAME_dof`` (degrees). z is up. Frames come 30 a second unless told otherwise,
 which is what those programs take them to do.
 
@@ -37,6 +37,8 @@ __all__ = ["RATE"]
 
 RATE = 30.0
 _PROTOMOTIONS = ["frame", *(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "xyz")]  # fmt: skip
+_TURNS, _FAR = 4.0 * np.pi, 50.0
+"""rad and m beyond which the unit is another."""
 _UPRIGHT = 0.5
 """Least z of a root's own up, on average, to be called upright."""
 
@@ -53,9 +55,12 @@ class AnglesReader(ClipReader):
         words = _words(lines[0], _delimiter(lines[0]))
         if [word.lower() for word in words[:7]] == _PROTOMOTIONS:
             return True
+        if _names(lines):
+            words = _words(lines[1], _delimiter(lines[0]))
         if len(words) < 8 or not all(map(is_number, words)):
             return False
-        return bool(abs(np.linalg.norm([float(word) for word in words[3:7]]) - 1.0) < 0.02)
+        numbers = np.array([float(word) for word in words])
+        return _unit(numbers[3:7]) or (len(words) > 8 and _unit(numbers[4:8]))
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
@@ -64,28 +69,53 @@ class AnglesReader(ClipReader):
         delimiter = _delimiter(lines[at])
         lines = [line.rstrip(delimiter) for line in lines]
         words = _words(lines[at], delimiter)
-        named = words[0].lower() == "frame"
-        names = [re.sub("_dof$", "", word) for word in words[7:]] if named else [
+        degrees = [word.lower() for word in words[:7]] == _PROTOMOTIONS
+        named = degrees or _names([lines[at], ""])
+        body = lines[at + named :]
+        check_size(path, sum(1 for line in body if line), words)
+        rows = number_rows(path, body, at + named + 1, len(words), delimiter)
+        rate, timed = RATE, not degrees and _timed(rows)
+        if timed:  # by a column of times, s, or of frames' numbers
+            step = float(np.median(np.diff(rows[:, 0])))
+            rate = RATE if step == 1.0 else 1.0 / step
+            rows, words = rows[:, 1:], words[1:]
+        names = [re.sub("_(dof|joint)$", "", word) for word in words[7:]] if named else [
             str(n + 1) for n in range(len(words) - 7)
         ]  # fmt: skip
         joints = ("root", *(f"{ANGLE}{name}" for name in names))
-        body = lines[at + named :]
-        check_size(path, sum(1 for line in body if line), joints)
-        rows = number_rows(path, body, at + named + 1, len(words), delimiter)
         if len(set(joints)) != len(joints):
             raise FileError(f"Clip {path}: two of its columns have the same name.")
-        position, turn, angles = _protomotions(rows) if named else _plain(path, rows)
+        position, turn, angles = _protomotions(rows) if degrees else _plain(path, rows)
         axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
         hinges = rotations.from_axis_angle(axis, torch.from_numpy(angles))
         return Clip(
             name=path.stem,
-            times=torch.arange(len(rows), dtype=torch.float64) / (options.rate or RATE),
+            times=torch.arange(len(rows), dtype=torch.float64) / (options.rate or rate),
             root_position=torch.from_numpy(position.copy()),
             rotations=torch.cat((torch.from_numpy(turn)[:, None], hinges), dim=1),
             joint_names=joints,
             loop=bool(options.loop),
             **provenance(path, content),
         )
+
+
+def _names(lines: list[str]) -> bool:
+    """Whether the first of `lines` names columns."""
+    words = _words(lines[0], _delimiter(lines[0]))
+    return len(lines) > 1 and len(words) > 7 and not any(map(is_number, words))
+
+
+def _unit(quaternion: np.ndarray) -> bool:
+    return bool(abs(np.linalg.norm(quaternion) - 1.0) < 0.02)
+
+
+def _timed(rows: np.ndarray) -> bool:
+    """Whether the first column counts, or has times, and the quaternion is one further on."""
+    if len(rows) < 2 or rows.shape[1] < 9:
+        return False
+    steps = np.diff(rows[:, 0])
+    even = bool((steps > 0).all() and np.ptp(steps) <= 0.01 * steps.max())
+    return even and all(map(_unit, rows[:, 4:8])) and not all(map(_unit, rows[:, 3:7]))
 
 
 def _delimiter(line: str) -> str | None:
@@ -104,6 +134,16 @@ def _plain(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
         raise FileError(
             f"Clip {path}: frame {frame}: columns 4 to 7 are no quaternion; a robot's table without a "
             "header has x, y, z in m, a quaternion as x, y, z, w, then the angles in rad."
+        )
+    swing = float(np.median(np.abs(rows[:, 7:]).max(axis=0))) if rows[:, 7:].size else 0.0
+    if swing > _TURNS:
+        raise FileError(
+            f"Clip {path}: half of its angles go beyond {swing:.0f} rad, so they seem to be in degrees; write them in "
+            "radians."
+        )
+    if len(rows) and (high := float(np.median(np.abs(rows[:, 2])))) > _FAR:
+        raise FileError(
+            f"Clip {path}: its root is {high:.0f} m from the floor; write it in metres."
         )
     last, first = rows[:, [6, 3, 4, 5]], rows[:, 3:7]  # what is read as wxyz
 

@@ -24,6 +24,7 @@ Files with y up are taken to face z, as is the custom; see
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -74,9 +75,10 @@ COLLAPSED = 0.1
 """Positions whose bones are together so much of the OFFSETs' length are displacements from these."""
 
 CHANNELS = {
-    f"{axis}{kind}": (kind, k)
+    f"{axis}{word}": (kind, k)
     for kind in ("position", "rotation", "scale")
     for k, axis in enumerate(("x", "y", "z"))
+    for word in (kind, kind[:3])
 }
 """Kind and axis of a channel by its name in lower case."""
 
@@ -122,7 +124,9 @@ _REMARK = re.compile(r"\s(#|//|;)(\s.*)?$")
 """What follows a sign of its own to the end of a line of the hierarchy."""
 
 
-_SAID = re.compile(r"(frames|frame\s*time|frame\s*rate|fps)\b[\s:=]*(\S*)", re.IGNORECASE)
+_SAID = re.compile(
+    r"(frames|frame\s*time|frame\s*rate|fps)\b[\s:=]*(\S*(?:\s*ms\b)?)", re.IGNORECASE
+)
 """A line, or a part of it, between MOTION and the numbers."""
 
 
@@ -177,10 +181,12 @@ class _Hierarchy:
         open_joints: list[int] = []
         if self._next().upper() != "HIERARCHY":
             self._fail("'HIERARCHY' is expected")
-        while (word := self._next().upper()) != "MOTION":
+        while (word := self._next().upper().rstrip(":")) != "MOTION":
             if word in ("ROOT", "JOINT"):
                 if (word == "ROOT") != (not joints) or (joints and not open_joints):
-                    self._fail("one ROOT is expected, and every JOINT inside it")
+                    self._fail(
+                        "one ROOT is expected, and every JOINT inside it; export each figure by itself"
+                    )
                 if len(joints) == MAX_JOINTS:
                     self._fail(f"more than {MAX_JOINTS} joints are not read")
                 name = self._unused(self._name(), names)
@@ -194,7 +200,7 @@ class _Hierarchy:
                 if joint.offset is not None:
                     self._fail(f"joint '{joint.name}' has two OFFSETs")
                 joint.offset = self._vector()
-            elif word == "CHANNELS":
+            elif word in ("CHANNELS", "CHANNEL"):
                 joint.channels = self._channels()
             elif word.startswith(("END", "SITE")):
                 tip = self._end()
@@ -249,7 +255,7 @@ class _Hierarchy:
         words = self._words_before_brace()
         if not words:
             self._fail("a joint has no name")
-        return " ".join(words)
+        return " ".join(words).strip("\"'") or " ".join(words)
 
     def _words_before_brace(self) -> list[str]:
         words: list[str] = []
@@ -310,7 +316,10 @@ def _motion(
         )
     seconds = 1.0 / rate if rate else 0.0
     if interval and not rate:
-        number = float(interval[1]) if is_number(interval[1]) else 0.0
+        said, per_ms, _ = interval[1].partition("ms")
+        above, _, below = said.strip().partition("/")  # 1/30
+        parts = [float(part) if is_number(part) else 0.0 for part in (above, below or "1")]
+        number = parts[0] / (parts[1] or math.inf) / (1000.0 if per_ms else 1.0)
         seconds = number if interval[2] else 1.0 / number if number else 0.0
         if not 1e-6 <= seconds <= SLOWEST:
             raise FileError(
@@ -321,7 +330,14 @@ def _motion(
     if columns == 0:
         raise FileError(f"Clip {path}: no joint has channels, so nothing moves.")
     body = lines[last + 1 :]
+    if any(sign in line for line in body for sign in ("#", "//")):
+        body = [_REMARK.sub("", line) for line in body]
     frames = sum(1 for line in body if line)
+    if frames == 0:
+        raise FileError(f"Clip {path}: no frame follows MOTION.")
+    if count is not None and frames > count[1] > 0:
+        body = _rejoined(body, count[1], columns)
+        frames = sum(1 for line in body if line)
     if count is not None and frames != count[1]:
         raise FileError(
             f"Clip {path}: line {count[0] + 1}: {count[1]} frames are announced, but "
@@ -336,6 +352,15 @@ def _motion(
     values = number_rows(path, body, last + 2, columns)
     ends = np.cumsum([len(joint.channels) for joint in joints])
     return seconds, np.split(values, ends[:-1], axis=1)
+
+
+def _rejoined(body: Sequence[str], frames: int, columns: int) -> Sequence[str]:
+    """`body` with each frame in one line, where its numbers are wrapped; else as it is."""
+    words = [line.split() for line in body]
+    if sum(map(len, words)) != frames * columns:
+        return body
+    flat = list(itertools.chain.from_iterable(words))
+    return [" ".join(flat[i : i + columns]) for i in range(0, len(flat), columns)]
 
 
 def _figure(path: Path, joints: Sequence[Joint], values: Sequence[np.ndarray]) -> list[Bone]:

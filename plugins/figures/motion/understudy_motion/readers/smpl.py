@@ -78,6 +78,11 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "trans": ("transl", "translation", "smpl_trans"),
 }
 """Other names of the arrays."""
+_SCALE = "smpl_scaling"
+"""What AIST++ has ``smpl_trans`` multiplied by, so that it is not in metres."""
+_TURN, _FAR, _DAMAGED = 4.0 * np.pi, 50.0, 1e5
+"""rad of a rotation vector, and m of the pelvis above the floor, beyond which the unit is another; and m that no
+unit explains."""
 
 OFFSETS: Mapping[str, tuple[str, tuple[float, float, float]]] = {
     "hip": ("pelvis", (0.06, -0.08, 0.0)),
@@ -140,7 +145,10 @@ class SmplReader(ClipReader):
         where = _named("trans", archive.names) or "trans"
         flat = where not in archive.names or len(archive.shape(where)) != 3
         places = archive.floats(where, *((num_frames, 3) if flat else (num_frames, 1, 3)))
-        translation = places.reshape(num_frames, 3) * metres_of(options.unit or "m")
+        scale = archive.number(_SCALE) if _SCALE in archive.names and not options.unit else 1.0
+        translation = places.reshape(num_frames, 3) * metres_of(options.unit or "m") / scale
+        high = None if options.unit else translation[:, 1 if options.up == "y" else 2]
+        _check_sizes(path, vectors, high)
         rate = options.rate or _rate(path, archive)
         up = options.up or "z"
         joint_names = JOINTS[num_joints]
@@ -208,7 +216,8 @@ def _vectors(archive: Archive, name: str) -> np.ndarray:
 
 
 def _rate(path: Path, archive: Archive) -> float:
-    name = next((name for name in RATES if name in archive.names), None)
+    lower = {name.lower(): name for name in archive.names}
+    name = next((lower[name] for name in RATES if name in lower), None)
     if name is None:
         raise FileError(
             f"Clip {path}: it does not say its frame rate; give motion.rate (--source-rate)."
@@ -217,6 +226,21 @@ def _rate(path: Path, archive: Archive) -> float:
     if not 0.0 < rate <= 1e6:
         raise FileError(f"Clip {path}: '{name}' is {rate:g}, no number of frames per second.")
     return rate
+
+
+def _check_sizes(path: Path, vectors: np.ndarray, heights: np.ndarray | None) -> None:
+    """Raise FileError where rotation vectors are no radians, or `heights` (F,), if they are to be m, are none."""
+    longest = float(np.linalg.norm(vectors, axis=2).max(initial=0.0))
+    if longest > _TURN:
+        raise FileError(
+            f"Clip {path}: its rotation vectors are up to {longest:.0f} rad long, so they seem to be in degrees; "
+            "write them in radians."
+        )
+    high = 0.0 if heights is None or not len(heights) else abs(float(np.median(heights)))
+    if _FAR < high < _DAMAGED:
+        raise FileError(
+            f"Clip {path}: its pelvis is {high:.0f} m from the floor; give motion.unit (--unit), as mm."
+        )
 
 
 def _into_z_up(vectors: np.ndarray) -> torch.Tensor:

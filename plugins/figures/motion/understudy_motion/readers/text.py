@@ -35,6 +35,7 @@ def decoded(content: bytes) -> str:
         text = content.decode(marked or "utf-8", errors="replace" if marked else "strict")
     except UnicodeDecodeError:
         text = content.decode("cp1252", errors="replace")
+    text = text.replace("\u2212", "-")  # the minus of typographers
     return text.rstrip("\0\x1a")  # with which old programs end a file
 
 
