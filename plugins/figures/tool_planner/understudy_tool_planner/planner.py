@@ -29,19 +29,7 @@ from understudy_tool_planner.configuration import (
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.trajectory import Frames, Pose, Way
 
-__all__ = [
-    "ASIDE",
-    "CLOSING",
-    "DT",
-    "LEAST",
-    "LIFTING",
-    "PHASES",
-    "PRESSING",
-    "WAITING",
-    "Moment",
-    "Plan",
-    "Planner",
-]
+__all__ = ["ASIDE", "CLOSING", "DT", "LEAST", "PHASES", "PRESSING", "Plan", "Planner"]
 
 #: s of a frame; m/s and s: speed of the sticks (thesis), and the least that a phase takes (release).
 DT, SPEED, LEAST = 0.01, 0.25, 0.5
