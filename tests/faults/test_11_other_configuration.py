@@ -9,12 +9,12 @@ import pytest
 import torch
 from worlds import SMALL, assert_same_state, make_training, resumed
 
-from understudy.command import workflow
 from understudy.command.cli import main
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
+from understudy_training import workflow
 
 
 @pytest.fixture
