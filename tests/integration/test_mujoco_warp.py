@@ -28,6 +28,7 @@ from faults_on_gpu import TASK, apart_after_a_second, build, cold_start, dropped
 
 from understudy.errors import ConfigError
 from understudy.running.training import Training
+from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Rollout
 from understudy.testing import check_environment
@@ -137,6 +138,37 @@ def test_too_many_worlds_are_refused_before_allocating(monkeypatch: pytest.Monke
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**20, 2**34))
     with pytest.raises(ConfigError, match=r"About \d+ worlds fit"):
         build("cuda", worlds=1024)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_what_sharpens_goes_on_from_its_state_and_is_captured_anew(device: str) -> None:
+    """A graph of the coarse step would go on making five sub-steps; on a CPU the physics alone is compared."""
+    words = ["simulator=mujoco_warp", f"device={device}", "num_worlds=8", "resolution.substeps=5"]
+    training = Training(load_experiment([*TASK, *words])).prepare()
+    job = learning(training)
+    coarse = job.environment
+    coarse.reset(seed=0)
+    for _ in range(6):
+        coarse.step(coarse.observations["feedforward"])
+    assert coarse.captured_step.on == (device == "cuda")
+    state, targets = coarse.state_dict(), coarse.observations["feedforward"].clone()
+    assert job.sharpen() == "physics at 600 Hz"
+    fine = job.environment
+    assert fine is not coarse
+    assert not fine.captured_step.on
+    plain = build_environment(load_experiment([*TASK, *words]), substeps=20).environment
+    plain.reset()
+    plain.load_state_dict(state)
+    for k in range(6):
+        found = fine.step(targets)
+        expected = plain._step(targets)  # never captured
+        exact = {"rtol": 0, "atol": 0} if device == "cpu" else {"rtol": 1e-3, "atol": 1e-3}
+        torch.testing.assert_close(fine.table["qpos"], plain.table["qpos"], **exact)
+        if device == "cpu":
+            torch.testing.assert_close(found.rewards, expected.rewards, **exact)
+        assert fine.captured_step.on == (device == "cuda" and k >= 3)
+    training.close()
+    plain.close()
 
 
 def test_without_a_gpu_one_line_says_what_is_missing() -> None:
