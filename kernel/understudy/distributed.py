@@ -18,7 +18,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, TrainingError, said
 
-__all__ = ["add_up", "requested", "size", "total"]
+__all__ = ["add_up", "anyone", "rank", "requested", "size", "start", "stop", "total"]
 
 
 def requested() -> int:

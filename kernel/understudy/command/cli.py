@@ -29,6 +29,8 @@ from understudy.errors import (
 from understudy.setup import plugins
 from understudy.signals import StopRequest
 
+__all__ = ["main"]
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status. Without `arguments`, the process ends with it."""

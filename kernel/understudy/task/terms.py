@@ -12,7 +12,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 
-__all__ = ["Margin", "Term", "Wired", "ranges", "renamed"]
+__all__ = ["Margin", "Reduction", "Term", "Wired", "ranges", "renamed"]
 
 T = TypeVar("T")
 

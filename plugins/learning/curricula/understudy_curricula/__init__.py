@@ -8,9 +8,6 @@ PARTS = {
     "curriculum": {
         "linear": ("curricula:Linear", "difficulty by samples"),
         "adaptive": ("curricula:Adaptive", "difficulty by success"),
-        "staggered": (
-            "staggered:Staggered",
-            "first episodes are cut, so that worlds are out of step",
-        ),
+        "staggered": ("staggered:Staggered", "worlds out of step: first episodes are cut"),
     },
 }

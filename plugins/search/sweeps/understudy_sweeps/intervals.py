@@ -10,7 +10,7 @@ from typing import Literal
 
 from scipy.special import stdtr, stdtrit
 
-__all__ = ["UNDECIDED", "mean_of", "paired_difference", "verdict", "verdict_between"]
+__all__ = ["FAILS", "UNDECIDED", "mean_of", "paired_difference", "verdict", "verdict_between"]
 
 
 @dataclass(frozen=True)
