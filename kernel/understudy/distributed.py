@@ -44,6 +44,7 @@ def start(device: str) -> None:
 
 
 def stop() -> None:
+    """Leave the group, if there is one."""
     if dist.is_initialized():
         dist.destroy_process_group()
 
@@ -54,6 +55,7 @@ def size() -> int:
 
 
 def rank() -> int:
+    """This process's number in the group, 0 where there is none."""
     return dist.get_rank() if dist.is_initialized() else 0
 
 

@@ -14,7 +14,7 @@ from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial
 from understudy_sweeps.trial import folder_of
 
-__all__ = ["OBJECTIVE", "Result", "Results", "SAMPLES", "SECONDS", "SUCCESS"]
+__all__ = ["OBJECTIVE", "SAMPLES", "SECONDS", "SUCCESS", "Result", "Results"]
 
 #: Figures of every trial beside its measures.
 SUCCESS, OBJECTIVE, SAMPLES, SECONDS = "success_rate", "objective", "samples", "seconds"
