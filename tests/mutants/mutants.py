@@ -592,7 +592,7 @@ MUTANTS = (
         "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
         "followed.long().clamp(0, len(self._bank.goals) - 1)",
         "followed.long()",
-        "tests/faults/test_01_poisoned_fields.py -k chopsticks",
+        "tests/plugins/chopsticks/test_relocate.py -k no_plan",
     ),
     Mutant(
         "a plan begins before its time",

@@ -19,7 +19,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.again import Again
-from understudy_chopsticks.relocate import Bank, Relocations, lost, missed, placed, thing
+from understudy_chopsticks.relocate import Bank, Follow, Relocations, lost, missed, placed, thing
 from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
 
@@ -81,6 +81,19 @@ def test_a_plan_of_no_number_stays_in_its_world(built: Built, wrong: float) -> N
     found = bank.at(rows.long(), frames.long()[:, None])
     assert torch.equal(found[0, 0], bank.frames[1, 3])
     assert found.isfinite().all()
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -1.0])
+def test_a_goal_of_no_plan_stays_in_its_world(built: Built, wrong: float) -> None:
+    built.environment.reset(seed=2)
+    follow = next(w.part for w in built.environment.parts.fields if isinstance(w.part, Follow))
+    fields = {name: field(built, name) for name in follow.reads}
+    found = follow.compute(**fields)
+    fields["followed"] = fields["followed"].clone()
+    fields["followed"][1] = wrong
+    others = [0, 2, 3]
+    for name, value in follow.compute(**fields).items():
+        assert torch.equal(value[others], found[name][others]), name
 
 
 def test_sticks_press_while_they_hold(plugins: Plugins) -> None:
