@@ -199,6 +199,18 @@ def test_the_page_shows_any_other_scene() -> None:
         page.close()
 
 
+def test_what_comes_with_the_package_can_be_judged_and_packed_anew(tmp_path: Path) -> None:
+    """A packed skill has no critic, and its evaluation needs none."""
+    file = tmp_path / "sit.json"
+    words = ["evaluation.final_episodes=2", "evaluation.seconds=0.2"]
+    assert main(["play", "sitting/sit", *words, "--pack", str(file)]) == 0
+    before, after = open_skill("sitting/sit"), open_skill(str(file))
+    assert after.card["evaluation"]["episodes"] == 2
+    assert after.policy.keys() == before.policy.keys()
+    for name, value in after.policy.items():
+        torch.testing.assert_close(value, before.policy[name], rtol=0.01, atol=1e-3)
+
+
 def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:
     pack(walk, tmp_path / "again", walk.card["evaluation"])
     again = open_skill(str(tmp_path / "again.json"))

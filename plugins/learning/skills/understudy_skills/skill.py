@@ -68,6 +68,22 @@ class Skill:
         policy.load_state_dict({**own, **self.policy})
         policy.schedule(self.samples)
 
+    def whole(self) -> dict[str, Tensor]:
+        """Its tensors with a critic, which a packed skill has none of: a new one.
+
+        Raises
+        ------
+        RunError
+            as :meth:`give`.
+        """
+        built = build_environment(self.experiment, num_worlds=1)
+        try:
+            policy = build_policy(self.experiment, built.context)
+            self.give(policy)
+        finally:
+            built.environment.close()
+        return dict(policy.state_dict())
+
 
 def names() -> list[str]:
     """Of the skills that come with the plugins."""
@@ -217,19 +233,13 @@ def unpack(skill: Skill, path: Path) -> None:
     overrides = _words_of(skill.card, skill.name)
     root = skill.experiment.root
     experiment = replace(skill.experiment, root=replace(root, run=replace(root.run, dir=str(path))))
-    built = build_environment(experiment, num_worlds=1)
+    policy, sources = skill.whole(), skill.card.get("sources") or {}
+    run = runs.create(experiment, [*overrides, f"run.dir={path}"], sources)
     try:
-        policy = build_policy(experiment, built.context)
-        skill.give(policy)
-        sources = skill.card.get("sources") or {}
-        run = runs.create(experiment, [*overrides, f"run.dir={path}"], sources)
         if skill.card.get("licence"):  # what a run's copies would say of themselves
             run.write_json("run.json", {**run.info, "licence": skill.card["licence"]})
-    finally:
-        built.environment.close()
-    try:
         progress = Progress(samples=skill.samples, evaluated_at=skill.samples).state_dict()
-        state = {"policy": policy.state_dict(), "progress": progress}
+        state = {"policy": policy, "progress": progress}
         meta = {"versions": skill.card.get("versions"), "sources": sources}
         checkpoint.save(run.checkpoints / "00000001", state, meta)
         run.write_json("evaluation.json", skill.card.get("evaluation") or {})

@@ -171,7 +171,7 @@ def _pack(skill: Skill, path: Path) -> int:
     training = Training(small.experiment)
     try:
         progress = {**training.progress.state_dict(), "samples": small.samples}
-        training.load_learned({"policy": dict(small.policy), "progress": progress})
+        training.load_learned({"policy": small.whole(), "progress": progress})
         evaluation, _ = training.judge()
     finally:
         training.close()
