@@ -108,8 +108,9 @@ def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> N
         loop = experiment.need("outer_loop").build(3)
         trial = loop.ask(0)
         assert ("budget.samples" in trial.point) == (column == "boca_iterations")
-        assert (trial.fidelity is None) == (column in ("boca_iterations", "gp_ucb"))
-    for variant in ("as_printed", "cmfbo_unbounded"):
+        assert ("control.substeps" in trial.point) == (column == "resolution")
+        assert (trial.fidelity is None) == (column in ("boca_iterations", "gp_ucb", "resolution"))
+    for variant in ("as_printed", "cmfbo_unbounded", "resolution"):
         assert loops.pop(variant, "cmfbo") == "cmfbo"
     assert loops == {
         "cmfbo": "cmfbo", "without_transfer": "cmfbo", "boca_curriculum": "boca",

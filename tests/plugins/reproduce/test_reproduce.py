@@ -103,7 +103,7 @@ def test_one_command_runs_the_table_and_leaves_its_card(
     run = json.loads((folder / "quick%2Fsmall%2Fseed1" / "run.json").read_text())
     assert run["config"]["learner"]["rollout_steps"] == 8
     before = (folder / "card.csv").read_text()
-    assert reproduce(*words, "--card") == 0
+    assert reproduce("mine/one", f"run.dir={folder}", "--card") == 0
     assert (folder / "card.csv").read_text() == before
     assert "card: " in capsys.readouterr().out
 

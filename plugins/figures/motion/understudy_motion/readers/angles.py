@@ -55,6 +55,8 @@ class AnglesReader(ClipReader):
         words = _words(lines[0], _delimiter(lines[0]))
         if [word.lower() for word in words[:7]] == _PROTOMOTIONS:
             return True
+        if "root.px" in words:  # a table of named joints' rotations, which has a reader of its own
+            return False
         if _names(lines):
             words = _words(lines[1], _delimiter(lines[0]))
         if len(words) < 8 or not all(map(is_number, words)):

@@ -146,6 +146,10 @@ class SmplReader(ClipReader):
         flat = where not in archive.names or len(archive.shape(where)) != 3
         places = archive.floats(where, *((num_frames, 3) if flat else (num_frames, 1, 3)))
         scale = archive.number(_SCALE) if _SCALE in archive.names and not options.unit else 1.0
+        if not 1e-6 < scale < 1e6:
+            raise FileError(
+                f"Clip {path}: its {_SCALE} of {scale:g} is no scale. Give motion.unit (--unit)."
+            )
         translation = places.reshape(num_frames, 3) * metres_of(options.unit or "m") / scale
         high = None if options.unit else translation[:, 1 if options.up == "y" else 2]
         _check_sizes(path, vectors, high)
@@ -230,7 +234,8 @@ def _rate(path: Path, archive: Archive) -> float:
 
 def _check_sizes(path: Path, vectors: np.ndarray, heights: np.ndarray | None) -> None:
     """Raise FileError where rotation vectors are no radians, or `heights` (F,), if they are to be m, are none."""
-    longest = float(np.linalg.norm(vectors, axis=2).max(initial=0.0))
+    with np.errstate(over="ignore"):  # of numbers that are damaged the length is infinite
+        longest = float(np.linalg.norm(vectors, axis=2).max(initial=0.0))
     if longest > _TURN:
         raise FileError(
             f"Clip {path}: its rotation vectors are up to {longest:.0f} rad long, so they seem to be in degrees; "
