@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +210,18 @@ def test_what_comes_with_the_package_can_be_judged_and_packed_anew(tmp_path: Pat
     assert after.policy.keys() == before.policy.keys()
     for name, value in after.policy.items():
         torch.testing.assert_close(value, before.policy[name], rtol=0.01, atol=1e-3)
+
+
+def test_a_packed_skill_names_no_folder_of_its_makers(walk: skills.Skill, tmp_path: Path) -> None:
+    sources = {
+        "motion": {"source": "/home/me/clips/walk.bvh", "licence": "CC0-1.0"},
+        "start": {"run": "/home/me/runs/before", "samples": 1000},
+    }
+    made = replace(walk, card={**walk.card, "sources": sources})
+    pack(made, tmp_path / "walk", {})
+    found = open_skill(str(tmp_path / "walk.json")).card["sources"]
+    assert found["motion"]["source"] == "walk.bvh"
+    assert found["start"] == {"run": "before", "samples": 1000}
 
 
 def test_packing_again_changes_nothing(walk: skills.Skill, tmp_path: Path) -> None:

@@ -204,9 +204,10 @@ def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:
     """
     kept = {k: v for k, v in skill.policy.items() if ".critic." not in f".{k}"}
     card = {**skill.card, "evaluation": dict(evaluation)}
-    if isinstance(source := (card.get("sources") or {}).get("motion", {}).get("source"), str):
-        motion = {**card["sources"]["motion"], "source": Path(source).name}  # of no one's folders
-        card["sources"] = {**card["sources"], "motion": motion}
+    for of, where in (("motion", "source"), ("start", "run")):
+        found = (card.get("sources") or {}).get(of, {})
+        if isinstance(path_of := found.get(where), str):  # of no one's folders
+            card["sources"] = {**card["sources"], of: {**found, where: Path(path_of).name}}
     config = dict(card["config"])
     config["run"] = {**config.get("run", {}), "dir": None}
     path.parent.mkdir(parents=True, exist_ok=True)
