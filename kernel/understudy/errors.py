@@ -89,6 +89,6 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f" Known: {', '.join(shown)}."
 
 
-def _first(names: list[str], most: int = 24) -> list[str]:
+def _first(names: list[str], most: int = 48) -> list[str]:
     """What a reader looks through, and how many there are beside."""
     return names if len(names) <= most else [*names[:most], f"… and {len(names) - most} more"]
