@@ -17,10 +17,11 @@ import torch
 from torch import Tensor
 
 from understudy.random import WorldStreams
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
 from understudy.task import InitialStates
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
 from understudy_characters.scene import CharacterScene, reference_motion
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "landing.jsonl"

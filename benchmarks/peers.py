@@ -19,9 +19,11 @@ from torch import Tensor
 
 from understudy.random import WorldStreams, private_rng
 from understudy.records.runs import versions
-from understudy.task import Context, Learner, Policy, Rollout, box
+from understudy.task import Context, Rollout, box
 from understudy_networks.nn import Schedule
 from understudy_networks.policies import MLPPolicy
+from understudy_reinforcement.learner import Learner
+from understudy_reinforcement.policy import Policy
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "benchmarks"
 ENVIRONMENTS, STEPS, HIDDEN = 8, 256, (64, 64)

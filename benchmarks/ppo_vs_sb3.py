@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from peers import ENVIRONMENTS, RESULTS, STEPS, compare, train_ours, train_peer
 
-from understudy.task import Context, Policy
+from understudy.task import Context
 from understudy_ppo.learner import PPO
+from understudy_reinforcement.policy import Policy
 
 EPOCHS, MINIBATCHES = 10, 32
 GAMMA, LAMBDA, RATE, CLIP = 0.99, 0.95, 3e-4, 0.2

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from peers import RESULTS, STEPS, compare, train_ours, train_peer
 
-from understudy.task import Context, Policy
+from understudy.task import Context
+from understudy_reinforcement.policy import Policy
 from understudy_trpo.learner import TRPO
 
 GAMMA, LAMBDA, KL_LIMIT, RATE = 0.99, 0.95, 0.01, 1e-3

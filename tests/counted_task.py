@@ -16,8 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from understudy.random import WorldStreams
-from understudy.running.environment import Environment, Step
+from understudy.running.environment import Environment
 from understudy.running.promises import Parts
+from understudy.running.step import Step
 from understudy.setup import composition
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins, hookimpl, load
@@ -25,11 +26,8 @@ from understudy.setup.registry import Registrar
 from understudy.task import (
     Actuation,
     Context,
-    Distribution,
     Encoder,
     InitialStates,
-    Learner,
-    Policy,
     Rollout,
     Scene,
     Shape,
@@ -40,6 +38,8 @@ from understudy.task import (
 from understudy.task.terms import Term, Wired, make_term, renamed
 from understudy.testing import fake
 from understudy_inspect import commands, judging, origins
+from understudy_reinforcement.learner import Learner
+from understudy_reinforcement.policy import Distribution, Policy
 from understudy_sweeps import sweep
 from understudy_training import workflow
 

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from understudy.random import WorldStreams, private_rng
-from understudy.task import ActionSpace, Box, Choice, Context, Policy, Rollout, box
+from understudy.task import ActionSpace, Box, Choice, Context, Rollout, box
+from understudy_reinforcement.policy import Policy
 
 #: One number, how far to go; or a side to go to and two numbers, of which the first is how far.
 STEP = box(1)

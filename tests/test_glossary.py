@@ -9,7 +9,8 @@ import pytest
 
 import understudy.task
 from understudy.setup.registry import KERNEL_SLOTS
-from understudy.task.learning import Learner, Rollout
+from understudy.task import Rollout
+from understudy_reinforcement.learner import Learner
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "conventions.md"
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 from worlds import PADDLE_TASK, SMALL, flat, low, make_training
 
-from understudy.running.environment import Environment, Step
+from understudy.running.environment import Environment
+from understudy.running.step import Step
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins

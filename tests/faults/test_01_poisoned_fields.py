@@ -23,7 +23,8 @@ from worlds import flat, same_bits
 
 from understudy.errors import ConfigError, UnderstudyError
 from understudy.random import WorldStreams
-from understudy.running.environment import LARGEST, Environment
+from understudy.running.environment import Environment
+from understudy.running.soundness import LARGEST
 from understudy.running.table import FieldTable
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment

@@ -12,12 +12,12 @@ from torch import Tensor
 from worlds import SMALL, make_training
 
 from understudy.errors import TrainingError
-from understudy.running.evaluation import Evaluation
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.task import Context, Encoder
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
+from understudy_reinforcement.evaluation import Evaluation
 
 
 def from_half(episode_time: Tensor, *, every: int = 1) -> Tensor:

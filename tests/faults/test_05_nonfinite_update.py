@@ -11,12 +11,13 @@ from worlds import SMALL, assert_same_state, flat, make_training
 from understudy.errors import TrainingError
 from understudy.records import checkpoint
 from understudy.running.training import Training
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
 from understudy.setup.plugins import Plugins
 from understudy.setup.validation import validate
 from understudy.task import Rollout
 from understudy.testing.fake import FAKE_TASK
 from understudy_ppo.learner import PPO
+from understudy_reinforcement.policy import build_policy
 
 #: 8 steps × 16 worlds / 32 = 4 minibatches × 2 epochs = 8 optimiser steps an iteration.
 STEPS = 8

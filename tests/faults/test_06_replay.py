@@ -12,7 +12,7 @@ from worlds import PADDLE_TASK, SMALL, make_training, same_bits
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
-from understudy.running.environment import Fault
+from understudy.running.step import Fault
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
 from understudy_inspect.replay import replay_step

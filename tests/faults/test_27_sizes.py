@@ -14,13 +14,14 @@ from worlds import SMALL
 from understudy.command.cli import main
 from understudy.errors import ConfigError, PluginError
 from understudy.options import Option, options_of
-from understudy.setup.building import build_environment, build_policy, enough_memory
+from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, load
 from understudy.setup.root import Root
 from understudy.testing.fake import FAKE_TASK
 from understudy_bayes.space import Parameter
 from understudy_diversity.strategies import Feature
+from understudy_reinforcement.policy import build_policy, enough_memory
 
 HUGE = 10**12
 #: Options that are neither sizes nor counts of anything that is made or done.

@@ -18,7 +18,8 @@ pytest.importorskip(
     "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
-from understudy.running.environment import Environment, Step
+from understudy.running.environment import Environment
+from understudy.running.step import Step
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 

@@ -9,25 +9,27 @@ from __future__ import annotations
 
 import functools
 import math
-import operator
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from understudy.errors import ConfigError, TrainingError
+from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.running import promises
 from understudy.running.promises import Parts
+from understudy.running.rewards import Rewards
+from understudy.running.soundness import not_all_sound, rows, sound, without_unsound
 from understudy.running.statistics import EpisodeStatistics
+from understudy.running.step import Fault, Step
 from understudy.running.table import FieldTable
 from understudy.task import Context, Memory, Shape, State
 from understudy.task.terms import Term, Wired
 
-__all__ = ["OWN_FIELDS", "Environment", "Fault", "Step", "rows", "sound", "without_unsound"]
+__all__ = ["OWN_FIELDS", "Environment"]
 
 #: Fields that the environment itself provides, beside ``action`` (A,) and ``previous_NAME``, any field
 #: before this step. ``failed``, ``succeeded`` and ``violated`` (bool: a failure; a success; a failure
@@ -42,42 +44,6 @@ _PREVIOUS = "previous_"
 
 # A forked process has none of the threads that OpenMP would wait for, so it must ask for none.
 os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
-
-#: Numbers of this size and beyond count as non-finite, as they do for MuJoCo.
-LARGEST = 1e10
-
-
-@dataclass
-class Step:
-    """What one decision of all worlds gave. It is overwritten by the next one."""
-
-    #: Of the states reached; after :meth:`Environment.step` ended worlds begin the next episode.
-    observations: dict[str, Tensor]
-    rewards: Tensor  #: (N,) float32
-    terminated: Tensor  #: (N,) bool: failed or succeeded, nothing follows
-    failed: Tensor  #: (N,) bool: terminated by a failure
-    truncated: Tensor  #: (N,) bool
-    unsound: Tensor  #: (N,) bool: failed because numbers went wrong
-    returns: Tensor  #: (N,) the episodes' returns up to and with this step
-    endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
-    next_fields: dict[str, Tensor]  #: those that :attr:`Environment.next_fields` names
-    #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
-    final_observations: dict[str, Tensor] | None = None
-
-    @property
-    def ended(self) -> Tensor:
-        """(N,) bool"""
-        return self.terminated | self.truncated
-
-
-@dataclass(frozen=True)
-class Fault:
-    """What led to the first numbers that went wrong, to be repeated."""
-
-    snapshot: dict[str, Tensor]  #: of the simulator before the decision
-    controls: Tensor  #: (K, N, U), in order
-    substeps: int | None  #: physics steps under each of them; None: a control period
-    worlds: Tensor  #: (N,) bool: those that went wrong
 
 
 def _as_physics(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -195,12 +161,7 @@ class Environment:
         self._controls: list[Tensor] = []
         #: By reward term: what it added to the last decision's reward, or multiplied it with, (N,).
         self.rewarded: dict[str, Tensor] = {}
-        #: By term of a product that has an exponent: its least value so far, (N,).
-        self._least = {
-            term.where: zeros(())
-            for term in parts.rewards
-            if parts.combine == "product" and term.weight != 1.0
-        }
+        self.rewards = Rewards(parts.rewards, parts.combine, num_worlds, device)
         self.captured_step = parts.simulator.replayed(self._step, self)
 
     @property
@@ -457,14 +418,9 @@ class Environment:
         return term.function(**self.table.pick(term.reads), **term.options)
 
     def _reward(self) -> Tensor:
-        values = [(self._evaluate(term), term.weight) for term in self.parts.rewards]
-        for term, (value, _) in zip(self.parts.rewards, values, strict=True):
-            if term.where in self._least:
-                self._least[term.where].copy_(torch.fmin(self._least[term.where], value))
-        summed = self.parts.combine == "sum"
-        given = [v * w if summed else v if w == 1.0 else v**w for v, w in values]
-        self.rewarded = dict(zip((term.name for term in self.parts.rewards), given, strict=True))
-        return functools.reduce(operator.add if summed else operator.mul, given)
+        values = [self._evaluate(term) for term in self.parts.rewards]
+        reward, self.rewarded = self.rewards.combined(values)
+        return reward
 
     def unsound_parts(self) -> list[str]:
         """Whose numbers went wrong in the states reached by :meth:`advance`, before :meth:`begin`."""
@@ -475,19 +431,8 @@ class Environment:
             t.where: self._evaluate(t) ** (t.weight if powers else 1) for t in self.parts.rewards
         }
         values |= {self.parts.encoders[n].where: value for n, value in self._encode().items()}
-        values = values if any(map(_wrong, values.values())) else {"reward": self._reward()}
-        return [where for where, value in values.items() if _wrong(value)]
-
-    def refuse_negative(self) -> None:
-        """Raise :class:`TrainingError` if a reward that has an exponent has been negative."""
-        for where, least in self._least.items():
-            world = int(least.argmin())
-            if least[world] < 0:
-                raise TrainingError(
-                    f"{where} was {float(least[world]):g} in world {world}. With reward.combine=product "
-                    "its weight is an exponent, which a negative number cannot have. Use "
-                    f"reward.combine=sum, {where}.weight=1, or a term that is never negative."
-                )
+        values = values if any(map(not_all_sound, values.values())) else {"reward": self._reward()}
+        return [where for where, value in values.items() if not_all_sound(value)]
 
     def _encode(self) -> dict[str, Tensor]:
         return {
@@ -614,23 +559,3 @@ class Environment:
 
     def close(self) -> None:
         self.parts.simulator.close()
-
-
-def rows(mask: Tensor, like: Tensor) -> Tensor:
-    """`mask` (N,) shaped to broadcast over the rows of `like` (N, …)."""
-    return mask.view(-1, *([1] * (like.dim() - 1)))
-
-
-def sound(value: Tensor) -> Tensor:
-    """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
-    size = value.abs()[:, None].flatten(1)  # amax is NaN where a number is; it takes no empty rows
-    return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
-
-
-def _wrong(value: Tensor) -> bool:
-    return not bool(sound(value).all())
-
-
-def without_unsound(value: Tensor) -> Tensor:
-    """`value` (N, …), 0 in the rows where a number is not finite or of no sane size."""
-    return torch.where(rows(sound(value), value), value, 0) if value.is_floating_point() else value

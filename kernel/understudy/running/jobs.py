@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -13,9 +14,37 @@ from understudy.task import State
 if TYPE_CHECKING:
     from understudy.records.recording import Recording
     from understudy.records.runs import Run
-    from understudy.running.evaluation import Evaluation
 
-__all__ = ["Job"]
+__all__ = ["Job", "Judgement"]
+
+
+@dataclass(frozen=True)
+class Judgement(ABC):
+    """What an evaluation found. How episodes are counted, and what else is measured, is the job's."""
+
+    episodes: int
+    success: str = ""  #: what a success is, in words
+    success_rate: float | None = None  #: None where nothing is defined as success
+    mean_episode_seconds: float | None = None
+    #: False if it was stopped once success was out of reach; then the rate is the most it could be.
+    complete: bool = True
+
+    @property
+    @abstractmethod
+    def objective_value(self) -> float | None:
+        """What searches maximise."""
+
+    @abstractmethod
+    def row(self, kind: str = "evaluation") -> dict[str, float]:
+        """The figures for a row of metrics, each named KIND/NAME."""
+
+    @abstractmethod
+    def as_json(self, samples: int, changed: Sequence[str] = ()) -> dict[str, Any]:
+        """After so many `samples`; `changed` are overrides with which the run was not trained."""
+
+    @abstractmethod
+    def sentence(self) -> str:
+        """The result in words."""
 
 
 class Job(ABC):
@@ -62,24 +91,24 @@ class Job(ABC):
 
     def rehearse(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
-    ) -> Evaluation:
+    ) -> Judgement:
         """As :meth:`evaluate`, at the coarse physics. Only if `coarse`."""
         raise NotImplementedError
 
     @abstractmethod
     def evaluate(
         self, draw: str, episodes: int, *, give_up_below: float | None = None
-    ) -> Evaluation:
+    ) -> Judgement:
         """Judge what was learned on data of the name `draw`, which iterations never use."""
 
-    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Evaluation] | None:
+    def evaluate_finer(self, draw: str, episodes: int) -> tuple[float, Judgement] | None:
         """As :meth:`evaluate`, at half the time step of physics; and that physics' rate in Hz. None where
         there is no physics."""
         return None
 
     def record(
         self, draw: str, episodes: int, seconds: float
-    ) -> tuple[Evaluation, Recording | None]:
+    ) -> tuple[Judgement, Recording | None]:
         """As :meth:`evaluate`, recording up to `seconds` where there is something to see."""
         return self.evaluate(draw, episodes), None
 

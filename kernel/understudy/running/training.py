@@ -22,8 +22,7 @@ from understudy.records import checkpoint
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run, differences, threads, versions
-from understudy.running.evaluation import Evaluation
-from understudy.running.jobs import Job
+from understudy.running.jobs import Job, Judgement
 from understudy.running.warm_start import misshapen
 from understudy.setup.config import Experiment
 from understudy.signals import StopRequest, is_stop
@@ -306,7 +305,7 @@ class Training:
         progress.evaluations += 1
         return row
 
-    def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Evaluation:
+    def _evaluate(self, kind: str, episodes: int, criterion: float | None) -> Judgement:
         draw = f"{kind}/{self.progress.evaluations + 1}"
         least = 0.0 if criterion and not self.experiment.root.evaluation.give_up else criterion
         judge = self.job.rehearse if kind == "rehearsal" else self.job.evaluate
@@ -317,14 +316,14 @@ class Training:
         )
         return evaluation
 
-    def judge(self, record_seconds: float | None = None) -> tuple[Evaluation, Recording | None]:
+    def judge(self, record_seconds: float | None = None) -> tuple[Judgement, Recording | None]:
         """The last evaluation, on starts that no other evaluation drew; recorded for `record_seconds`."""
         episodes = self.experiment.root.evaluation.final_episodes
         if record_seconds is None:
             return self.job.evaluate("final", episodes), None
         return self.job.record("final", episodes, record_seconds)
 
-    def judge_finer(self) -> tuple[float, Evaluation] | None:
+    def judge_finer(self) -> tuple[float, Judgement] | None:
         """As :meth:`judge`, on the same starts at half the time step of physics; and its rate in Hz."""
         return self.job.evaluate_finer("final", self.experiment.root.evaluation.final_episodes)
 
@@ -353,6 +352,6 @@ def _meaning(config: Any) -> dict[str, Any]:
     )
 
 
-def _reaches(evaluation: Evaluation, criterion: float) -> bool:
+def _reaches(evaluation: Judgement, criterion: float) -> bool:
     rate = evaluation.success_rate
     return evaluation.complete and rate is not None and rate >= criterion

@@ -10,15 +10,14 @@ from typing import Any
 import torch
 
 from understudy.errors import ConfigError, PluginError
-from understudy.random import private_rng
 from understudy.running.environment import Environment
 from understudy.running.promises import Parts
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry
-from understudy.task import Context, Policy, Scene
+from understudy.task import Context, Scene
 from understudy.task.terms import Term, Wired, make_term, renamed
 
-__all__ = ["Built", "build_environment", "build_policy", "build_sections", "device_of"]
+__all__ = ["Built", "build_environment", "build_sections", "device_of"]
 
 
 @dataclass
@@ -51,19 +50,6 @@ def build_sections(experiment: Experiment) -> dict[str, Any]:
         name: registry.sections[name].make(options, registry, experiment.inputs)
         for name, options in experiment.sections.items()
     }
-
-
-@contextlib.contextmanager
-def enough_memory(what: str) -> Iterator[None]:
-    """Inside, what asks for more memory than there is becomes a :class:`ConfigError`."""
-    try:
-        yield
-    except (MemoryError, RuntimeError) as error:
-        if not isinstance(error, MemoryError) and "memory" not in str(error):
-            raise
-        raise ConfigError(
-            f"The {what} asks for more memory than there is. Ask for less: fewer worlds, smaller sizes."
-        ) from error
 
 
 def build_environment(
@@ -178,9 +164,3 @@ def providers_of(field: str, registry: Registry) -> Iterator[str]:
             with contextlib.suppress(PluginError):  # one that cannot be used here is no advice
                 if field in (getattr(component.factory, _GIVES[kind], None) or {}):
                     yield f"{kind} '{name}'"
-
-
-def build_policy(experiment: Experiment, context: Context) -> Policy:
-    """The policy, its weights drawn from the seed alone."""
-    with private_rng(context.seed, "policy"), enough_memory("policy"):
-        return experiment.need("policy").build(context).to(context.device)

@@ -12,13 +12,11 @@ only where the task has it; their keyword-only parameters are options.
 
 from understudy.task.actions import ActionSpace, Box, Choice, box
 from understudy.task.base import Context, Shape, State
-from understudy.task.learning import Learner, Rollout
 from understudy.task.parts import Actuation, Curriculum, Encoder, Fields, InitialStates, Memory
 from understudy.task.physics import Scene, Simulator
-from understudy.task.policy import Distribution, Policy
+from understudy.task.rollout import Rollout
 
 __all__ = [
-    "ActionSpace", "Actuation", "Box", "Choice", "Context", "Curriculum", "Distribution",
-    "Encoder", "Fields", "InitialStates", "Learner", "Memory", "Policy", "Rollout", "Scene",
-    "Shape", "Simulator", "State", "box",
+    "ActionSpace", "Actuation", "Box", "Choice", "Context", "Curriculum", "Encoder", "Fields",
+    "InitialStates", "Memory", "Rollout", "Scene", "Shape", "Simulator", "State", "box",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from understudy.task.base import Shape, State
 
 if TYPE_CHECKING:
     from understudy.random import WorldStreams
-    from understudy.task.learning import Rollout
+    from understudy.task.rollout import Rollout
 
 
 class Fields(ABC):

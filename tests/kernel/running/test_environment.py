@@ -12,7 +12,8 @@ from torch import Tensor
 from worlds import PADDLE_TASK, assert_same_state
 
 from understudy.errors import ConfigError, TrainingError
-from understudy.running.environment import Environment, Step
+from understudy.running.environment import Environment
+from understudy.running.step import Step
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -538,7 +539,7 @@ def test_the_weight_in_a_product_is_an_exponent() -> None:
         environment.reset()
     assert push(product).rewards.tolist() == pytest.approx([3.0**2.5] * 4)
     assert push(total).rewards.tolist() == pytest.approx([7.5] * 4)
-    product.refuse_negative()
+    product.rewards.refuse_negative()
 
 
 @pytest.mark.parametrize(
@@ -559,11 +560,11 @@ def test_a_negative_reward_with_an_exponent_is_named_with_world_and_value(
     push(environment, 1.0, 1.0, -7.0 - low, 1.0)
     push(environment, 9.0, 9.0, 9.0, 9.0)  # what has been is not forgotten
     if not refused:
-        environment.refuse_negative()
+        environment.rewards.refuse_negative()
         return
     with pytest.raises(TrainingError) as error:
-        environment.refuse_negative()
-    value = float(environment._least["reward.terms.lean"][2])
+        environment.rewards.refuse_negative()
+    value = float(environment.rewards.least["reward.terms.lean"][2])
     assert value < 0
     for part in ("reward.terms.lean", f"{value:g}", "world 2", "reward.combine=sum"):
         assert part in str(error.value)

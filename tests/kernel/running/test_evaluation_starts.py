@@ -11,9 +11,9 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
-from understudy.running.evaluation import Evaluation
 from understudy.setup.composition import load_experiment
 from understudy.task import Context, InitialStates
+from understudy_reinforcement.evaluation import Evaluation
 from understudy_reinforcement.evaluator import Evaluator
 
 

@@ -16,9 +16,9 @@ from worlds import make_training
 
 from understudy.errors import ConfigError
 from understudy.random import WorldStreams
-from understudy.running.evaluation import Evaluation, Measured, wilson_interval
 from understudy.setup.composition import load_experiment
 from understudy.task.terms import Reduction
+from understudy_reinforcement.evaluation import Evaluation, Measured, wilson_interval
 from understudy_reinforcement.evaluator import Evaluator, Reducer
 from understudy_reinforcement.success import Success, success_of
 

@@ -21,7 +21,6 @@ from understudy.random import generator, private_rng
 from understudy.records import checkpoint
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
 from understudy.setup.composition import load_experiment
 from understudy.setup.config import Experiment
@@ -29,6 +28,7 @@ from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.task import State
 from understudy.testing import fake
+from understudy_reinforcement.evaluation import Evaluation, Measured
 from understudy_reinforcement.job import Reinforcement
 
 

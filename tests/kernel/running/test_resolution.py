@@ -11,9 +11,9 @@ from counted_task import LINE_TASK, line_plugins
 from worlds import make_training, resumed
 
 from understudy.errors import ConfigError
-from understudy.running.evaluation import Evaluation
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
+from understudy_reinforcement.evaluation import Evaluation
 
 #: Four physics steps a control period, of which a training begins with one.
 COARSE = (*LINE_TASK, "control.substeps=4", "resolution.substeps=1", "control.frequency=10")

@@ -10,17 +10,18 @@ import torch
 from torch import Tensor
 from worlds import make_training
 
-from understudy.running.evaluation import Evaluation
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
-from understudy.task import Context, Policy
+from understudy.task import Context
 from understudy.testing import check_environment, check_plugin
 from understudy_deepmimic.encoders import StateEncoder
 from understudy_deepmimic.horizon import Horizon, NormalisedReturn, horizon
 from understudy_networks.nn import DiagonalGaussian
 from understudy_ppo.learner import PPO
+from understudy_reinforcement.evaluation import Evaluation
 from understudy_reinforcement.evaluator import Evaluator
+from understudy_reinforcement.policy import Policy
 from understudy_tensors import rotations
 
 WALK = ("experiment=deepmimic/walk", "num_worlds=4")

@@ -13,11 +13,11 @@ import torch
 from line_task import SIDE_AND_STEP, line_context, make_policy
 
 from understudy.command.cli import main
-from understudy.setup.building import Built, build_environment, build_policy
+from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
-from understudy.task import Policy
 from understudy_export.policy import Acting, write_model, write_policy
 from understudy_networks.policies import MLPPolicy
+from understudy_reinforcement.policy import Policy, build_policy
 from understudy_skills.skill import Skill, open_skill
 
 for needed in ("onnx", "onnxscript", "onnxruntime"):

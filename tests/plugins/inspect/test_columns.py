@@ -10,11 +10,12 @@ from torch import Tensor
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_characters.layout import LINK_COLUMNS
 from understudy_gym.worlds import Worlds, flattened
 from understudy_reinforcement.collector import Collector
+from understudy_reinforcement.policy import build_policy
 
 
 def built(task: str, *overrides: str) -> Any:

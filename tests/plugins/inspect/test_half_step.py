@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from understudy.running.evaluation import Evaluation
 from understudy_inspect.half_step import compared, difference, verdict
+from understudy_reinforcement.evaluation import Evaluation
 
 
 def judged(rate: float | None, episodes: int) -> Evaluation:

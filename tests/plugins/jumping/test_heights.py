@@ -12,8 +12,8 @@ import pytest
 from worlds import SMALL
 
 from understudy.command.cli import main
-from understudy.running.evaluation import Evaluation
 from understudy_jumping import heights
+from understudy_reinforcement.evaluation import Evaluation
 
 TINY = (
     "task=jumping/high", *SMALL, "num_worlds=4", "control.substeps=5", "learner.rollout_steps=8",

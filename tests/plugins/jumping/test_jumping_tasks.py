@@ -16,7 +16,6 @@ from worlds import SMALL, assert_same_state, make_training
 from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.running.environment import Environment
-from understudy.running.evaluation import Measured
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
@@ -24,6 +23,7 @@ from understudy.testing import check_plugin
 from understudy_characters.scene import CharacterScene
 from understudy_jumping.arena import Arena
 from understudy_jumping.curriculum import Accumulated
+from understudy_reinforcement.evaluation import Measured
 from understudy_skills import bank
 
 #: f_control = 10 + 20 ρ Hz where ρ is 0, 0.5 and 1: bars of 0.5, 0.75 and 1 m, boxes of 0, 0.5 and 1 m.

@@ -12,10 +12,11 @@ from understudy.errors import ConfigError
 from understudy.options import make_options
 from understudy.random import WorldStreams
 from understudy.setup.plugins import Plugins
-from understudy.task import ActionSpace, Box, Choice, Context, Policy, box
+from understudy.task import ActionSpace, Box, Choice, Context, box
 from understudy.testing import check_plugin
 from understudy_networks.nn import DiagonalGaussian, Joint, Schedule, set_precision
 from understudy_networks.policies import CNNPolicy, MLPPolicy
+from understudy_reinforcement.policy import Policy
 
 HYBRID = ActionSpace({"skill": Choice(4), "target": Box(2)})
 

@@ -14,8 +14,9 @@ from understudy.errors import ConfigError
 from understudy.options import make_options
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
-from understudy.task import Context, Policy, box
+from understudy.task import Context, box
 from understudy_networks.policies import CNNPolicy, MLPPolicy
+from understudy_reinforcement.policy import Policy
 
 SHAPES = {"state": (5,), "extra": (2,), "secret": (3,), "image": (2, 8, 8)}
 SMALL = ["num_worlds=4", "run.dir=run", "budget.samples=64", "learner.rollout_steps=8"]

@@ -12,7 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 
 from mirrored_turn import LEFT, RIGHT, mirror
 
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill
 from understudy_tensors.rotations import pitch_yaw_roll
 

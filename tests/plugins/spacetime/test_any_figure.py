@@ -12,13 +12,13 @@ from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
-from understudy.task import Policy
 from understudy.testing import check_environment
 from understudy_characters.character import load_character
 from understudy_motion.clip import Clip
 from understudy_motion.writing import write_clip
 from understudy_networks.nn import DiagonalGaussian
 from understudy_reinforcement.evaluator import Evaluator
+from understudy_reinforcement.policy import Policy
 from understudy_retarget.retarget import retarget
 
 WALK = ("experiment=spacetime/walk", "num_worlds=4")

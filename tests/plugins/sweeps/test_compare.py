@@ -84,7 +84,7 @@ def test_what_differs_by_digest(tmp_path: Path) -> None:
 
 def test_newcombe() -> None:
     """The example of Newcombe (1998), table II (a): 56/70 against 48/80, method 10: 0.0524 to 0.3339."""
-    from understudy.running.evaluation import wilson_interval
+    from understudy_reinforcement.evaluation import wilson_interval
 
     first = {"success_rate": 48 / 80, "success_rate_95": list(wilson_interval(48 / 80, 80))}
     second = {"success_rate": 56 / 70, "success_rate_95": list(wilson_interval(56 / 70, 70))}

@@ -17,8 +17,8 @@ from browsers import opened
 
 from understudy.command.cli import main
 from understudy.errors import RunError
-from understudy.running.evaluation import wilson_interval
 from understudy_motion.readers import npz
+from understudy_reinforcement.evaluation import wilson_interval
 from understudy_sweeps import film as film_module
 from understudy_sweeps import page as page_module
 from understudy_sweeps import tables

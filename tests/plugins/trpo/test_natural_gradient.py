@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector
 
-from understudy.task import ActionSpace, Box, Choice, Distribution
+from understudy.task import ActionSpace, Box, Choice
 from understudy_networks.nn import action_distribution, box_columns, head_size, mlp
+from understudy_reinforcement.policy import Distribution
 from understudy_trpo.natural_gradient import (
     conjugate_gradient,
     gradient,

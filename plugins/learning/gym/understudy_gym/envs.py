@@ -24,7 +24,8 @@ from gymnasium.vector.utils import batch_space, iterate
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.running.environment import Step, rows
+from understudy.running.soundness import rows
+from understudy.running.step import Step
 from understudy.setup.plugins import installed
 from understudy_gym.worlds import RENDER_MODES, Worlds, columns, flattened, known_render_mode
 

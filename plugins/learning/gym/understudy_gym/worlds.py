@@ -12,7 +12,9 @@ from gymnasium import spaces
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.running.environment import Environment, Step, rows
+from understudy.running.environment import Environment
+from understudy.running.soundness import rows
+from understudy.running.step import Step
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import ActionSpace, Box

@@ -1,7 +1,7 @@
 """Learning by derivatives of a learned model of what the character does."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("networks", "tensors", "mujoco")
+REQUIRES = ("networks", "tensors", "mujoco", "reinforcement")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

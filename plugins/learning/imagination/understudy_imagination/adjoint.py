@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from understudy.task import Policy
 from understudy_imagination.imagined import Imagined
 from understudy_imagination.model import WorldModel
 from understudy_imagination.rigid import Posed, Rigid
 from understudy_networks.graphs import Captured
+from understudy_reinforcement.policy import Policy
 
 #: What a step back is given and what it gives, by these prefixes.
 _STATE, _FIXED, _SEEN = "state/", "fixed/", "seen/"

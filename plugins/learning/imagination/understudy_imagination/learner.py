@@ -15,7 +15,7 @@ from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator, private_rng
-from understudy.task import Context, Learner, Policy, Rollout, State
+from understudy.task import Context, Rollout, State
 from understudy_imagination.adjoint import Adjoint, Gradients, Weights, Window, limited
 from understudy_imagination.errors import model_errors
 from understudy_imagination.imagined import Imagined
@@ -28,6 +28,8 @@ from understudy_networks.graphs import Captured
 from understudy_networks.nn import set_precision
 from understudy_networks.policies import check_units
 from understudy_networks.returns import digest, explained_variance, observations_of
+from understudy_reinforcement.learner import Learner
+from understudy_reinforcement.policy import Policy
 
 _WHO = "learner 'imagination'"
 #: What rollouts have to bring in any case.

@@ -1,7 +1,7 @@
 """Networks, the policies made of them, and what every learner has in common."""
 
 #: Plugins that this one builds on.
-REQUIRES: tuple[str, ...] = ()
+REQUIRES = ("reinforcement",)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

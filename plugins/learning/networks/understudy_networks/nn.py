@@ -15,9 +15,10 @@ from torch import Tensor, nn
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.task import ActionSpace, Box, Distribution
+from understudy.task import ActionSpace, Box
 from understudy_networks import averages
 from understudy_networks.convolution import Convolution
+from understudy_reinforcement.policy import Distribution
 
 __all__ = ["DiagonalGaussian", "Precision", "mlp", "set_precision"]
 

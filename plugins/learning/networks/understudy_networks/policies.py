@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
-from understudy.task import ActionSpace, Context, Distribution, Policy
+from understudy.task import ActionSpace, Context
 from understudy_networks.convolution import Convolution, convolutions
 from understudy_networks.nn import (
     LARGEST,
@@ -30,6 +30,7 @@ from understudy_networks.nn import (
     relu,
     scaled,
 )
+from understudy_reinforcement.policy import Distribution, Policy
 
 __all__ = ["MLPPolicy", "action_space", "check_units", "observation_size"]
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from understudy.task import Policy, Rollout
+from understudy.task import Rollout
 from understudy_networks import averages
+from understudy_reinforcement.policy import Policy
 
 __all__ = ["digest", "explained_variance", "observations_of"]
 

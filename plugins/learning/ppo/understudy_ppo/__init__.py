@@ -1,7 +1,7 @@
 """Proximal policy optimisation."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("networks",)
+REQUIRES = ("networks", "reinforcement")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

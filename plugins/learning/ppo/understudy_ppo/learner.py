@@ -14,13 +14,15 @@ from understudy import distributed
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
-from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
+from understudy.task import Context, Rollout, State
 from understudy_networks import averages, optimisers
 from understudy_networks.graphs import Captured
 from understudy_networks.nn import Precision, set_precision
 from understudy_networks.returns import digest, explained_variance, observations_of
 from understudy_ppo.losses import KLPenalty, clipped_surrogate
 from understudy_ppo.threads import SideBySide
+from understudy_reinforcement.learner import Learner
+from understudy_reinforcement.policy import Distribution, Policy
 
 #: By what an adaptive learning rate changes in an update, and its limits.
 RATE_STEP, RATE_RANGE = 1.5, (1e-6, 1e-2)

@@ -8,8 +8,10 @@ import torch
 from torch import Tensor
 
 from understudy.random import WorldStreams
-from understudy.running.environment import Environment, without_unsound
-from understudy.task import Policy, Rollout
+from understudy.running.environment import Environment
+from understudy.running.soundness import without_unsound
+from understudy.task import Rollout
+from understudy_reinforcement.policy import Policy
 
 __all__ = ["Collector"]
 

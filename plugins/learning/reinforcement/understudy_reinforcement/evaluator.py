@@ -9,12 +9,13 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from understudy.running.environment import Step
-from understudy.running.evaluation import Evaluation, Measured
+from understudy.running.step import Step
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Experiment
-from understudy.task import Context, Policy
+from understudy.task import Context
 from understudy.task.terms import Reduction
+from understudy_reinforcement.evaluation import Evaluation, Measured
+from understudy_reinforcement.policy import Policy
 from understudy_reinforcement.success import success_of
 
 __all__ = ["Evaluator"]

@@ -11,16 +11,19 @@ from torch import Tensor
 
 from understudy import distributed
 from understudy.records.recording import Recording
-from understudy.running.environment import Environment, Fault
-from understudy.running.evaluation import Evaluation
+from understudy.running.environment import Environment
 from understudy.running.jobs import Job
+from understudy.running.step import Fault
 from understudy.running.warm_start import misshapen
-from understudy.setup.building import Built, build_environment, build_policy, device_of
+from understudy.setup.building import Built, build_environment, device_of
 from understudy.setup.config import Experiment
-from understudy.task import Learner, Policy, State
+from understudy.task import State
 from understudy_reinforcement.collector import Collector
+from understudy_reinforcement.evaluation import Evaluation
 from understudy_reinforcement.evaluator import Evaluator
 from understudy_reinforcement.hopeless import Hopeless
+from understudy_reinforcement.learner import Learner
+from understudy_reinforcement.policy import Policy, build_policy
 from understudy_reinforcement.start import take_over
 from understudy_reinforcement.success import success_of
 
@@ -149,7 +152,7 @@ class Reinforcement(Job):
             metrics[f"mark/{self.sharpen()}"] = 1.0
         self._failing = float(rollout.failed.float().mean())
         episodes = self.environment.statistics.collect()
-        self.environment.refuse_negative()
+        self.environment.rewards.refuse_negative()
         self._hopeless.refuse(episodes, rollout.rewards.shape[0], self._unsound_parts)
         collecting = (collected - began) / (time.perf_counter() - began)
         return {

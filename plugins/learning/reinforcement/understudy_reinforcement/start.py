@@ -13,7 +13,8 @@ from understudy.records import runs
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.registry import Registry
 from understudy.setup.root import StartOptions
-from understudy.task import Curriculum, InitialStates, Policy, State
+from understudy.task import Curriculum, InitialStates, State
+from understudy_reinforcement.policy import Policy
 
 __all__ = ["load_part"]
 

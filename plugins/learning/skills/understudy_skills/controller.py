@@ -13,10 +13,11 @@ from typing import Any
 from torch import Tensor, nn
 
 from understudy.errors import ConfigError
-from understudy.setup.building import build_policy, build_sections
+from understudy.setup.building import build_sections
 from understudy.setup.config import Chosen
 from understudy.task import Actuation, Context, Encoder
 from understudy.task.terms import Wired, renamed
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import copy_run, open_skill
 
 __all__ = ["Controller"]

@@ -8,9 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.running.environment import Environment, Step
-from understudy.setup.building import Built, build_policy
-from understudy.task import Policy
+from understudy.running.environment import Environment
+from understudy.running.step import Step
+from understudy.setup.building import Built
+from understudy_reinforcement.policy import Policy, build_policy
 from understudy_skills.skill import Skill
 
 __all__ = ["act_out", "policy_of"]

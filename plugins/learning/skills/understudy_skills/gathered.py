@@ -11,10 +11,10 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.records.runs import Run
 from understudy.running.environment import Environment
-from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.jobs import Job
 from understudy.setup.building import Built
 from understudy.task import Scene, State
+from understudy_reinforcement.evaluation import Evaluation, Measured
 from understudy_skills import bank
 
 

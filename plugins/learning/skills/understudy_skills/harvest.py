@@ -15,9 +15,10 @@ from understudy.random import WorldStreams
 from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.warm_start import newest_state
-from understudy.setup.building import build_environment, build_policy, device_of
+from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Experiment
-from understudy.task import Policy, State
+from understudy.task import State
+from understudy_reinforcement.policy import Policy, build_policy
 from understudy_reinforcement.start import load_part
 from understudy_skills.folder import run_folder
 from understudy_skills.gathered import Gathered, Gathering

@@ -10,10 +10,10 @@ from typing import Any
 from understudy.errors import RunError
 from understudy.records import runs
 from understudy.running.warm_start import newest_state
-from understudy.setup.building import build_policy
 from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement.job import Reinforcement
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.folder import run_folder
 
 #: What a policy sees, what its actions do and how often it acts: a policy learns these.

@@ -18,13 +18,13 @@ from understudy.folders import read
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
 from understudy.running.training import Progress
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, refuse_resolvers, replaced
 from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy.setup.validation import validate
-from understudy.task import Policy
+from understudy_reinforcement.policy import Policy, build_policy
 
 __all__ = ["Skill", "names", "open_skill", "pack", "rounded", "unpack"]
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from understudy.options import check_range
-from understudy.running.environment import rows
+from understudy.running.soundness import rows
 from understudy.task import Context, Memory, Shape
 
 

@@ -20,6 +20,7 @@ from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.setup.validation import at, validate
 from understudy.signals import StopRequest
+from understudy_training import processes
 
 __all__ = ["judge"]
 
@@ -27,7 +28,7 @@ __all__ = ["judge"]
 def train(overrides: Sequence[str]) -> int:
     """Train a new run; prints ``run: PATH`` last."""
     experiment = load_experiment(overrides)
-    distributed.start(experiment.root.device)
+    processes.start(experiment.root.device)
     with _together(experiment):
         training = Training(experiment).prepare()
         if distributed.rank() == 0:
@@ -53,7 +54,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
         config["run"] |= {"dir": at(run.config, "run.dir")}
         run.info["config"] = config
     experiment = run.experiment()
-    distributed.start(experiment.root.device)
+    processes.start(experiment.root.device)
     leading = distributed.rank() == 0
     with _together(experiment):
         if leading:
@@ -70,7 +71,7 @@ def resume(path: str, overrides: Sequence[str]) -> int:
             tell(f"{run.path} is finished ({training.outcome}).{hint}")
             print(f"run: {run.path}")
         training.close()
-        distributed.stop()
+        processes.stop()
         run.unlock()
         return 0
     if not leading:
@@ -91,7 +92,7 @@ def _together(experiment: Experiment) -> Iterator[None]:
     finally:
         refused = distributed.anyone(failed, device_of(experiment.root.device))
         if refused:
-            distributed.stop()
+            processes.stop()
         if refused and not failed:
             raise RunError("Another process could not start; its own message says why.")
 
@@ -102,7 +103,7 @@ def _carry_out(training: Training) -> int:
         training.reporter = Reporter(tell, installed().observers(tell))
     try:
         reason, progress = training.train(), training.progress
-        distributed.stop()
+        processes.stop()
         if run is None:
             return 0
         time = f"{progress.seconds / 60:.1f} min of training"
@@ -119,7 +120,7 @@ def _carry_out(training: Training) -> int:
         run.write_json("run.json", run.info)
     finally:
         training.close()
-        distributed.stop()
+        processes.stop()
     print(f"run: {run.path}")
     run.unlock()
     return 0

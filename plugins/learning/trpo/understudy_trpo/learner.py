@@ -11,10 +11,12 @@ from torch import Tensor, nn
 from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import generator
-from understudy.task import Context, Distribution, Learner, Policy, Rollout, State
+from understudy.task import Context, Rollout, State
 from understudy_networks import averages, optimisers
 from understudy_networks.nn import set_precision
 from understudy_networks.returns import digest, explained_variance, observations_of
+from understudy_reinforcement.learner import Learner
+from understudy_reinforcement.policy import Distribution, Policy
 from understudy_trpo.natural_gradient import (
     Product,
     conjugate_gradient,

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from understudy.command.command import Command
 from understudy.errors import ConfigError, RunError
 from understudy.records import runs
-from understudy.running.evaluation import Evaluation, wilson_interval
+from understudy.running.jobs import Judgement
 from understudy.running.warm_start import newest_state
 from understudy.setup.validation import at
 from understudy_characters.recording import unsimulated
 from understudy_inspect.judging import load
 from understudy_jumping.arena import ArenaOptions
 from understudy_motion.arguments import positive, share
+from understudy_reinforcement.evaluation import wilson_interval
 from understudy_skills.folder import run_folder
 
 #: In the run folder: what was found.
@@ -138,7 +139,7 @@ def _words(size: float, arena: ArenaOptions) -> list[str]:
     ]
 
 
-def _judged(path: str, wanted: float, words: list[str]) -> tuple[Evaluation, int]:
+def _judged(path: str, wanted: float, words: list[str]) -> tuple[Judgement, int]:
     """The final evaluation, given up where `wanted` is out of reach; and the samples of the training."""
     training, _, _, _ = load(path, words, {})
     try:

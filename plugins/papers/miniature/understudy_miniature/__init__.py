@@ -1,7 +1,17 @@
 """Seven small tasks on toy physics, each of the shape of a published system."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("curricula", "networks", "skills", "tensors", "terms", "ppo", "sequencing", "sweeps")
+REQUIRES = (
+    "curricula",
+    "networks",
+    "skills",
+    "tensors",
+    "terms",
+    "ppo",
+    "sequencing",
+    "sweeps",
+    "reinforcement",
+)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

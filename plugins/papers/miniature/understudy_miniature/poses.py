@@ -16,13 +16,13 @@ from understudy.errors import RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
-from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context
 from understudy_networks.nn import mlp
 from understudy_networks.supervised import NetworkJob
+from understudy_reinforcement.evaluation import Evaluation, Measured
 
 
 class Poses(ABC):

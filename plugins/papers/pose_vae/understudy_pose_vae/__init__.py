@@ -1,7 +1,16 @@
 """A pose auto-encoder as action space (thesis, section 4.4.2)."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("networks", "skills", "tensors", "characters", "inspect", "motion", "report")
+REQUIRES = (
+    "networks",
+    "skills",
+    "tensors",
+    "characters",
+    "inspect",
+    "motion",
+    "report",
+    "reinforcement",
+)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

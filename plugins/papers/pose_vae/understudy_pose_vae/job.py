@@ -17,7 +17,6 @@ from understudy.options import check_range
 from understudy.random import generator, private_rng
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
@@ -29,6 +28,7 @@ from understudy_networks.supervised import NetworkJob
 from understudy_pose_vae import pictures
 from understudy_pose_vae.clips import PoseSet, read_poses
 from understudy_pose_vae.features import PoseFeatures
+from understudy_reinforcement.evaluation import Evaluation, Measured
 from understudy_skills.kept import files_of
 from understudy_tensors import rotations
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
+from typing import Any
 
 from understudy.command.command import Command
-from understudy.running.evaluation import Evaluation
 from understudy_inspect.judging import load
 
 #: In the run folder: the evaluation.
@@ -44,13 +45,18 @@ class Naturalness(Command):
                 found, _ = training.judge()
             finally:
                 training.close()
-            run.write_json(FILE, found.as_json(training.progress.samples))
-            print(f"{_row(found)}  {path}", flush=True)
+            result = found.as_json(training.progress.samples)
+            run.write_json(FILE, result)
+            print(f"{_row(result)}  {path}", flush=True)
         return 0
 
 
-def _row(found: Evaluation) -> str:
-    figures = [found.measures["pose_distance"], found.measures["jerk"]]
-    texts = [f"{m.mean:.1f} [{m.low:.1f}, {m.high:.1f}]" for m in figures]
-    rate = "" if found.success_rate is None else f"  {found.success_rate:.0%} succeeded"
+def _row(found: Mapping[str, Any]) -> str:
+    """Of what is written into the file."""
+    figures = [found["measures"][name] for name in ("pose_distance", "jerk")]
+    texts = [
+        "{:.1f} [{:.1f}, {:.1f}]".format(m["mean"], *m["mean_95"]) if m["mean_95"] else "none"
+        for m in figures
+    ]
+    rate = f"  {found['success_rate']:.0%} succeeded" if "success_rate" in found else ""
     return f"{texts[0]}°  {texts[1]} m/s³{rate}"

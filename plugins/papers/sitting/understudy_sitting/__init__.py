@@ -21,6 +21,7 @@ REQUIRES = (
     "ppo",
     "report",
     "sweeps",
+    "reinforcement",
 )
 
 #: By kind and name: where each part is, and what it is in a sentence.

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from understudy.running.environment import Step
+from understudy.running.step import Step
 from understudy.setup.building import Built
 from understudy_report.video import write_video
 from understudy_sitting.trials import SEATED, built_for, skills_of

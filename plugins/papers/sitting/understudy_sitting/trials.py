@@ -26,11 +26,12 @@ from understudy.errors import ConfigError
 from understudy.folders import read
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.running.environment import Environment, Step
-from understudy.running.evaluation import wilson_interval
+from understudy.running.environment import Environment
+from understudy.running.step import Step
 from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Experiment
-from understudy.task import Policy
+from understudy_reinforcement.evaluation import wilson_interval
+from understudy_reinforcement.policy import Policy
 from understudy_report.section import ReportSection
 from understudy_skills.episodes import act_out, policy_of
 from understudy_skills.skill import Skill, open_skill

@@ -19,6 +19,7 @@ REQUIRES = (
     "mujoco",
     "ppo",
     "report",
+    "reinforcement",
 )
 
 #: By kind and name: where each part is, and what it is in a sentence.

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from torch import Tensor, nn
 
 from understudy.errors import ConfigError
-from understudy.task import Context, Policy
+from understudy.task import Context
 from understudy_networks.nn import DiagonalGaussian
 from understudy_networks.policies import MLPPolicy, observation_size
+from understudy_reinforcement.policy import Policy
 
 
 class FeedforwardFeedback(Policy):

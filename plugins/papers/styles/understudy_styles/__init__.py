@@ -1,7 +1,16 @@
 """Styles of motion: energy, volume and the Gram-matrix reward (thesis, section 3.3.3)."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("networks", "skills", "tensors", "terms", "characters", "motion", "spacetime")
+REQUIRES = (
+    "networks",
+    "skills",
+    "tensors",
+    "terms",
+    "characters",
+    "motion",
+    "spacetime",
+    "reinforcement",
+)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

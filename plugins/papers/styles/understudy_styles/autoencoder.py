@@ -14,7 +14,6 @@ from understudy.errors import ConfigError, RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
-from understudy.running.evaluation import Evaluation, Measured
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
@@ -23,6 +22,7 @@ from understudy.task import Context
 from understudy_characters.scene import CharacterScene
 from understudy_motion import library
 from understudy_networks.supervised import NetworkJob
+from understudy_reinforcement.evaluation import Evaluation, Measured
 from understudy_styles.features import clip_features
 
 

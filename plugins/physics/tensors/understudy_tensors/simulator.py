@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from understudy.running.environment import Environment, rows
+from understudy.running.environment import Environment
+from understudy.running.soundness import rows
 from understudy.task import Simulator
 from understudy_tensors.captured import Captured
 

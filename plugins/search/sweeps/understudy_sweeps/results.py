@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from understudy.records.runs import Run
-from understudy.running.evaluation import wilson_interval
+from understudy_reinforcement.evaluation import wilson_interval
 from understudy_report.values import Row, interval, mapping, number, own_evaluation
 from understudy_sweeps.journal import Journal
 from understudy_sweeps.loops import Report, Trial

@@ -20,7 +20,6 @@ from typing import Any
 
 import torch
 
-from understudy import distributed
 from understudy.errors import ConfigError, PreemptedError, RunError, suggestion
 from understudy.folders import read
 from understudy.records import runs
@@ -34,6 +33,7 @@ from understudy_sweeps.loops import Executor, OuterLoop, Report, Trial, Work
 from understudy_sweeps.page import Page
 from understudy_sweeps.progress import Progress
 from understudy_sweeps.trial import JUDGED, REFUSED, folder_of, note_stop, overrides_of
+from understudy_training.processes import requested
 
 __all__ = ["sweep"]
 
@@ -50,7 +50,7 @@ def sweep(overrides: Sequence[str]) -> int:
         after a stop signal, when trials under way are saved.
     """
     experiment = load_experiment(overrides, installed())
-    if distributed.requested() > 1:
+    if requested() > 1:
         raise ConfigError("A sweep starts its trials itself: start it without torchrun.")
     root, chosen = experiment.root, experiment.need("outer_loop")
     loop: OuterLoop = chosen.build(root.seed)

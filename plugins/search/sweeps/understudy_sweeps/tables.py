@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy import errors
-from understudy.running.evaluation import wilson_interval
+from understudy_reinforcement.evaluation import wilson_interval
 from understudy_report import words
 from understudy_report.markup import grid
 from understudy_report.values import interval, mapping, number

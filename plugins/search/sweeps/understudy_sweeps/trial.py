@@ -19,7 +19,7 @@ from understudy.folders import read
 from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
-from understudy.running.evaluation import Evaluation
+from understudy.running.jobs import Judgement
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import load_experiment, replaced
 from understudy_reinforcement.job import Reinforcement
@@ -231,7 +231,7 @@ def _figures(row: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def _result(trial: Trial, evaluation: Evaluation, training: Training, outcome: str) -> Report:
+def _result(trial: Trial, evaluation: Judgement, training: Training, outcome: str) -> Report:
     assert training.run is not None
     return Report(
         trial.key,

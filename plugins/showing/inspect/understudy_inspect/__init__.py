@@ -1,7 +1,7 @@
 """Commands that show what there is, and judge and draw what was trained."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("skills", "training")
+REQUIRES = ("skills", "training", "reinforcement")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from understudy.running.evaluation import Evaluation, wilson_interval
+from understudy.running.jobs import Judgement
+from understudy_reinforcement.evaluation import wilson_interval
 
 #: Success may differ by this much, as a share, in what is said to be the same.
 TOLERANCE = 0.1
 
 
-def difference(first: Evaluation, second: Evaluation) -> tuple[float, float, float] | None:
+def difference(first: Judgement, second: Judgement) -> tuple[float, float, float] | None:
     """By how much the success rate of `second` is above that of `first`, and the ends of its 95 % interval;
     None where nothing counts as success.
 
@@ -40,7 +41,7 @@ def verdict(interval: tuple[float, float]) -> str:
     return "independent" if max(-low, high) <= TOLERANCE else "undecided"
 
 
-def compared(first: Evaluation, hertz: float, second: Evaluation) -> dict[str, Any]:
+def compared(first: Judgement, hertz: float, second: Judgement) -> dict[str, Any]:
     """For ``evaluation.json``: what `second` found with physics at `hertz`, beside `first`."""
     found: dict[str, Any] = {
         "physics_hz": hertz,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
-from understudy.running.environment import sound
+from understudy.running.soundness import sound
 from understudy.setup.building import build_environment
 from understudy.setup.plugins import Plugins, installed
 from understudy.setup.validation import refuse_code, validate

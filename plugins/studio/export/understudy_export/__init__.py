@@ -1,7 +1,17 @@
 """Runs and clips out: motions as BVH, glTF and USD, policies as ONNX."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("skills", "characters", "cloth", "motion", "mujoco", "report", "credits", "play")
+REQUIRES = (
+    "skills",
+    "characters",
+    "cloth",
+    "motion",
+    "mujoco",
+    "report",
+    "credits",
+    "play",
+    "reinforcement",
+)
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

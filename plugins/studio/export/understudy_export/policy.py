@@ -34,9 +34,8 @@ from torch import Tensor, nn
 from understudy import __version__
 from understudy.errors import FileError
 from understudy.records.checkpoint import write_atomically
-from understudy.setup.building import Built, build_environment, build_policy
+from understudy.setup.building import Built, build_environment
 from understudy.setup.config import Chosen
-from understudy.task import Policy
 from understudy_characters.parts import Reference
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.servos import lags
@@ -44,6 +43,7 @@ from understudy_export.command import REFERENCE_TABLE
 from understudy_motion.clip import cycle_transform
 from understudy_motion.section import Motion
 from understudy_mujoco.scene import MujocoScene
+from understudy_reinforcement.policy import Policy, build_policy
 from understudy_skills.skill import Skill
 
 #: Rows of the reference's table in a control period.

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
 from understudy.setup.config import Experiment
 from understudy_mujoco.scene import MujocoScene
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import Skill
 
 __all__ = ["World"]

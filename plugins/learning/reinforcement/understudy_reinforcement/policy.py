@@ -1,15 +1,23 @@
-"""Policies and the distributions that they return."""
+"""Policies, the distributions that they return, and how the policy of an experiment is built."""
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from torch import Tensor, nn
 
+from understudy.errors import ConfigError
+from understudy.random import private_rng
+from understudy.setup.config import Experiment
+from understudy.task import Context
+
 if TYPE_CHECKING:
     from understudy.random import WorldStreams
+
+__all__ = ["Distribution", "Policy", "build_policy"]
 
 
 class Distribution(ABC):
@@ -67,3 +75,22 @@ class Policy(nn.Module, ABC):
 
     def schedule(self, samples: int) -> None:
         """Set what follows a schedule (exploration noise) for `samples` consumed so far."""
+
+
+@contextlib.contextmanager
+def enough_memory(what: str) -> Iterator[None]:
+    """Inside, what asks for more memory than there is becomes a :class:`ConfigError`."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and "memory" not in str(error):
+            raise
+        raise ConfigError(
+            f"The {what} asks for more memory than there is. Ask for less: fewer worlds, smaller sizes."
+        ) from error
+
+
+def build_policy(experiment: Experiment, context: Context) -> Policy:
+    """The policy, its weights drawn from the seed alone."""
+    with private_rng(context.seed, "policy"), enough_memory("policy"):
+        return experiment.need("policy").build(context).to(context.device)

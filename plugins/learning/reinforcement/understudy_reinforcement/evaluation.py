@@ -9,6 +9,8 @@ from typing import Any
 
 from torch import Tensor
 
+from understudy.running.jobs import Judgement
+
 __all__ = ["Evaluation", "Measured", "wilson_interval"]
 
 
@@ -47,20 +49,14 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class Evaluation(Judgement):
     """What an evaluation found. Shares are of episodes."""
 
-    episodes: int
-    success: str = ""  #: what a success is, in words
-    success_rate: float | None = None  #: None where nothing is defined as success
-    mean_episode_seconds: float | None = None
     violated: Mapping[str, float] = field(default_factory=dict)  #: by termination term
     cut: Mapping[str, float] = field(default_factory=dict)  #: by truncation that ended them
     measures: Mapping[str, Measured] = field(default_factory=dict)
     objective: str = "success_rate"  #: what searches maximise: this, or a measure
     seconds: float | None = None  #: the episodes' length
-    #: False if it was stopped once success was out of reach; then the rate is the most it could be.
-    complete: bool = True
     unsound: float = 0.0  #: share whose numbers went wrong; they are no success
 
     @property
@@ -71,7 +67,7 @@ class Evaluation:
         return None if math.isnan(value) else value
 
     def row(self, kind: str = "evaluation") -> dict[str, float]:
-        """The figures for a row of metrics: KIND/success_rate, or KIND/success_rate_at_most alone."""
+        """KIND/success_rate, or KIND/success_rate_at_most alone."""
         found = {f"{kind}/{name}": m.mean for name, m in self.measures.items() if self.complete}
         if self.success_rate is not None:
             name = "success_rate" if self.complete else "success_rate_at_most"
@@ -79,7 +75,6 @@ class Evaluation:
         return found | ({f"{kind}/unsound": self.unsound} if self.unsound else {})
 
     def as_json(self, samples: int, changed: Sequence[str] = ()) -> dict[str, Any]:
-        """After so many `samples`; `changed` are overrides with which the run was not trained."""
         found: dict[str, Any] = {
             "episodes": self.episodes,
             "seconds": self.seconds,
@@ -103,7 +98,6 @@ class Evaluation:
         return found | ({"changed": list(changed)} if changed else {})
 
     def sentence(self) -> str:
-        """The result in words."""
         known = {n: m.mean for n, m in self.measures.items() if not math.isnan(m.mean)}
         figures = [
             f"{n} {mean:.3g}" for n, mean in known.items() if n != "return" and self.complete

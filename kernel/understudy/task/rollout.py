@@ -1,14 +1,10 @@
-"""Rollouts and the learners that improve a policy from them."""
+"""Rollouts: what learners, curricula and initial states learn from."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from torch import Tensor
-
-from understudy.task.base import State
 
 
 @dataclass(repr=False)
@@ -43,30 +39,3 @@ class Rollout:
             f"Rollout({steps} decisions of {worlds} worlds on {self.rewards.device}; {sees}; actions "
             f"{list(self.actions.shape)})"
         )
-
-
-class Learner(ABC):
-    """Improves a policy from rollouts. Built with ``(options, context, policy)``."""
-
-    #: T, the decisions per world and iteration.
-    rollout_steps: int
-    #: Fields of the states, each (T, N, …), that rollouts are to bring beside the observations:
-    #: before the action, and as it left them, before the next episode begins.
-    rollout_fields: tuple[str, ...] = ()
-    next_fields: tuple[str, ...] = ()
-    #: Called once with what led to the first non-finite step, so that it can be replayed.
-    on_fault: Callable[[Mapping[str, Tensor]], None] | None = None
-
-    @abstractmethod
-    def update(self, rollout: Rollout) -> dict[str, float]:
-        """One improvement; sets the rollout's ``values`` and ``returns``; returns metrics.
-
-        A step whose loss or gradient is not finite must leave the weights as they were and count
-        in the metric ``skipped_steps``.
-        """
-
-    @abstractmethod
-    def state_dict(self) -> State: ...
-
-    @abstractmethod
-    def load_state_dict(self, state: State) -> None: ...

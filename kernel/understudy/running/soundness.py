@@ -1,0 +1,32 @@
+"""Whether the numbers of a world can be counted on."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+__all__ = ["rows", "sound", "without_unsound"]
+
+#: Numbers of this size and beyond count as non-finite, as they do for MuJoCo.
+LARGEST = 1e10
+
+
+def rows(mask: Tensor, like: Tensor) -> Tensor:
+    """`mask` (N,) shaped to broadcast over the rows of `like` (N, …)."""
+    return mask.view(-1, *([1] * (like.dim() - 1)))
+
+
+def sound(value: Tensor) -> Tensor:
+    """(N,) bool: the rows of `value` (N, …) in which every number is finite and of sane size."""
+    size = value.abs()[:, None].flatten(1)  # amax is NaN where a number is; it takes no empty rows
+    return size.amax(dim=1) < LARGEST if size.shape[1] else (size < LARGEST).all(dim=1)
+
+
+def not_all_sound(value: Tensor) -> bool:
+    """Whether any row of `value` (N, …) is not :func:`sound`. Waits for the device."""
+    return not bool(sound(value).all())
+
+
+def without_unsound(value: Tensor) -> Tensor:
+    """`value` (N, …), 0 in the rows where a number is not finite or of no sane size."""
+    return torch.where(rows(sound(value), value), value, 0) if value.is_floating_point() else value

@@ -1,0 +1,42 @@
+"""What a decision of all worlds gives, and what is kept of one that went wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+__all__ = ["Fault", "Step"]
+
+
+@dataclass
+class Step:
+    """What one decision of all worlds gave. It is overwritten by the next one."""
+
+    #: Of the states reached; after :meth:`Environment.step` ended worlds begin the next episode.
+    observations: dict[str, Tensor]
+    rewards: Tensor  #: (N,) float32
+    terminated: Tensor  #: (N,) bool: failed or succeeded, nothing follows
+    failed: Tensor  #: (N,) bool: terminated by a failure
+    truncated: Tensor  #: (N,) bool
+    unsound: Tensor  #: (N,) bool: failed because numbers went wrong
+    returns: Tensor  #: (N,) the episodes' returns up to and with this step
+    endings: dict[str, Tensor]  #: by termination term: (N,) bool, fired in this step
+    next_fields: dict[str, Tensor]  #: those that :attr:`Environment.next_fields` names
+    #: After :meth:`Environment.step`: the last observations of ended episodes, None if none ended.
+    final_observations: dict[str, Tensor] | None = None
+
+    @property
+    def ended(self) -> Tensor:
+        """(N,) bool"""
+        return self.terminated | self.truncated
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What led to the first numbers that went wrong, to be repeated."""
+
+    snapshot: dict[str, Tensor]  #: of the simulator before the decision
+    controls: Tensor  #: (K, N, U), in order
+    substeps: int | None  #: physics steps under each of them; None: a control period
+    worlds: Tensor  #: (N,) bool: those that went wrong
