@@ -2,16 +2,8 @@
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "curricula",
-    "networks",
-    "skills",
-    "tensors",
-    "terms",
-    "ppo",
-    "sequencing",
-    "sweeps",
-    "reinforcement",
-)
+    "curricula", "networks", "skills", "tensors", "terms", "ppo", "sequencing", "sweeps", "reinforcement",
+)  # fmt: skip
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

@@ -2,15 +2,8 @@
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "networks",
-    "skills",
-    "tensors",
-    "characters",
-    "inspect",
-    "motion",
-    "report",
-    "reinforcement",
-)
+    "networks", "skills", "tensors", "characters", "inspect", "motion", "report", "reinforcement",
+)  # fmt: skip
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
