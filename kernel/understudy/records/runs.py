@@ -51,7 +51,8 @@ VERSIONED = ("understudy", "torch", "numpy", "mujoco", "hydra-core", "mujoco-war
 
 def cores() -> int:
     """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0))
+    asked = getattr(os, "sched_getaffinity", None)  # macOS cannot be asked
+    return len(asked(0)) if asked else os.cpu_count() or 1
 
 
 def threads() -> int:

@@ -10,7 +10,6 @@ T frames, H × W pixels; world frame, m.
 from __future__ import annotations
 
 import copy
-import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +20,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from understudy.records.runs import cores
 from understudy_mujoco.opengl import no_opengl
 from understudy_mujoco.shadows import FigureShadow, Patch, StillShadow, Top
 
@@ -97,7 +97,7 @@ def draw(
             mine.painter = _Painter(model, scenery, figures)
         return mine.painter.paint(index)
 
-    count = threads or min(4, len(os.sched_getaffinity(0)))
+    count = threads or min(4, cores())
     with ThreadPoolExecutor(count) as pool:
         ahead: deque[Future[np.ndarray]] = deque()
         try:

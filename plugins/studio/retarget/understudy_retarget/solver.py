@@ -12,13 +12,13 @@ solution.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from understudy.records.runs import cores
 from understudy_characters.kinematics import Kinematics, Poses
 from understudy_tensors import rotations
 
@@ -63,7 +63,7 @@ def solve(kinematics: Kinematics, qpos: Tensor, points: PointGoals, turns: Rotat
     """
     problem = _Problem(kinematics, points, turns)
     chunks = torch.arange(len(qpos)).split(CHUNK)
-    workers = min(len(chunks), len(os.sched_getaffinity(0)))
+    workers = min(len(chunks), cores())
     # A thread for each chunk: operations this small lose more by being split than they gain.
     with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         return torch.cat(list(pool.map(lambda frames: problem.solve(qpos[frames], frames), chunks)))
