@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import figures
 import held
+import mistakes
 import shipped
 
 from understudy_skills.skill import open_skill
@@ -42,6 +44,15 @@ def test_a_result_without_a_record_is_seen(line: str) -> None:
     assert len(figures.untraced(page, f"Words.\n\n{line}{table}")) == 1
     assert not figures.untraced(page, f"<!-- record: diversity.jsonl -->\n\n{table}")
     assert not figures.untraced(page, "| option | default |\n|---|---|\n| `x` | 2 % |\n")
+
+
+def test_the_page_of_mistakes_has_the_answers_of_today() -> None:
+    record = json.loads(mistakes.RECORD.read_text(encoding="utf-8"))
+    assert mistakes.page(record) == mistakes.PAGE.read_text(encoding="utf-8")
+    for typed, right in mistakes.mistakes().items():
+        found = record["after"][typed]
+        assert found["status"] == 2, typed
+        assert right in found["answer"], f"{typed}: run `python benchmarks/mistakes.py`"
 
 
 def claim(

@@ -349,6 +349,10 @@ def test_an_unpacked_skill_is_a_run_that_acts_as_the_skill_does(
         torch.testing.assert_close(again.policy[name], value)
     assert main(["play", "sitting/sit", "--unpack", str(run)]) == 2
     assert "already holds a run" in capsys.readouterr().err
+    assert main(["resume", str(run)]) == 2
+    said = capsys.readouterr().err
+    assert f"start.run={run}" in said
+    assert said.count("\n") == 1
 
 
 def test_a_skill_packed_without_its_overrides_is_not_unpacked(
