@@ -240,13 +240,40 @@ def _range(low: float, high: float, unit: str) -> str:
 _MEANS = "Means and 95 % intervals over seeds (Student's t; one or two seeds by themselves). "
 
 
-def origin(spec: Mapping[str, Any], files: list[str], seeds: list[int]) -> str:
-    """Seeds, hardware, date and file, as they stand below a table."""
+def days(dates: set[str]) -> str:
+    """Dates as they stand below a table; those of one month have it once."""
+    first, *others = sorted(dates)
+    short = [day.removeprefix(first[:8]) for day in others]
+    return " and ".join(filter(None, [", ".join([first, *short[:-1]]), *short[-1:]]))
+
+
+def origin(spec: Mapping[str, Any], used: list[Mapping[str, Any]], seeds: list[int]) -> str:
+    """Seeds, hardware, date and file of what was `used`, as they stand below a table.
+
+    Dates are those of the rows that have one (``when``), else as ``docs/figures.yaml`` says; hardware is
+    what it says there, else the rows' (``machine``).
+
+    Raises
+    ------
+    ValueError
+        nobody says it, or both say when.
+    """
     numbers, links = sorted(set(seeds)), defaultdict(list)
-    for record in dict.fromkeys(files):
-        about = spec["records"][record]
-        where = f"{about['hardware']}, {about['date']}"
-        links[where].append(f"[{record}]({{records}}/{record})")
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for what in used:
+        for record in records(what):
+            matched = [row for row in rows(record) if _matches(row, what.get("where", {}))]
+            found.setdefault(record, []).extend(matched)
+    for record, matched in found.items():
+        about = spec["records"].get(record, {})
+        dates = {row["when"] for row in matched if "when" in row}
+        machines = dict.fromkeys(row["machine"] for row in matched if "machine" in row)
+        hardware = about.get("hardware") or "; ".join(machines)
+        if bool(dates) == ("date" in about) and matched or not hardware:
+            raise ValueError(f"{record}: its hardware or date is said by nobody, or its date twice.")
+        if matched:
+            where = f"{hardware}, {about.get('date') or days(dates)}"
+            links[where].append(f"[{record}]({{records}}/{record})")
     lines = [f"{where}: {', '.join(of)}" for where, of in links.items()]
     which = f"Seeds {', '.join(map(str, numbers))}. " if numbers else ""
     return f"{which}{_MEANS}{'; '.join(lines)}."
@@ -256,22 +283,24 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
     """A table of a record: a row for each of ``rows``, a column for each of ``columns``."""
     printed = one.get("printed", [])
     lines = [[one.get("head", ""), *printed, *(c["title"] for c in one["columns"])]]
-    files, seeds = [], []
+    used: list[Mapping[str, Any]] = []
+    seeds: list[int] = []
     for name, row in one["rows"].items():
         cells = []
         for column in one["columns"]:
             if "words" in column:
                 cells.append(_text({**one, **row}, column["words"]))
+                used.append({**one, **row})
                 continue
             what = {"record": one["record"], **column, **row}
             found = measure(what)
-            files += records(what)
+            used.append(what)
             seeds += [*found.values, *found.missed]
             cells.append(words(found, column.get("in", "")))
         lines.append([name, *map(str, row.get("words", ["–"] * len(printed))), *cells])
     if one.get("exact"):  # nothing was drawn
-        return f"{_markdown(lines)}\n\n{origin(spec, files, []).removeprefix(_MEANS)}"
-    below = origin(spec, files, [] if one.get("trials") else seeds)
+        return f"{_markdown(lines)}\n\n{origin(spec, used, []).removeprefix(_MEANS)}"
+    below = origin(spec, used, [] if one.get("trials") else seeds)
     return f"{_markdown(lines)}\n\n{below.replace('over seeds', 'over trials') if one.get('trials') else below}"
 
 
@@ -283,19 +312,20 @@ def _text(one: Mapping[str, Any], path: str) -> str:
 
 def claims(spec: Mapping[str, Any], page: str) -> str:
     """The claims of a page, and what its records say of them."""
-    lines, files = [["claim", "paper", "here", "seeds", "verdict"]], []
+    lines = [["claim", "paper", "here", "seeds", "verdict"]]
+    used: list[Mapping[str, Any]] = []
     for claim in spec["claims"][page]:
         unit, other = claim.get("in", ""), claim.get("less", claim.get("more"))
         found = measure(claim)
         here = words(found, unit)
-        files += records(claim)
+        used.append(claim)
         if isinstance(other, Mapping):
             here += f" against {words(measure({**claim, **other}), unit)}"
-            files += records({**claim, **other})
+            used.append({**claim, **other})
         printed = str(claim.get("paper", "–"))
         cells = [claim["claim"], printed, here, str(found.seeds), f"*{verdict(claim)}*"]
         lines.append(cells)
-    return f"{_markdown(lines)}\n\n{_HOW}\n\n{origin(spec, files, [])}"
+    return f"{_markdown(lines)}\n\n{_HOW}\n\n{origin(spec, used, [])}"
 
 
 _HOW = (
