@@ -134,8 +134,9 @@ def measure(what: Mapping[str, Any]) -> Measured:
             return Measured({}, {}, (value[0], value[2] - value[0], seeds))
         if isinstance(value, list):
             values.update(zip(seeds or range(len(value)), map(float, value), strict=True))
-        elif value is not None:
-            seed = int(row.get("seed", number))
+        elif value not in (None, ""):
+            named = row.get("seed")
+            seed = number if named in (None, "") else int(named)
             values.pop(seed, None)
             missed.pop(seed, None)
             (values if _matches(row, what.get("only", {})) else missed)[seed] = float(value)
@@ -199,11 +200,13 @@ def _told(p: float, difference: float) -> str:
 
 
 def number(value: float, unit: str) -> str:
-    """As a page writes it; `unit` is ``M``, ``k``, ``%`` or anything that stands behind."""
+    """As a page writes it; `unit` is ``M``, ``k``, ``%``, ``mm of m`` or anything that stands behind."""
     if unit == "M":
         return f"{value / 1e6:.2f} M"
     if unit == "k":
         return f"{value / 1e3:.0f} k"
+    if unit == "mm of m":
+        return number(1e3 * value, "mm")
     if unit == "%1":
         return f"{100 * value:.1f} %"
     if unit == "%":
@@ -223,7 +226,7 @@ def words(measured: Measured, unit: str) -> str:
         return f"{number(mean, unit)} ({_range(mean - reach, mean + reach, unit)})"
     text = ", ".join(number(v, unit) for v in values) or ("" if measured.missed else "–")
     if len(values) > 2 and (found := mean_of(values)) is not None:
-        found = found.clipped(0.0, 1.0) if unit == "%" else found
+        found = found.clipped(0.0, 1.0) if unit in ("%", "%1") else found
         text = number(found.value, unit)
         if found.low is not None and found.high is not None and found.high > found.low:
             text += f" ({_range(found.low, found.high, unit)})"
@@ -234,7 +237,8 @@ def words(measured: Measured, unit: str) -> str:
 
 
 def _range(low: float, high: float, unit: str) -> str:
-    return " to ".join(number(value, unit).removesuffix(unit).strip() for value in (low, high))
+    sign = "%" if unit == "%1" else "mm" if unit == "mm of m" else unit
+    return " to ".join(number(value, unit).removesuffix(sign).strip() for value in (low, high))
 
 
 _MEANS = "Means and 95 % intervals over seeds (Student's t; one or two seeds by themselves). "
@@ -292,11 +296,12 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
                 cells.append(_text({**one, **row}, column["words"]))
                 used.append({**one, **row})
                 continue
-            what = {"record": one["record"], **column, **row}
+            where = {**column.get("where", {}), **row.get("where", {})}
+            what = {"record": one["record"], **column, **row, "where": where}
             found = measure(what)
             used.append(what)
             seeds += [*found.values, *found.missed]
-            cells.append(words(found, column.get("in", "")))
+            cells.append(words(found, column.get("in", "")) + _between(what))
         lines.append([name, *map(str, row.get("words", ["–"] * len(printed))), *cells])
     if one.get("exact"):  # nothing was drawn
         return f"{_markdown(lines)}\n\n{origin(spec, used, []).removeprefix(_MEANS)}"
@@ -307,7 +312,17 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
 def _text(one: Mapping[str, Any], path: str) -> str:
     """What the first row of the record that `one` chooses says in words."""
     found = (row for record in records(one) for row in rows(record) if _matches(row, one["where"]))
-    return str(lookup(next(found), path))
+    said = str(lookup(next(found), path))
+    return {"True": "yes", "False": "no"}.get(said, said)
+
+
+def _between(what: Mapping[str, Any]) -> str:
+    """The interval that the record itself has, over episodes, of the one row that `what` chooses."""
+    if "between" not in what:
+        return ""
+    (row,) = (row for r in records(what) for row in rows(r) if _matches(row, what["where"]))
+    low, high = lookup(row, what["between"])
+    return f" ({_range(low, high, what.get('in', ''))})"
 
 
 def claims(spec: Mapping[str, Any], page: str) -> str:
