@@ -4,15 +4,18 @@
 
 ``docs/figures.yaml`` says of what record, in ``docs/benchmarks``, each figure is made; a page has it
 between ``<!-- figures: NAME -->`` and ``<!-- /figures -->``. A table of results outside of such a place
-says before it from what record it was written by hand, ``<!-- record: FILE -->``, or why it has
-none, ``<!-- no record: WHY -->``; one that only looks so, ``<!-- no result: WHY -->``.
+says before it from what record it was written by hand, ``<!-- record: FILE, FILE; beside: NUMBERS -->``,
+which has each of its numbers but those beside, or why it has none, ``<!-- no record: WHY -->``; one that
+only looks so, ``<!-- no result: WHY -->``.
 """
 
 from __future__ import annotations
 
 import argparse
+import bisect
 import csv
 import json
+import math
 import os
 import re
 import sys
@@ -48,6 +51,9 @@ VERDICTS = (HOLDS, FAILS, UNDECIDED, ONE)
 _PLACE = re.compile(r"(<!-- figures: (\S+) -->)(.*?)(<!-- /figures -->)", re.S)
 _TABLE = re.compile(r"((?:^<!--.*?-->\n+)?)((?:^\|.*\n)+)", re.M)
 _RESULT = re.compile(r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d")
+_NUMBER = re.compile(r"(?<![\w.])\d[\d ]*(?:\.\d+)?(?:e\d+)?")
+#: What a number on a page may be of one in a record: itself, in per cent, in ms or mm, in k, in M, in minutes.
+_SCALES = (1.0, 100.0, 1e3, 1e-3, 1e-6, 1 / 60)
 _SETTINGS = re.compile(r"\bdefault\b|\boption\b|\bconstant\b|\bvalue\b.*\b(source|why)\b")
 
 
@@ -89,7 +95,7 @@ def rows(record: str) -> tuple[Mapping[str, Any], ...]:
     for line in lines:
         if "event" in line and line["event"] != "finished":
             continue
-        row = line.get("report", line)
+        row = line["report"] if "event" in line else line
         variant, _, seed = str(row.get("key", "")).rpartition("/seed")
         found.append({"variant": variant, "seed": int(seed), **row} if seed.isdigit() else row)
     return tuple(found)
@@ -273,8 +279,10 @@ def origin(spec: Mapping[str, Any], used: list[Mapping[str, Any]], seeds: list[i
         dates = {row["when"] for row in matched if "when" in row}
         machines = dict.fromkeys(row["machine"] for row in matched if "machine" in row)
         hardware = about.get("hardware") or "; ".join(machines)
-        if bool(dates) == ("date" in about) and matched or not hardware:
-            raise ValueError(f"{record}: its hardware or date is said by nobody, or its date twice.")
+        if (bool(dates) == ("date" in about) and matched) or not hardware:
+            raise ValueError(
+                f"{record}: its hardware or date is said by nobody, or its date twice."
+            )
         if matched:
             where = f"{hardware}, {about.get('date') or days(dates)}"
             links[where].append(f"[{record}]({{records}}/{record})")
@@ -466,12 +474,56 @@ def untraced(page: Path, text: str | None = None) -> list[str]:
         head = body.partition("\n")[0]
         if not _RESULT.search(body) or _SETTINGS.search(head):
             continue
-        record = re.fullmatch(r"<!-- record: (.*) -->", said)
+        record = re.fullmatch(r"<!-- record: (.*?)(?:; beside: (.*))? -->", said)
         if record:
-            found += [f"no {n}" for n in record[1].split(", ") if not (RECORDS / n).exists()]
+            names, beside = record[1].split(", "), (record[2] or "").split(", ")
+            missing = [f"no {name}" for name in names if not (RECORDS / name).exists()]
+            found += missing or [f"{head}: {n}" for n in foreign(body, names) if n not in beside]
         elif not re.fullmatch(r"<!-- no (?:record|result): .{10,} -->", said):
             found.append(head)
     return found
+
+
+def foreign(body: str, names: list[str]) -> list[str]:
+    """The numbers of a table's body that none of the records has, as they are rounded there."""
+    known = sorted({abs(v) * scale for n in names for v in _numbers(n) for scale in _SCALES})
+    strange = []
+    for line in body.splitlines()[2:]:
+        for match in _NUMBER.finditer(line):
+            text = match[0].replace(" ", "")
+            mantissa, _, power = text.partition("e")
+            digits = len(mantissa.partition(".")[2])
+            half = 0.5001 * 10.0 ** (int(power or 0) - digits)
+            at = bisect.bisect_left(known, float(text) - half)
+            if at == len(known) or known[at] > float(text) + half:
+                strange.append(match[0].strip())
+    return strange
+
+
+@cache
+def _numbers(record: str) -> frozenset[float]:
+    """All numbers in a record, those within its words, and how long its lists are."""
+    found: set[float] = set()
+
+    def walk(value: Any) -> None:
+        if isinstance(value, Mapping):
+            for each in value.values():
+                walk(each)
+        elif isinstance(value, list | tuple):
+            found.add(float(len(value)))
+            for each in value:
+                walk(each)
+        elif isinstance(value, str):
+            found.update(map(float, re.findall(r"\d+\.?\d*(?:e-?\d+)?", value)))
+        elif isinstance(value, int | float):
+            found.add(float(value))
+
+    path = RECORDS / record
+    if record.endswith(".csv"):
+        walk(rows(record))
+    else:  # what a trial reported on its way, too
+        walk([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()])
+    return frozenset(v for v in found if math.isfinite(v))
 
 
 def main() -> int:

@@ -40,8 +40,42 @@ def test_a_result_without_a_record_is_seen(line: str) -> None:
     table = "| seed | samples |\n|---|---|\n| 0 | 1.2 M |\n"
     page = figures.RECORDS / "README.md"
     assert len(figures.untraced(page, f"Words.\n\n{line}{table}")) == 1
-    assert not figures.untraced(page, f"<!-- record: diversity.jsonl -->\n\n{table}")
+    assert not figures.untraced(
+        page, f"<!-- record: diversity.jsonl; beside: 0, 1.2 -->\n\n{table}"
+    )
     assert not figures.untraced(page, "| option | default |\n|---|---|\n| `x` | 2 % |\n")
+
+
+def test_a_number_that_its_record_has_not_is_seen() -> None:
+    """One Hopper return is 3436; 3437 is nowhere in the record, unless it is said to be beside it."""
+    page = figures.RECORDS / "README.md"
+    table = "| seed | return |\n|---|---|\n| 0 | 3436, 3437 ± 1 |\n"
+    assert figures.untraced(page, f"<!-- record: ppo_vs_sb3.jsonl -->\n\n{table}") == [
+        "| seed | return |: 3437"
+    ]
+    assert not figures.untraced(page, f"<!-- record: ppo_vs_sb3.jsonl; beside: 3437 -->\n\n{table}")
+
+
+def test_what_figures_are_made_of_is_used() -> None:
+    """Each table of docs/figures.yaml stands on a page, and each record there is one of a figure."""
+    pages = "".join(page.read_text(encoding="utf-8") for page in figures.PAGES)
+    made = [*SPEC["tables"].values(), *(c for all_of in SPEC["claims"].values() for c in all_of)]
+    text = str(made)
+    assert [name for name in SPEC["tables"] if f"<!-- figures: {name} -->" not in pages] == []
+    assert [name for name in SPEC["records"] if f"'{name}'" not in text] == []
+
+
+def test_dates_are_the_records_own() -> None:
+    """A date beside rows that have their own is refused, and so is a record of which nobody says when."""
+    what = [{"record": "shipped.jsonl", "where": {"skill": "spacetime/walk"}}]
+    told = {"records": {"shipped.jsonl": {"hardware": "a core"}}}
+    assert "a core, 2026-11-" in figures.origin(told, what, [])
+    told["records"]["shipped.jsonl"]["date"] = "2026-11-01"
+    with pytest.raises(ValueError, match="its date twice"):
+        figures.origin(told, what, [])
+    with pytest.raises(ValueError, match="said by nobody"):
+        figures.origin({"records": {}}, what, [])
+    assert figures.days({"2026-11-27", "2026-11-24", "2026-11-26"}) == "2026-11-24, 26 and 27"
 
 
 def claim(
