@@ -358,6 +358,20 @@ _HOW = (
 )
 
 
+def told(claim: Mapping[str, Any]) -> str:
+    """A claim within a line: its verdict, and what that stands on."""
+    unit, other = claim.get("in", ""), claim.get("less", claim.get("more"))
+    found = measure(claim)
+    if isinstance(other, Mapping):
+        theirs = measure({**claim, **other})
+        beside, seeds = words(theirs, unit), f"{found.seeds} and {theirs.seeds} seeds"
+        seeds = f"{found.seeds} seeds each" if found.seeds == theirs.seeds else seeds
+    else:
+        beside, seeds = number(float(other), unit), f"{found.seeds} seeds"
+    seeds = "" if verdict(claim) == ONE else f"; {seeds}"
+    return f"*{verdict(claim)}*: {words(found, unit)} against {beside}{seeds}"
+
+
 def summary(spec: Mapping[str, Any]) -> str:
     """How many claims of each page have which verdict."""
     lines = [["", *VERDICTS]]
@@ -448,7 +462,7 @@ def figure(spec: Mapping[str, Any], name: str) -> str:
         return f"\n\n{table(spec, spec['tables'][name])}\n\n"
     if name in spec["values"]:
         one = spec["values"][name]
-        return words(measure(one), one.get("in", ""))
+        return told(one) if {"less", "more"} & set(one) else words(measure(one), one.get("in", ""))
     raise ValueError(f"there is no figure '{name}' in docs/figures.yaml.")
 
 
