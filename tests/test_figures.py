@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -133,6 +136,24 @@ def test_what_ships_was_measured_as_it_is() -> None:
     assert {name: row["samples"] for name, row in measured.items()} == packed
     for one in ("shipped", "gallery"):
         assert set(SPEC["tables"][one]["rows"]) == {f"`{name}`" for name in packed}
+
+
+def test_films_are_of_what_ships() -> None:
+    """A film of a packaged skill is of the files that are packed now, or the gallery says what it was filmed with."""
+    page = (figures.ROOT / "docs" / "gallery" / "index.md").read_text(encoding="utf-8")
+    captions = re.findall(r'<video src="../media/(\w+[.]mp4)".*?</figure>', page, re.S)
+    blocks = dict(zip(captions, page.split("<figure>")[1:], strict=True))
+    shown = {
+        f: m[1] for f, b in blocks.items() if (m := re.search(r"understudy play (\w+/\w+)", b))
+    }
+    films = json.loads((figures.ROOT / "docs" / "media" / "films.json").read_text(encoding="utf-8"))
+    assert {name: film["skill"] for name, film in films.items()} == shown
+    for name, film in films.items():
+        paper, _, skill = film["skill"].partition("/")
+        packed = sorted(figures.ROOT.glob(f"plugins/*/*/understudy_{paper}/skills/{skill}.*"))
+        digest = hashlib.sha256(b"".join(file.read_bytes() for file in packed)).hexdigest()[:16]
+        if film["sha256"] != digest:
+            assert film.get("older", "film it again") in page, f"{name}: {digest}"
 
 
 def test_what_hands_do_was_measured_as_it_ships() -> None:
