@@ -60,11 +60,12 @@ def test_a_number_that_its_record_has_not_is_seen() -> None:
 
 
 def test_what_figures_are_made_of_is_used() -> None:
-    """Each table of docs/figures.yaml stands on a page, and each record there is one of a figure."""
+    """Each table and value of docs/figures.yaml stands on a page, and each record there is one of a figure."""
     pages = "".join(page.read_text(encoding="utf-8") for page in figures.PAGES)
-    made = [*SPEC["tables"].values(), *(c for all_of in SPEC["claims"].values() for c in all_of)]
+    made = [*SPEC["tables"].values(), *SPEC["values"].values(), *SPEC["claims"].values()]
     text = str(made)
-    assert [name for name in SPEC["tables"] if f"<!-- figures: {name} -->" not in pages] == []
+    named = [*SPEC["tables"], *SPEC["values"]]
+    assert [name for name in named if f"<!-- figures: {name} -->" not in pages] == []
     assert [name for name in SPEC["records"] if f"'{name}'" not in text] == []
 
 
