@@ -130,6 +130,12 @@ def sensors() -> tuple[tuple[str, Vector], ...]:
     return tuple(places)
 
 
+def radii() -> tuple[float, ...]:
+    """m, of the person around each of :func:`sensors`."""
+    arm = (0.065, 0.06, 0.055, 0.05, 0.0455, 0.041, 0.0365, 0.04, 0.046)
+    return (0.15, 0.07, 0.10, 0.10, *arm, *arm)
+
+
 def tools() -> tuple[Tool, ...]:
     """What cloth meets: a tool for each link with a shape, in their order, then the gripper, which has none."""
 
