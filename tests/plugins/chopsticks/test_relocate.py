@@ -36,7 +36,7 @@ def built(plugins: Plugins) -> Any:
 def parts(built: Built) -> tuple[Relocations, Bank]:
     initial = built.environment.parts.initial_states
     assert isinstance(initial, Relocations)
-    return initial, initial._bank
+    return initial, initial.bank
 
 
 def field(built: Built, name: str) -> Tensor:
@@ -310,6 +310,44 @@ def test_what_no_plan_reaches_is_given_up(replanned: Built) -> None:
     assert field(replanned, "failed")[[0, 2]].all()
 
 
+def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plugins) -> None:
+    """In the moment at which it begins, in that world alone, and the arm goes on from where it is."""
+    words = [
+        *WORDS[:1], "num_worlds=2", "initial_states.plans=2", "initial_states.relocations=3", "memory.again.onward=true",
+    ]  # fmt: skip
+    experiment = load_experiment([*words, "evaluation.failures=[missed]"], plugins)
+    made = build_environment(experiment, evaluating=True)
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=3)
+    rows = field(made, "plan_row").long()
+    old = bank.frames[rows[0]].clone()
+    assert old[:, 16].amax() == 1, "the others are not planned yet"
+    end = int(((old[:, 16] == 0) & (old[:, 17] == 1)).nonzero()[0, 0])
+    simulator, there = environment.parts.simulator, old[end, 8:11] + torch.tensor([0.01, 0.0, 0.0])
+    while float(field(made, "planned_leg")[0]) == 0.0:
+        assert int(field(made, "followed")[0]) == int(rows[0])
+        if float(field(made, "episode_time")[0]) >= 0.01 * end - 0.015:
+            state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+            state["qpos"][0, 50:53], state["qvel"][0, 48:] = there, 0.0
+            simulator.set_state(torch.tensor([True, False]), state)
+            environment.refresh()
+        assert not bool(field(made, "failed")[0]), "that the plan ends is not the end"
+        environment.advance(torch.zeros(2, 36))
+    assert int(field(made, "followed")[0]) == bank.drawn
+    assert int(field(made, "followed")[1]) in (int(rows[1]), bank.drawn + 1)
+    new = bank.frames[bank.drawn]
+    assert float(field(made, "plan_time")[0]) == pytest.approx(0.0, abs=1e-6)
+    torch.testing.assert_close(new[0, 8:10], there[:2], atol=2e-3, rtol=0)
+    assert float(field(made, "object_distance")[0]) < 2e-3
+    assert (new[0, :7] - old[end, :7]).abs().max() < 0.05
+    over = int(((new[:, 16] == 1) & (new[:, 17] == 1)).nonzero()[0, 0])
+    torch.testing.assert_close(new[over, 8:11], bank.goals[bank.drawn, 1])
+    assert not torch.equal(bank.goals[bank.drawn, 1], bank.goals[rows[0], 0]), "a goal of its own"
+    assert new[over + 1, 16] == 2, "and one more follows"
+    assert field(made, "replans").tolist() == [0, 0]
+    made.environment.close()
+
+
 def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     """Nothing is asked of the device: what was kept is returned as it is, and the bank has no spare rows."""
     words = [*WORDS[:1], "num_worlds=2", "initial_states.plans=2", "memory.again.most=2"]
@@ -318,7 +356,8 @@ def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     kept = {"followed": torch.zeros(2)}
     lost = torch.full((2,), 0.5)
     found = memory.advance(
-        kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost
+        kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost,
+        planned_leg=lost,
     )  # fmt: skip
     assert found is kept
     assert len(parts(made)[1].frames) == 2

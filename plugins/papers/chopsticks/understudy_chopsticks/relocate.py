@@ -80,6 +80,8 @@ class Bank:
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
         self._relocations, self._noise, self._spare = 1, 0.0, 0
+        #: Whether a relocation is planned only as it begins (:meth:`onward`), and how many were.
+        self.one_by_one, self._onwards = False, 0
         self._missing: set[int] = set()
         self.frames = self.goals = self.lengths = torch.zeros(0)
 
@@ -131,7 +133,7 @@ class Bank:
         """Put a new plan into a row, in place."""
         plans = self._plans()
         for leg, plan in enumerate(plans):
-            self.goals[row, leg] = plan.object[-1, :3].float().to(self._device)
+            self.goals[row, leg:] = plan.object[-1, :3].float().to(self._device)
         self._put(row, plans, 0)
 
     def again(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
@@ -144,7 +146,8 @@ class Bank:
         now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
         if abs(float(place[2]) - self._shape.height) > ON_TABLE:
             return None
-        goals = [(float(x), float(y)) for x, y in self.goals[row, leg:, :2]]
+        known = leg + 1 if self.one_by_one else self._relocations
+        goals = [(float(x), float(y)) for x, y in self.goals[row, leg:known, :2]]
         start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
         plans: list[Plan] = []
         try:
@@ -160,27 +163,60 @@ class Bank:
         self.goals[own] = self.goals[row].clone()
         return own if self._put(own, plans, leg) else None
 
+    def onward(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
+        """The row of `world` itself with the relocation that begins with the frame `frame` of the plan `row`: from where arm and sticks are planned
+        then, and the object lies, to a goal that is drawn now. None where there is no such plan.
+        """
+        frame = min(frame, int(self.lengths[row]))
+        here = self.frames[row, frame].double().cpu()
+        leg = int(here[_LEG])
+        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
+            return None
+        start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
+        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+        table = Table((self._shape,), (start,), (heading,))
+        own = self.drawn + world
+        for number in range(_TRIES):
+            name = f"{self._stream}/onward/{self._onwards}/{number}"
+            goal = random_goal(table, 0, random.generator(self._seed, name))
+            try:
+                plan = self._planner.plan(table.task(0, goal), now, table.without(0))
+            except NoPlan:
+                continue
+            self._onwards += 1
+            self.goals[own] = self.goals[row].clone()
+            self.goals[own, leg:] = plan.object[-1, :3].float().to(self._device)
+            return own if self._put(own, [plan], leg) else None
+        return None
+
     def _put(self, row: int, plans: list[Plan], first: int) -> bool:
-        """Write the frames of `plans`, whose first is the relocation number `first`; whether they had room."""
-        parts: list[Tensor] = []
-        for leg, plan in enumerate(plans, first):
-            held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
-            count = len(plan.angle)
-            which, last = torch.full((count, 1), float(leg)), torch.zeros(count, 1)
-            frames = torch.cat(
-                [plan.arm, plan.angle[:, None], plan.object, held[:, None], which, last], dim=1
-            ).float()
-            if leg + 1 < self._relocations:
-                frames = torch.cat([frames, frames[-1:].repeat(round(RESTING / DT), 1)])
-            frames[-1, _LAST] = 1.0
-            parts.append(frames)
-        frames = torch.cat(parts).to(self._device)
+        """Write the frames of `plans`, whose first is the relocation number `first`; whether they had room. Where
+        others follow that are not planned yet, a frame of the next one is the last."""
+        parts = [self._leg(plan, leg) for leg, plan in enumerate(plans, first)]
+        if first + len(plans) < self._relocations:
+            parts.append(parts[-1][-1:].clone())
+            parts[-1][:, _LEG], parts[-1][:, _LAST] = first + len(plans), 0.0
+        frames = torch.cat(parts)
         if len(frames) > self.frames.shape[1]:
             return False
+        frames = frames.to(self._device)
         self.frames[row, : len(frames)] = frames
         self.frames[row, len(frames) :] = frames[-1]
         self.lengths[row] = len(frames) - 1
         return True
+
+    def _leg(self, plan: Plan, leg: int) -> Tensor:
+        """(T, _FRAME) of `plan`, the relocation number `leg`, with the rest after it."""
+        held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
+        count = len(plan.angle)
+        which, last = torch.full((count, 1), float(leg)), torch.zeros(count, 1)
+        frames = torch.cat(
+            [plan.arm, plan.angle[:, None], plan.object, held[:, None], which, last], dim=1
+        ).float()
+        if leg + 1 < self._relocations:
+            frames = torch.cat([frames, frames[-1:].repeat(round(RESTING / DT), 1)])
+        frames[-1, _LAST] = 1.0
+        return frames
 
     def _table(
         self, start: tuple[float, float], heading: float, goal: tuple[float, float]
@@ -193,7 +229,7 @@ class Bank:
     def _plans(self) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
         plans: list[Plan] = []
-        for _ in range(self._relocations):
+        for _ in range(1 if self.one_by_one else self._relocations):
             plans.append(self._plan(plans[-1] if plans else None))
         return plans
 
@@ -286,7 +322,7 @@ class Relocations(InitialStates):
                 )
 
     def __init__(self, options: Options, context: Context) -> None:
-        made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
+        made, self.bank = bank_of(context, "initial_states 'chopsticks/relocations'")
         self._evaluating = context.evaluating
         self._refill = 0 if context.evaluating else options.refill
         if made.scene.options.below is not None and options.relocations > 1:
@@ -296,7 +332,7 @@ class Relocations(InitialStates):
             )
         # A GPU captures the step in which episodes begin, so its bank has to be whole before.
         self._later = context.evaluating and context.device.type == "cpu"
-        self._bank.fill(
+        self.bank.fill(
             options.plans, options.longest, options.relocations, options.noise, self._later
         )
         device, model = context.device, made.scene.model
@@ -319,18 +355,18 @@ class Relocations(InitialStates):
         place = (share * free).long().clamp(max=free - 1)
         row = self._order[place]
         if self._later:
-            self._bank.need(row.unique().tolist())
-        thing = self._bank.frames[row, 0, _OBJECT]
+            self.bank.need(row.unique().tolist())
+        thing = self.bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
         if self._under is not None:
-            qpos[:, self._under : self._under + 2] = self._bank.goals[row, 0, :2]
+            qpos[:, self._under : self._under + 2] = self.bank.goals[row, 0, :2]
             qpos[:, self._under + 2] = self._height
         return {
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
-            "plan_goal": self._bank.goals[row, -1],
+            "plan_goal": self.bank.goals[row, -1],
         }
 
     def update(self, rollout: Rollout) -> dict[str, float]:
@@ -340,7 +376,7 @@ class Relocations(InitialStates):
         followed = set(rollout.fields["plan_row"][-1].long().unique().tolist())
         done = [row for row in self._waiting if row not in followed]
         for row in done:
-            self._bank.replace(row)
+            self.bank.replace(row)
         self._waiting = [row for row in self._waiting if row not in done]
         count = len(self._order)
         while len(self._waiting) < self._refill:
@@ -352,12 +388,12 @@ class Relocations(InitialStates):
 
     def state_dict(self) -> State:
         return {
-            "bank": self._bank.state_dict(), "order": self._order, "waiting": list(self._waiting),
+            "bank": self.bank.state_dict(), "order": self._order, "waiting": list(self._waiting),
             "next": self._next,
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
-        self._bank.load_state_dict(state["bank"])
+        self.bank.load_state_dict(state["bank"])
         self._order.copy_(state["order"])
         self._waiting, self._next = [int(row) for row in state["waiting"]], int(state["next"])
 
