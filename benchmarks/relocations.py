@@ -35,7 +35,9 @@ class Watched:
     """What happens to an object, until its episode ends."""
 
     def __init__(self) -> None:
-        self.placed, self.away = "", list[float]()  #: mm from the goal, of each relocation that is over
+        self.placed = ""  #: 1 or 0, of each relocation that is over; at its end:
+        self.away = list[float]()  #: mm from the goal
+        self.slipped = list[float]()  #: mm of the lower stick in the palm
         self.began = ""  #: phase in which it first was OFF its plan, in this relocation
         self._leg, self._held = -1, 0.0
 
@@ -54,12 +56,15 @@ class Watched:
         if (placed or missed) and len(self.placed) == leg:
             self.placed += "01"[placed]
             self.away.append(round(1e3 * float(table["goal_distance"][world]), 2))
+            self.slipped.append(round(1e3 * float(table["stick_distance"][world, 1]), 2))
         if not bool(ended[world]):
             return None
         fired = [name for name, of in endings.items() if bool(of[world])]
+        if bool(table["given_up"][world]):
+            fired = ["no plan"]
         again = int(table["replans"][world])
         return {
-            "placed": self.placed, "mm": self.away, "ended": fired[0] if fired else "time",
+            "placed": self.placed, "mm": self.away, "slip": self.slipped, "ended": fired[0] if fired else "time",
             "began": self.began, **({"replans": again} if again else {}),
         }  # fmt: skip
 

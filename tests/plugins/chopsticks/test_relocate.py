@@ -243,6 +243,37 @@ def test_a_box_is_put_upon_another(plugins: Plugins) -> None:
     made.environment.close()
 
 
+def test_two_boxes_are_moved_together(plugins: Plugins) -> None:
+    """The upper one lies upon the lower one as the plan begins, no stick goes through it, and both have to arrive."""
+    words = [
+        *WORDS[:1], "num_worlds=2", "initial_states.plans=2", "scene.object={kind: box, sizes: [0.015, 0.015, 0.015]}",
+        "scene.above={kind: box, sizes: [0.012, 0.012, 0.012]}", "initial_states.longest=4",
+    ]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=0)
+    qpos = field(made, "qpos").clone()
+    torch.testing.assert_close(qpos[:, 57:59], qpos[:, 50:52])
+    assert qpos[:, 59].tolist() == pytest.approx([0.021] * 2)
+    for _ in range(20):
+        environment.advance(torch.zeros(2, 36))
+    torch.testing.assert_close(field(made, "qpos")[:, 57:60], qpos[:, 57:60], atol=1e-3, rtol=0)
+    simulator, rows = environment.parts.simulator, field(made, "plan_row").long()
+    for aside, placed_together in ((0.0, 1.0), (0.009, 0.0)):
+        environment.reset(seed=0)
+        for _ in range(int(bank.lengths[rows].amax()) + 31):
+            state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+            state["qvel"][:, 48:] = 0.0
+            state["qpos"][:, 50:57] = bank.frames[rows, bank.lengths[rows], 8:15]
+            state["qpos"][:, 57:64] = state["qpos"][:, 50:57]
+            state["qpos"][:, 57] += aside
+            state["qpos"][:, 59] += 0.0135
+            simulator.set_state(torch.ones(2, dtype=torch.bool), state)
+            environment.advance(torch.zeros(2, 36))
+        assert field(made, "object_placed").tolist() == [placed_together] * 2
+    made.environment.close()
+
+
 @pytest.fixture(scope="module")
 def replanned(plugins: Plugins) -> Any:
     words = [*WORDS[:1], "num_worlds=3", "initial_states.plans=3", "memory.again.most=2"]

@@ -57,6 +57,15 @@ class Task:
     heading: float = 0.0  #: rad, at the start
     goal_heading: float | None = None  #: rad; None leaves it as it is
     upon: float = 0.0  #: m: how high what it is put upon is; 0 is the table
+    above: Shape | None = None  #: what lies upon it and goes along; the sticks keep clear of it
+
+    def over(self, place: Tensor, heading: Tensor) -> Things:
+        """What lies upon it where it is at `place` (3,) m, turned by `heading` () rad."""
+        if self.above is None:
+            return Things.of([], place.new_zeros(0, 2), place.new_zeros(0))
+        found = Things.of([self.above], place[None, :2], heading[None])
+        found.places[:, 2] += place[2] + self.shape.height
+        return found
 
 
 @dataclass(frozen=True)
@@ -158,16 +167,16 @@ class Planner:
         start = heading.new_tensor((*task.start, task.shape.height))
         goal = heading.new_tensor((*task.goal, task.shape.height + task.upon))
         away = _away(now) if anew else None
-        found = choose(task.shape, start, heading, goal, last, now.lower[3:], others, self._holder)
+        over = task.over(start, heading), task.over(goal, last)
+        around = _united(others, *over)
+        found = choose(task.shape, start, heading, goal, last, now.lower[3:], around, self._holder)
         own = Things.of([task.shape], start[None, :2], heading[None])
-        everything = Things(
-            *(torch.cat(pair) for pair in zip(_fields(others), _fields(own), strict=True))
-        )
+        everything = _united(others, own, over[0])
         worst: NoPlan | None = None
         for row in range(min(_TRIED, len(found.score))):
             try:
                 return self._complete(
-                    task, now, found, row, start, goal, heading, last, others, everything, error, away
+                    task, now, found, row, start, goal, heading, last, others, everything, over, error, away
                 )  # fmt: skip
             except NoPlan as refused:
                 worst = worst or refused
@@ -186,6 +195,7 @@ class Planner:
         last: Tensor,
         others: Things,
         everything: Things,
+        over: tuple[Things, Things],
         error: Tensor | None,
         away: Frames | None,
     ) -> Plan:
@@ -227,7 +237,10 @@ class Planner:
         close = _joined(close, rest)
         free = self._release(puts, closed, goal, shares)
         order = [parts[0], close, parts[1], free]
-        clear += [float(trajectory.clearance(f, others).amin()) for f in (close, free)]
+        clear += [
+            float(trajectory.clearance(frames, _united(others, above)).amin())
+            for frames, above in zip((close, free), over, strict=True)
+        ]
         whole = _joined(*order)
         phase = torch.repeat_interleave(
             torch.arange(4), torch.tensor([len(f.angle) for f in order])
@@ -353,6 +366,10 @@ def _away(now: Moment) -> Frames:
 def _height(pose: Pose) -> Tensor:
     centre, _ = gripper.tips(pose.angle)
     return pose.place[2] + rotations.to_matrix(pose.turn)[2] @ centre
+
+
+def _united(*several: Things) -> Things:
+    return Things(*(torch.cat(parts) for parts in zip(*map(_fields, several), strict=True)))
 
 
 def _fields(things: Things) -> tuple[Tensor, ...]:

@@ -73,6 +73,13 @@ class Bank:
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.
         self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
+        above = made.scene.options.above
+        self._above = objects.Shape(above.kind, above.sizes) if above is not None else None
+        if self._above is not None and thing.kind != "box":
+            raise ConfigError(
+                f"Nothing lies upon a {thing.kind} (scene.above). Set scene.object to a box, such as "
+                "'{kind: box, sizes: [0.015, 0.015, 0.015]}'."
+            )
         self._upon = 2.0 * self._below.height if self._below is not None else 0.0
         self._planner = Planner(made.grips[0], made.scene)
         self._device = context.device
@@ -167,27 +174,56 @@ class Bank:
         """The row of `world` itself with the relocation that begins with the frame `frame` of the plan `row`: from where arm and sticks are planned
         then, and the object lies, to a goal that is drawn now. None where there is no such plan.
         """
-        frame = min(frame, int(self.lengths[row]))
-        here = self.frames[row, frame].double().cpu()
-        leg = int(here[_LEG])
-        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
-            return None
-        start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
-        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
-        table = Table((self._shape,), (start,), (heading,))
-        own = self.drawn + world
         for number in range(_TRIES):
             name = f"{self._stream}/onward/{self._onwards}/{number}"
-            goal = random_goal(table, 0, random.generator(self._seed, name))
+            empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
+            goal = random_goal(empty, 0, random.generator(self._seed, name))
             try:
-                plan = self._planner.plan(table.task(0, goal), now, table.without(0))
+                found = self.toward(row, world, frame, place, turn, goal)
             except NoPlan:
                 continue
             self._onwards += 1
-            self.goals[own] = self.goals[row].clone()
-            self.goals[own, leg:] = plan.object[-1, :3].float().to(self._device)
-            return own if self._put(own, [plan], leg) else None
+            return found
         return None
+
+    def toward(
+        self,
+        row: int,
+        world: int,
+        frame: int,
+        place: Tensor,
+        turn: Tensor,
+        goal: tuple[float, float],
+        anew: bool = False,
+    ) -> int:
+        """The row of `world` itself with a plan to `goal` m: from where arm and sticks are in the plan `row` at its frame `frame`, and
+        the object lies; `anew` where something has failed.
+
+        Raises
+        ------
+        NoPlan
+            there is none.
+        """
+        frame = min(frame, int(self.lengths[row]))
+        here = self.frames[row, frame].double().cpu()
+        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
+            raise NoPlan("No plan reaches the goal: the object does not lie on the table.")
+        if self._above is not None:
+            raise NoPlan("No plan reaches the goal: what lay upon the object may be in the way.")
+        start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
+        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+        table = Table((self._shape,), (start,), (heading,))
+        plan = self._planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
+        own, leg = self.drawn + world, int(here[_LEG])
+        if not self._put(own, [plan], leg):
+            raise NoPlan("No plan reaches the goal in time. Choose another goal.")
+        self.goals[own] = self.goals[row].clone()
+        self.goals[own, leg:] = plan.object[-1, :3].float().to(self._device)
+        return own
+
+    def way(self, row: int) -> np.ndarray:
+        """(T, 3) m: where the object is in the plan `row`."""
+        return self.frames[row, : int(self.lengths[row]) + 1, _OBJECT][:, :3].cpu().numpy()
 
     def _put(self, row: int, plans: list[Plan], first: int) -> bool:
         """Write the frames of `plans`, whose first is the relocation number `first`; whether they had room. Where
@@ -243,8 +279,8 @@ class Bank:
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
             empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
-            if self._below is not None:
-                apart = self._shape.reach + self._below.reach + APART
+            if (by := self._below or self._above) is not None:
+                apart = self._shape.reach + by.reach + APART
                 if math.dist(start, goal) < apart:
                     continue
             most = 0.25 if self._shape.kind == "capsule" else 0.5
@@ -256,7 +292,7 @@ class Bank:
                 start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
             table = self._table(start, heading, goal)
             try:
-                task = table.task(0, goal, self._upon)
+                task = replace(table.task(0, goal, self._upon), above=self._above)
                 plan = self._planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
@@ -342,6 +378,10 @@ class Relocations(InitialStates):
         below = made.scene.options.below
         self._under = None if below is None else int(model.joint("below").qposadr[0])
         self._height = 0.0 if below is None else below.height
+        above = made.scene.options.above
+        self._over = None if above is None else int(model.joint("above").qposadr[0])
+        if above is not None and made.scene.options.object is not None:
+            self._up = made.scene.options.object.height + above.height
         #: Rows that may be drawn, then those that wait to be replaced.
         self._order = torch.arange(options.plans, device=device)
         self._waiting: list[int] = []
@@ -362,6 +402,9 @@ class Relocations(InitialStates):
         if self._under is not None:
             qpos[:, self._under : self._under + 2] = self.bank.goals[row, 0, :2]
             qpos[:, self._under + 2] = self._height
+        if self._over is not None:
+            qpos[:, self._over : self._over + 7] = thing
+            qpos[:, self._over + 2] += self._up
         return {
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
@@ -517,7 +560,8 @@ class Object(Fields):
 
     - ``object_state`` (13,): position, rotation, linear and angular velocity in the palm's frame
     - ``object_distance`` () m and ``object_turn`` () rad from the plan; ``goal_distance`` () m from the goal
-    - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal
+    - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal; where something is to go along, it still
+      lies upon it
     - ``plan_over`` () 1 once the plan has ended
     - ``legs_placed`` (8,) 1 in the moment at which that relocation is over and its object within `within` m;
       ``leg_placed`` () 1 where any is, ``leg_missed`` () 1 where one is over and its object elsewhere
@@ -556,6 +600,10 @@ class Object(Fields):
             for address in (model.joint("object").qposadr, model.joint("object").dofadr)
         )
         self._palm, self._options = model.body("palm").id, options
+        above, own = made.scene.options.above, made.scene.options.object
+        self._above = None if above is None else int(model.joint("above").qposadr[0])
+        if above is not None and own is not None:
+            self._up, self._half = own.height + above.height, 0.5 * min(own.sizes)
         self._legs = torch.arange(MOST, device=context.device)
         self._round = model.geom("object").type[0] == 2  # a sphere's rotation is nobody's
 
@@ -583,7 +631,12 @@ class Object(Fields):
         turned = rotations.angle_between(rotation, planned_object[:, 3:])
         # The last one is judged when the plan is over, the others in their last frame.
         done = torch.where(plan_time < plan_lasts - 0.5 * DT, goes & (leg_over > 0), over)
-        there = done & (away <= self._options.within)
+        good = away <= self._options.within
+        if self._above is not None:
+            apart = qpos[:, self._above : self._above + 3] - place
+            lies = (apart[:, 2] - self._up).abs() < ON_TABLE
+            good &= lies & (apart[:, :2].norm(dim=-1) < self._half)
+        there = done & good
         legs = planned_leg.long()[:, None] == self._legs
         return {
             "object_state": torch.cat(
@@ -599,7 +652,7 @@ class Object(Fields):
             "object_distance": (place - planned_object[:, :3]).norm(dim=-1) * goes,
             "object_turn": torch.zeros_like(turned) if self._round else turned,
             "goal_distance": away,
-            "object_placed": (over & (away <= self._options.within)).float(),
+            "object_placed": (over & good).float(),
             "plan_over": over.float(),
             "legs_placed": (there[:, None] & legs).float(),
             "leg_placed": there.float(),
