@@ -46,6 +46,8 @@ _FRAME = 7 + 1 + 7 + 1 + 1 + 1
 _OBJECT, _HELD, _LEG, _LAST = slice(8, 15), 15, 16, 17
 #: s between two relocations, in which the object comes to rest.
 RESTING = 0.3
+#: m: where throws go to, x and y: the table's far side.
+_FAR = ((-0.1, 0.1), (0.2, 0.3))
 #: Goals that are tried for a plan.
 _TRIES = 20
 #: Relocations in an episode, at most.
@@ -87,19 +89,26 @@ class Bank:
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
         self._relocations, self._noise, self._spare = 1, 0.0, 0
+        self._thrown = False
         #: Whether a relocation is planned only as it begins (:meth:`onward`), and how many were.
         self.one_by_one, self._onwards = False, 0
         self._missing: set[int] = set()
         self.frames = self.goals = self.lengths = torch.zeros(0)
 
     def fill(
-        self, count: int, seconds: float, relocations: int, noise: float, later: bool = False
+        self,
+        count: int,
+        seconds: float,
+        relocations: int,
+        noise: float,
+        later: bool = False,
+        thrown: bool = False,
     ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
         take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`)."""
         if len(self.frames):
             return
-        self._relocations, self._noise = relocations, noise
+        self._relocations, self._noise, self._thrown = relocations, noise, thrown
         longest = relocations * seconds + (relocations - 1) * RESTING
         self._room = round(longest / DT) + 1
         self.frames = torch.zeros(count, self._room, _FRAME, device=self._device)
@@ -279,6 +288,9 @@ class Bank:
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
             empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
+            if self._thrown:
+                share = torch.rand(2, generator=stream).tolist()
+                goal = tuple(low + (high - low) * s for (low, high), s in zip(_FAR, share, strict=True))
             if (by := self._below or self._above) is not None:
                 apart = self._shape.reach + by.reach + APART
                 if math.dist(start, goal) < apart:
@@ -292,7 +304,8 @@ class Bank:
                 start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
             table = self._table(start, heading, goal)
             try:
-                task = replace(table.task(0, goal, self._upon), above=self._above)
+                task = table.task(0, goal, self._upon)
+                task = replace(task, above=self._above, thrown=self._thrown)
                 plan = self._planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
@@ -345,12 +358,17 @@ class Relocations(InitialStates):
         relocations: int = 1  #: of the object, one after another in a plan; figure 5.21 has eight
         #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
         noise: float = 0.0
+        thrown: bool = False  #: whether the object is thrown, to the table's far side (section 5.7.1)
 
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
             check_range(self, "refill", least=0, most=100_000)
             check_range(self, "relocations", least=1, most=MOST)
             check_range(self, "noise", least=0, most=0.05)
+            if self.thrown and self.relocations > 1:
+                raise ValueError(
+                    f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
+                )
             check_range(self, "longest", least=2 * (LEAST + CLOSING) + PRESSING + ASIDE, most=60.0)
             if self.refill >= self.plans:
                 raise ValueError(
@@ -366,11 +384,16 @@ class Relocations(InitialStates):
                 f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
                 "another stays there. Set one of them alone."
             )
+        if options.thrown and (made.scene.options.below or made.scene.options.above):
+            raise ConfigError(
+                "initial_states.thrown=true takes one object alone. Leave out scene.below and scene.above."
+            )
         # A GPU captures the step in which episodes begin, so its bank has to be whole before.
         self._later = context.evaluating and context.device.type == "cpu"
         self.bank.fill(
-            options.plans, options.longest, options.relocations, options.noise, self._later
-        )
+            options.plans, options.longest, options.relocations, options.noise, self._later,
+            options.thrown,
+        )  # fmt: skip
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
         self._start, self._velocity = start, torch.zeros(model.nv, device=device)
