@@ -19,7 +19,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.again import Again
-from understudy_chopsticks.relocate import Bank, Follow, Relocations, lost, missed, placed, thing
+from understudy_chopsticks.relocate import Bank, Follow, Object, Relocations, lost, missed, placed, thing
 from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
 
@@ -274,6 +274,22 @@ def test_two_boxes_are_moved_together(plugins: Plugins) -> None:
     made.environment.close()
 
 
+def test_an_object_is_thrown_to_the_far_side(plugins: Plugins) -> None:
+    words = ["experiment=chopsticks/throw", "device=cpu", "simulator=mujoco", "num_worlds=3", "initial_states.plans=3"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    made.environment.reset(seed=0)
+    goal, (_, bank) = field(made, "plan_goal"), parts(made)
+    assert (goal[:, 1] >= 0.2).all()
+    assert (goal[:, 0].abs() <= 0.1).all()
+    for row in range(3):
+        way = bank.frames[row, : int(bank.lengths[row]) + 1]
+        assert way[:, 10].amax() > 0.08, "through the air"
+        torch.testing.assert_close(way[-1, 8:11], bank.goals[row, 0])
+    object_ = next(w.part for w in made.environment.parts.fields if isinstance(w.part, Object))
+    assert (object_._options.within, object_._options.settle) == (0.05, 0.0)
+    made.environment.close()
+
+
 @pytest.fixture(scope="module")
 def replanned(plugins: Plugins) -> Any:
     words = [*WORDS[:1], "num_worlds=3", "initial_states.plans=3", "memory.again.most=2"]
@@ -388,7 +404,7 @@ def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     lost = torch.full((2,), 0.5)
     found = memory.advance(
         kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost,
-        planned_leg=lost,
+        planned_leg=lost, plan_over=lost,
     )  # fmt: skip
     assert found is kept
     assert len(parts(made)[1].frames) == 2
@@ -467,7 +483,7 @@ def test_an_evaluation_elsewhere_waits_for_nothing(built: Built) -> None:
         _shared={"gripping": built.context._shared["gripping"]},
     )  # fmt: skip
     made = Relocations(Relocations.Options(plans=2, refill=0), context)
-    assert not made._bank._missing
+    assert not made.bank._missing
     found = made.sample(WorldStreams(0, "starts", 4, context.device))
     assert found["qpos"].shape == (4, 57)
     Again(Again.Options(), context)
@@ -496,6 +512,9 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["initial_states.refill=5"], "some have to stay"),
         (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),
         (["scene.below={kind: box, sizes: [0.03, 0.02, 0.02]}"], "none of table 5.2"),
+        (["scene.above={kind: box, sizes: [0.01, 0.01, 0.01]}"], "Nothing lies upon a sphere"),
+        (["initial_states.thrown=true", "initial_states.relocations=2"], "lands out of reach"),
+        (["initial_states.thrown=true", "scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}"], "takes one object alone"),
         (["scene.object.rolling=-1"], "rolling=-1"),
         (["memory.again.most=-1"], "most=-1"),
         (["memory.again.patience=0"], "patience=0"),

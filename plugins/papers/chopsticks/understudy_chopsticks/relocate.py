@@ -369,7 +369,8 @@ class Relocations(InitialStates):
                 raise ValueError(
                     f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
                 )
-            check_range(self, "longest", least=2 * (LEAST + CLOSING) + PRESSING + ASIDE, most=60.0)
+            least = round(2 * (LEAST + CLOSING) + PRESSING + ASIDE, 6)
+            check_range(self, "longest", least=least, most=60.0)
             if self.refill >= self.plans:
                 raise ValueError(
                     f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
