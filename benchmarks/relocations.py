@@ -90,7 +90,10 @@ def episodes(
             step = environment.advance(policy.distribution(seen).mode())
             seen, again = step.observations, torch.zeros(worlds, dtype=torch.bool)
             for world, one in enumerate(watched):
-                if one is None or (found := one.see(table, step.endings, world, step.ended)) is None:
+                if (
+                    one is None
+                    or (found := one.see(table, step.endings, world, step.ended)) is None
+                ):
                     continue
                 yield found
                 watched[world] = None

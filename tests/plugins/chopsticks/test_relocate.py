@@ -19,7 +19,16 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.again import Again
-from understudy_chopsticks.relocate import Bank, Follow, Object, Relocations, lost, missed, placed, thing
+from understudy_chopsticks.relocate import (
+    Bank,
+    Follow,
+    Object,
+    Relocations,
+    lost,
+    missed,
+    placed,
+    thing,
+)
 from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
 

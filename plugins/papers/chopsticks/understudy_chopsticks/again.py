@@ -46,7 +46,16 @@ class Again(Memory):
         "plan_row", "episode_time", "qpos", "qvel", "object_distance", "leg_missed", "planned_leg", "plan_over",
     )  # fmt: skip
     keeps = dict.fromkeys(
-        ("followed", "plan_since", "plan_stopped", "stopped_since", "replans", "given_up", "leg_begun"), ()
+        (
+            "followed",
+            "plan_since",
+            "plan_stopped",
+            "stopped_since",
+            "replans",
+            "given_up",
+            "leg_begun",
+        ),
+        (),
     )
 
     @dataclass(frozen=True)
@@ -182,7 +191,9 @@ class Again(Memory):
                 new["followed"][world], new["plan_since"][world] = row, episode_time[world]
         return new
 
-    def _toward(self, old: int, world: int, frame: int, thing: Tensor, anew: bool = False) -> int | None:
+    def _toward(
+        self, old: int, world: int, frame: int, thing: Tensor, anew: bool = False
+    ) -> int | None:
         assert self.target is not None
         self._new, self.refused = False, ""
         try:

@@ -290,7 +290,9 @@ class Bank:
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
             if self._thrown:
                 share = torch.rand(2, generator=stream).tolist()
-                goal = tuple(low + (high - low) * s for (low, high), s in zip(_FAR, share, strict=True))
+                goal = tuple(
+                    low + (high - low) * s for (low, high), s in zip(_FAR, share, strict=True)
+                )
             if (by := self._below or self._above) is not None:
                 apart = self._shape.reach + by.reach + APART
                 if math.dist(start, goal) < apart:
@@ -358,7 +360,9 @@ class Relocations(InitialStates):
         relocations: int = 1  #: of the object, one after another in a plan; figure 5.21 has eight
         #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
         noise: float = 0.0
-        thrown: bool = False  #: whether the object is thrown, to the table's far side (section 5.7.1)
+        thrown: bool = (
+            False  #: whether the object is thrown, to the table's far side (section 5.7.1)
+        )
 
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
