@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-
 from understudy.running.evaluation import wilson_interval
+
 from understudy.setup.building import build_environment, build_policy
 from understudy_chopsticks.relocate import Relocations
 from understudy_skills.skill import open_skill
