@@ -279,10 +279,16 @@ def origin(spec: Mapping[str, Any], used: list[Mapping[str, Any]], seeds: list[i
         dates = {row["when"] for row in matched if "when" in row}
         machines = dict.fromkeys(row["machine"] for row in matched if "machine" in row)
         hardware = about.get("hardware") or "; ".join(machines)
-        if (bool(dates) == ("date" in about) and matched) or not hardware:
+        if dates and "date" in about:
             raise ValueError(
-                f"{record}: its hardware or date is said by nobody, or its date twice."
+                f"{record}: its rows say when; take its date out of docs/figures.yaml."
             )
+        if matched and not (dates or "date" in about):
+            raise ValueError(
+                f"{record}: docs/figures.yaml must give its date, its rows have no `when`."
+            )
+        if not hardware:
+            raise ValueError(f"{record}: docs/figures.yaml must give its hardware.")
         if matched:
             where = f"{hardware}, {about.get('date') or days(dates)}"
             links[where].append(f"[{record}]({{records}}/{record})")
