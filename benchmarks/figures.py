@@ -4,15 +4,18 @@
 
 ``docs/figures.yaml`` says of what record, in ``docs/benchmarks``, each figure is made; a page has it
 between ``<!-- figures: NAME -->`` and ``<!-- /figures -->``. A table of results outside of such a place
-says before it from what record it was written by hand, ``<!-- record: FILE -->``, or why it has
-none, ``<!-- no record: WHY -->``; one that only looks so, ``<!-- no result: WHY -->``.
+says before it from what record it was written by hand, ``<!-- record: FILE, FILE; beside: NUMBERS -->``,
+which has each of its numbers but those beside, or why it has none, ``<!-- no record: WHY -->``; one that
+only looks so, ``<!-- no result: WHY -->``.
 """
 
 from __future__ import annotations
 
 import argparse
+import bisect
 import csv
 import json
+import math
 import os
 import re
 import sys
@@ -48,6 +51,9 @@ VERDICTS = (HOLDS, FAILS, UNDECIDED, ONE)
 _PLACE = re.compile(r"(<!-- figures: (\S+) -->)(.*?)(<!-- /figures -->)", re.S)
 _TABLE = re.compile(r"((?:^<!--.*?-->\n+)?)((?:^\|.*\n)+)", re.M)
 _RESULT = re.compile(r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d")
+_NUMBER = re.compile(r"(?<![\w.])\d[\d ]*(?:\.\d+)?(?:e\d+)?")
+#: What a number on a page may be of one in a record: itself, in per cent, in ms or mm, in k, in M, in minutes.
+_SCALES = (1.0, 100.0, 1e3, 1e-3, 1e-6, 1 / 60)
 _SETTINGS = re.compile(r"\bdefault\b|\boption\b|\bconstant\b|\bvalue\b.*\b(source|why)\b")
 
 
@@ -89,7 +95,7 @@ def rows(record: str) -> tuple[Mapping[str, Any], ...]:
     for line in lines:
         if "event" in line and line["event"] != "finished":
             continue
-        row = line.get("report", line)
+        row = line["report"] if "event" in line else line
         variant, _, seed = str(row.get("key", "")).rpartition("/seed")
         found.append({"variant": variant, "seed": int(seed), **row} if seed.isdigit() else row)
     return tuple(found)
@@ -134,8 +140,9 @@ def measure(what: Mapping[str, Any]) -> Measured:
             return Measured({}, {}, (value[0], value[2] - value[0], seeds))
         if isinstance(value, list):
             values.update(zip(seeds or range(len(value)), map(float, value), strict=True))
-        elif value is not None:
-            seed = int(row.get("seed", number))
+        elif value not in (None, ""):
+            named = row.get("seed")
+            seed = number if named in (None, "") else int(named)
             values.pop(seed, None)
             missed.pop(seed, None)
             (values if _matches(row, what.get("only", {})) else missed)[seed] = float(value)
@@ -199,11 +206,13 @@ def _told(p: float, difference: float) -> str:
 
 
 def number(value: float, unit: str) -> str:
-    """As a page writes it; `unit` is ``M``, ``k``, ``%`` or anything that stands behind."""
+    """As a page writes it; `unit` is ``M``, ``k``, ``%``, ``mm of m`` or anything that stands behind."""
     if unit == "M":
         return f"{value / 1e6:.2f} M"
     if unit == "k":
         return f"{value / 1e3:.0f} k"
+    if unit == "mm of m":
+        return number(1e3 * value, "mm")
     if unit == "%1":
         return f"{100 * value:.1f} %"
     if unit == "%":
@@ -223,7 +232,7 @@ def words(measured: Measured, unit: str) -> str:
         return f"{number(mean, unit)} ({_range(mean - reach, mean + reach, unit)})"
     text = ", ".join(number(v, unit) for v in values) or ("" if measured.missed else "–")
     if len(values) > 2 and (found := mean_of(values)) is not None:
-        found = found.clipped(0.0, 1.0) if unit == "%" else found
+        found = found.clipped(0.0, 1.0) if unit in ("%", "%1") else found
         text = number(found.value, unit)
         if found.low is not None and found.high is not None and found.high > found.low:
             text += f" ({_range(found.low, found.high, unit)})"
@@ -234,19 +243,49 @@ def words(measured: Measured, unit: str) -> str:
 
 
 def _range(low: float, high: float, unit: str) -> str:
-    return " to ".join(number(value, unit).removesuffix(unit).strip() for value in (low, high))
+    sign = "%" if unit == "%1" else "mm" if unit == "mm of m" else unit
+    return " to ".join(number(value, unit).removesuffix(sign).strip() for value in (low, high))
 
 
 _MEANS = "Means and 95 % intervals over seeds (Student's t; one or two seeds by themselves). "
 
 
-def origin(spec: Mapping[str, Any], files: list[str], seeds: list[int]) -> str:
-    """Seeds, hardware, date and file, as they stand below a table."""
+def days(dates: set[str]) -> str:
+    """Dates as they stand below a table; those of one month have it once."""
+    first, *others = sorted(dates)
+    short = [day.removeprefix(first[:8]) for day in others]
+    return " and ".join(filter(None, [", ".join([first, *short[:-1]]), *short[-1:]]))
+
+
+def origin(spec: Mapping[str, Any], used: list[Mapping[str, Any]], seeds: list[int]) -> str:
+    """Seeds, hardware, date and file of what was `used`, as they stand below a table.
+
+    Dates are those of the rows that have one (``when``), else as ``docs/figures.yaml`` says; hardware is
+    what it says there, else the rows' (``machine``).
+
+    Raises
+    ------
+    ValueError
+        nobody says it, or both say when.
+    """
     numbers, links = sorted(set(seeds)), defaultdict(list)
-    for record in dict.fromkeys(files):
-        about = spec["records"][record]
-        where = f"{about['hardware']}, {about['date']}"
-        links[where].append(f"[{record}]({{records}}/{record})")
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for what in used:
+        for record in records(what):
+            matched = [row for row in rows(record) if _matches(row, what.get("where", {}))]
+            found.setdefault(record, []).extend(matched)
+    for record, matched in found.items():
+        about = spec["records"].get(record, {})
+        dates = {row["when"] for row in matched if "when" in row}
+        machines = dict.fromkeys(row["machine"] for row in matched if "machine" in row)
+        hardware = about.get("hardware") or "; ".join(machines)
+        if (bool(dates) == ("date" in about) and matched) or not hardware:
+            raise ValueError(
+                f"{record}: its hardware or date is said by nobody, or its date twice."
+            )
+        if matched:
+            where = f"{hardware}, {about.get('date') or days(dates)}"
+            links[where].append(f"[{record}]({{records}}/{record})")
     lines = [f"{where}: {', '.join(of)}" for where, of in links.items()]
     which = f"Seeds {', '.join(map(str, numbers))}. " if numbers else ""
     return f"{which}{_MEANS}{'; '.join(lines)}."
@@ -256,46 +295,60 @@ def table(spec: Mapping[str, Any], one: Mapping[str, Any]) -> str:
     """A table of a record: a row for each of ``rows``, a column for each of ``columns``."""
     printed = one.get("printed", [])
     lines = [[one.get("head", ""), *printed, *(c["title"] for c in one["columns"])]]
-    files, seeds = [], []
+    used: list[Mapping[str, Any]] = []
+    seeds: list[int] = []
     for name, row in one["rows"].items():
         cells = []
         for column in one["columns"]:
             if "words" in column:
                 cells.append(_text({**one, **row}, column["words"]))
+                used.append({**one, **row})
                 continue
-            what = {"record": one["record"], **column, **row}
+            where = {**column.get("where", {}), **row.get("where", {})}
+            what = {"record": one["record"], **column, **row, "where": where}
             found = measure(what)
-            files += records(what)
+            used.append(what)
             seeds += [*found.values, *found.missed]
-            cells.append(words(found, column.get("in", "")))
+            cells.append(words(found, column.get("in", "")) + _between(what))
         lines.append([name, *map(str, row.get("words", ["–"] * len(printed))), *cells])
     if one.get("exact"):  # nothing was drawn
-        return f"{_markdown(lines)}\n\n{origin(spec, files, []).removeprefix(_MEANS)}"
-    below = origin(spec, files, [] if one.get("trials") else seeds)
+        return f"{_markdown(lines)}\n\n{origin(spec, used, []).removeprefix(_MEANS)}"
+    below = origin(spec, used, [] if one.get("trials") else seeds)
     return f"{_markdown(lines)}\n\n{below.replace('over seeds', 'over trials') if one.get('trials') else below}"
 
 
 def _text(one: Mapping[str, Any], path: str) -> str:
     """What the first row of the record that `one` chooses says in words."""
     found = (row for record in records(one) for row in rows(record) if _matches(row, one["where"]))
-    return str(lookup(next(found), path))
+    said = str(lookup(next(found), path))
+    return {"True": "yes", "False": "no"}.get(said, said)
+
+
+def _between(what: Mapping[str, Any]) -> str:
+    """The interval that the record itself has, over episodes, of the one row that `what` chooses."""
+    if "between" not in what:
+        return ""
+    (row,) = (row for r in records(what) for row in rows(r) if _matches(row, what["where"]))
+    low, high = lookup(row, what["between"])
+    return f" ({_range(low, high, what.get('in', ''))})"
 
 
 def claims(spec: Mapping[str, Any], page: str) -> str:
     """The claims of a page, and what its records say of them."""
-    lines, files = [["claim", "paper", "here", "seeds", "verdict"]], []
+    lines = [["claim", "paper", "here", "seeds", "verdict"]]
+    used: list[Mapping[str, Any]] = []
     for claim in spec["claims"][page]:
         unit, other = claim.get("in", ""), claim.get("less", claim.get("more"))
         found = measure(claim)
         here = words(found, unit)
-        files += records(claim)
+        used.append(claim)
         if isinstance(other, Mapping):
             here += f" against {words(measure({**claim, **other}), unit)}"
-            files += records({**claim, **other})
+            used.append({**claim, **other})
         printed = str(claim.get("paper", "–"))
         cells = [claim["claim"], printed, here, str(found.seeds), f"*{verdict(claim)}*"]
         lines.append(cells)
-    return f"{_markdown(lines)}\n\n{_HOW}\n\n{origin(spec, files, [])}"
+    return f"{_markdown(lines)}\n\n{_HOW}\n\n{origin(spec, used, [])}"
 
 
 _HOW = (
@@ -303,6 +356,20 @@ _HOW = (
     "not, or seeds missed a criterion (not within) where that leaves it open; *one seed* tells nothing "
     "of others. Single values are seeds."
 )
+
+
+def told(claim: Mapping[str, Any]) -> str:
+    """A claim within a line: its verdict, and what that stands on."""
+    unit, other = claim.get("in", ""), claim.get("less", claim.get("more"))
+    found = measure(claim)
+    if isinstance(other, Mapping):
+        theirs = measure({**claim, **other})
+        beside, seeds = words(theirs, unit), f"{found.seeds} and {theirs.seeds} seeds"
+        seeds = f"{found.seeds} seeds each" if found.seeds == theirs.seeds else seeds
+    else:
+        beside, seeds = number(float(other), unit), f"{found.seeds} seeds"
+    seeds = "" if verdict(claim) == ONE else f"; {seeds}"
+    return f"*{verdict(claim)}*: {words(found, unit)} against {beside}{seeds}"
 
 
 def summary(spec: Mapping[str, Any]) -> str:
@@ -395,7 +462,7 @@ def figure(spec: Mapping[str, Any], name: str) -> str:
         return f"\n\n{table(spec, spec['tables'][name])}\n\n"
     if name in spec["values"]:
         one = spec["values"][name]
-        return words(measure(one), one.get("in", ""))
+        return told(one) if {"less", "more"} & set(one) else words(measure(one), one.get("in", ""))
     raise ValueError(f"there is no figure '{name}' in docs/figures.yaml.")
 
 
@@ -421,12 +488,56 @@ def untraced(page: Path, text: str | None = None) -> list[str]:
         head = body.partition("\n")[0]
         if not _RESULT.search(body) or _SETTINGS.search(head):
             continue
-        record = re.fullmatch(r"<!-- record: (.*) -->", said)
+        record = re.fullmatch(r"<!-- record: (.*?)(?:; beside: (.*))? -->", said)
         if record:
-            found += [f"no {n}" for n in record[1].split(", ") if not (RECORDS / n).exists()]
+            names, beside = record[1].split(", "), (record[2] or "").split(", ")
+            missing = [f"no {name}" for name in names if not (RECORDS / name).exists()]
+            found += missing or [f"{head}: {n}" for n in foreign(body, names) if n not in beside]
         elif not re.fullmatch(r"<!-- no (?:record|result): .{10,} -->", said):
             found.append(head)
     return found
+
+
+def foreign(body: str, names: list[str]) -> list[str]:
+    """The numbers of a table's body that none of the records has, as they are rounded there."""
+    known = sorted({abs(v) * scale for n in names for v in _numbers(n) for scale in _SCALES})
+    strange = []
+    for line in body.splitlines()[2:]:
+        for match in _NUMBER.finditer(line):
+            text = match[0].replace(" ", "")
+            mantissa, _, power = text.partition("e")
+            digits = len(mantissa.partition(".")[2])
+            half = 0.5001 * 10.0 ** (int(power or 0) - digits)
+            at = bisect.bisect_left(known, float(text) - half)
+            if at == len(known) or known[at] > float(text) + half:
+                strange.append(match[0].strip())
+    return strange
+
+
+@cache
+def _numbers(record: str) -> frozenset[float]:
+    """All numbers in a record, those within its words, and how long its lists are."""
+    found: set[float] = set()
+
+    def walk(value: Any) -> None:
+        if isinstance(value, Mapping):
+            for each in value.values():
+                walk(each)
+        elif isinstance(value, list | tuple):
+            found.add(float(len(value)))
+            for each in value:
+                walk(each)
+        elif isinstance(value, str):
+            found.update(map(float, re.findall(r"\d+\.?\d*(?:e-?\d+)?", value)))
+        elif isinstance(value, int | float):
+            found.add(float(value))
+
+    path = RECORDS / record
+    if record.endswith(".csv"):
+        walk(rows(record))
+    else:  # what a trial reported on its way, too
+        walk([json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()])
+    return frozenset(v for v in found if math.isfinite(v))
 
 
 def main() -> int:

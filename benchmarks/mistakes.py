@@ -31,11 +31,12 @@ QUESTIONS = {
 MOST = 300  #: characters of an answer that the page has
 
 
-def mistakes() -> list[str]:
+def mistakes() -> dict[str, str]:
+    """By words that are typed wrong, what the answer must have."""
     sys.path.insert(0, str(ROOT / "tests" / "plugins" / "inspect"))
     from test_mistakes import MISTAKES  # pyright: ignore[reportMissingImports]
 
-    return list(MISTAKES)
+    return MISTAKES
 
 
 #: Carries out the commands on its standard input, each in a fork, and prints their statuses and words.

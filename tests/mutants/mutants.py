@@ -83,6 +83,11 @@ F21, F22, F25 = "tests/faults/test_21_code_in_configurations.py", "tests/faults/
 
 MUTANTS = (
     # Numbers.
+    Mutant("a model's numbers that are none", TRIAL, "if damaged := not_finite(compiled):", "if damaged := \"\":",
+           "tests/plugins/characters/test_strangers_models.py -k number_that_is_none"),
+    Mutant("a range upside down", "plugins/physics/mujoco/understudy_mujoco/mjcf.py",
+           "wrong = bool(ends) and float(ends[0]) > float(ends[1])", "wrong = False",
+           "tests/plugins/characters/test_strangers_models.py -k upside_down"),
     Mutant("a bad control reaches the simulator", ENVIRONMENT,
            "applied = torch.where(good.unsqueeze(1), control, 0.0)", "applied = control", f"{F01} -k control"),
     Mutant("a bad control is no failure", ENVIRONMENT, "self._unsound |= ~good", "pass", f"{F01} -k ctrl"),

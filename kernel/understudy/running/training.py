@@ -130,12 +130,23 @@ class Training:
         return path
 
     def resume(self) -> None:
-        """Load the newest intact checkpoint of the run; a run without any starts from the beginning."""
+        """Load the newest intact checkpoint of the run; a run without any starts from the beginning.
+
+        Raises
+        ------
+        RunError
+            if the checkpoint is not of a training, or does not fit.
+        """
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
             self.run.keep_metrics_until(0)
             return
         state, meta, _ = checkpoint.load_newest(self.run.checkpoints, self.reporter.message)
+        if "config" not in meta:  # as of an unpacked skill
+            raise RunError(
+                f"{self.run.path} holds what was learned, and not where the training stood. Begin another with it: "
+                f"`understudy train experiment=NAME start.run={self.run.path}`."
+            )
         for change in differences(meta.get("config"), self.run.config):
             self.reporter.message(f"Differs from the checkpoint: {change}")
         for change in differences(meta.get("versions"), versions()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import mujoco
@@ -15,6 +16,7 @@ from understudy.errors import ConfigError, FileError
 from understudy.setup.plugins import installed
 from understudy_characters.character import Character, load_character
 from understudy_characters.scene import CharacterScene
+from understudy_mujoco.trial import not_finite
 
 TETRAHEDRON = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESH = (
@@ -318,6 +320,45 @@ def test_a_urdf_is_a_character_with_a_free_first_link(
     assert (model.nmesh, model.nu) == (1, 1)
     np.testing.assert_allclose(model.actuator_forcerange[0], [-33, 33])
     np.testing.assert_allclose(model.jnt_range[1], [-1, 1])
+
+
+def test_a_urdf_with_a_range_upside_down(tmp_path: Path) -> None:
+    upside_down = URDF.format(mesh="").replace(
+        '<collision><geometry><mesh filename=""/></geometry></collision>', ""
+    )
+    (tmp_path / "robot.urdf").write_text(
+        upside_down.replace('lower="-1" upper="1"', 'lower="1" upper="-1"')
+    )
+    with pytest.raises(
+        FileError, match="joint 'hip' has the lower limit 1, above its upper one of -1"
+    ):
+        load(tmp_path / "robot.urdf")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('pos="0 0.09 0"', 'pos="0 inf 0"', "body_pos of 'left_thigh'"),
+        ('damping=".2"', 'damping="nan"', "dof_damping of '"),
+        ('range="0 2.5"', 'range="0 nan"', "jnt_range of 'left_knee'"),
+        ("<default>", '<option wind="0 nan 0"/><default>', "wind"),
+        ("<default>", '<default><geom friction="inf 1 1"/>', "geom_friction"),
+    ],
+)
+def test_numbers_that_are_none_are_named(old: str, new: str, said: str) -> None:
+    """MuJoCo compiles them."""
+    assert old in robot_xml()
+    model = mujoco.MjModel.from_xml_string(robot_xml().replace(old, new, 1))
+    assert re.match(said, not_finite(model))
+
+
+def test_a_model_with_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
+    assert not_finite(mujoco.MjModel.from_xml_string(robot_xml())) == ""
+    (tmp_path / "robot.xml").write_text(robot_xml().replace('damping=".2"', 'damping="nan"'))
+    with pytest.raises(
+        FileError, match=r"robot\.xml does not compile: its dof_damping of '.*' is no finite number"
+    ):
+        load(tmp_path / "robot.xml")
 
 
 def test_a_urdf_reads_nothing_outside(tmp_path: Path) -> None:

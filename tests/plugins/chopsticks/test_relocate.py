@@ -19,7 +19,16 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.again import Again
-from understudy_chopsticks.relocate import Bank, Follow, Relocations, lost, missed, placed, thing
+from understudy_chopsticks.relocate import (
+    Bank,
+    Follow,
+    Object,
+    Relocations,
+    lost,
+    missed,
+    placed,
+    thing,
+)
 from understudy_chopsticks.tracking import turned
 from understudy_tool_planner.planner import PHASES
 
@@ -36,7 +45,7 @@ def built(plugins: Plugins) -> Any:
 def parts(built: Built) -> tuple[Relocations, Bank]:
     initial = built.environment.parts.initial_states
     assert isinstance(initial, Relocations)
-    return initial, initial._bank
+    return initial, initial.bank
 
 
 def field(built: Built, name: str) -> Tensor:
@@ -243,6 +252,53 @@ def test_a_box_is_put_upon_another(plugins: Plugins) -> None:
     made.environment.close()
 
 
+def test_two_boxes_are_moved_together(plugins: Plugins) -> None:
+    """The upper one lies upon the lower one as the plan begins, no stick goes through it, and both have to arrive."""
+    words = [
+        *WORDS[:1], "num_worlds=2", "initial_states.plans=2", "scene.object={kind: box, sizes: [0.015, 0.015, 0.015]}",
+        "scene.above={kind: box, sizes: [0.012, 0.012, 0.012]}", "initial_states.longest=4",
+    ]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=0)
+    qpos = field(made, "qpos").clone()
+    torch.testing.assert_close(qpos[:, 57:59], qpos[:, 50:52])
+    assert qpos[:, 59].tolist() == pytest.approx([0.021] * 2)
+    for _ in range(20):
+        environment.advance(torch.zeros(2, 36))
+    torch.testing.assert_close(field(made, "qpos")[:, 57:60], qpos[:, 57:60], atol=1e-3, rtol=0)
+    simulator, rows = environment.parts.simulator, field(made, "plan_row").long()
+    for aside, placed_together in ((0.0, 1.0), (0.009, 0.0)):
+        environment.reset(seed=0)
+        for _ in range(int(bank.lengths[rows].amax()) + 31):
+            state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+            state["qvel"][:, 48:] = 0.0
+            state["qpos"][:, 50:57] = bank.frames[rows, bank.lengths[rows], 8:15]
+            state["qpos"][:, 57:64] = state["qpos"][:, 50:57]
+            state["qpos"][:, 57] += aside
+            state["qpos"][:, 59] += 0.0135
+            simulator.set_state(torch.ones(2, dtype=torch.bool), state)
+            environment.advance(torch.zeros(2, 36))
+        assert field(made, "object_placed").tolist() == [placed_together] * 2
+    made.environment.close()
+
+
+def test_an_object_is_thrown_to_the_far_side(plugins: Plugins) -> None:
+    words = ["experiment=chopsticks/throw", "device=cpu", "simulator=mujoco", "num_worlds=3", "initial_states.plans=3"]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins))
+    made.environment.reset(seed=0)
+    goal, (_, bank) = field(made, "plan_goal"), parts(made)
+    assert (goal[:, 1] >= 0.2).all()
+    assert (goal[:, 0].abs() <= 0.1).all()
+    for row in range(3):
+        way = bank.frames[row, : int(bank.lengths[row]) + 1]
+        assert way[:, 10].amax() > 0.08, "through the air"
+        torch.testing.assert_close(way[-1, 8:11], bank.goals[row, 0])
+    object_ = next(w.part for w in made.environment.parts.fields if isinstance(w.part, Object))
+    assert (object_._options.within, object_._options.settle) == (0.05, 0.0)
+    made.environment.close()
+
+
 @pytest.fixture(scope="module")
 def replanned(plugins: Plugins) -> Any:
     words = [*WORDS[:1], "num_worlds=3", "initial_states.plans=3", "memory.again.most=2"]
@@ -310,6 +366,44 @@ def test_what_no_plan_reaches_is_given_up(replanned: Built) -> None:
     assert field(replanned, "failed")[[0, 2]].all()
 
 
+def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plugins) -> None:
+    """In the moment at which it begins, in that world alone, and the arm goes on from where it is."""
+    words = [
+        *WORDS[:1], "num_worlds=2", "initial_states.plans=2", "initial_states.relocations=3", "memory.again.onward=true",
+    ]  # fmt: skip
+    experiment = load_experiment([*words, "evaluation.failures=[missed]"], plugins)
+    made = build_environment(experiment, evaluating=True)
+    environment, (_, bank) = made.environment, parts(made)
+    environment.reset(seed=3)
+    rows = field(made, "plan_row").long()
+    old = bank.frames[rows[0]].clone()
+    assert old[:, 16].amax() == 1, "the others are not planned yet"
+    end = int(((old[:, 16] == 0) & (old[:, 17] == 1)).nonzero()[0, 0])
+    simulator, there = environment.parts.simulator, old[end, 8:11] + torch.tensor([0.01, 0.0, 0.0])
+    while float(field(made, "planned_leg")[0]) == 0.0:
+        assert int(field(made, "followed")[0]) == int(rows[0])
+        if float(field(made, "episode_time")[0]) >= 0.01 * end - 0.015:
+            state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+            state["qpos"][0, 50:53], state["qvel"][0, 48:] = there, 0.0
+            simulator.set_state(torch.tensor([True, False]), state)
+            environment.refresh()
+        assert not bool(field(made, "failed")[0]), "that the plan ends is not the end"
+        environment.advance(torch.zeros(2, 36))
+    assert int(field(made, "followed")[0]) == bank.drawn
+    assert int(field(made, "followed")[1]) in (int(rows[1]), bank.drawn + 1)
+    new = bank.frames[bank.drawn]
+    assert float(field(made, "plan_time")[0]) == pytest.approx(0.0, abs=1e-6)
+    torch.testing.assert_close(new[0, 8:10], there[:2], atol=2e-3, rtol=0)
+    assert float(field(made, "object_distance")[0]) < 2e-3
+    assert (new[0, :7] - old[end, :7]).abs().max() < 0.05
+    over = int(((new[:, 16] == 1) & (new[:, 17] == 1)).nonzero()[0, 0])
+    torch.testing.assert_close(new[over, 8:11], bank.goals[bank.drawn, 1])
+    assert not torch.equal(bank.goals[bank.drawn, 1], bank.goals[rows[0], 0]), "a goal of its own"
+    assert new[over + 1, 16] == 2, "and one more follows"
+    assert field(made, "replans").tolist() == [0, 0]
+    made.environment.close()
+
+
 def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     """Nothing is asked of the device: what was kept is returned as it is, and the bank has no spare rows."""
     words = [*WORDS[:1], "num_worlds=2", "initial_states.plans=2", "memory.again.most=2"]
@@ -318,7 +412,8 @@ def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     kept = {"followed": torch.zeros(2)}
     lost = torch.full((2,), 0.5)
     found = memory.advance(
-        kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost
+        kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost,
+        planned_leg=lost, plan_over=lost,
     )  # fmt: skip
     assert found is kept
     assert len(parts(made)[1].frames) == 2
@@ -397,7 +492,7 @@ def test_an_evaluation_elsewhere_waits_for_nothing(built: Built) -> None:
         _shared={"gripping": built.context._shared["gripping"]},
     )  # fmt: skip
     made = Relocations(Relocations.Options(plans=2, refill=0), context)
-    assert not made._bank._missing
+    assert not made.bank._missing
     found = made.sample(WorldStreams(0, "starts", 4, context.device))
     assert found["qpos"].shape == (4, 57)
     Again(Again.Options(), context)
@@ -426,6 +521,9 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["initial_states.refill=5"], "some have to stay"),
         (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),
         (["scene.below={kind: box, sizes: [0.03, 0.02, 0.02]}"], "none of table 5.2"),
+        (["scene.above={kind: box, sizes: [0.01, 0.01, 0.01]}"], "Nothing lies upon a sphere"),
+        (["initial_states.thrown=true", "initial_states.relocations=2"], "lands out of reach"),
+        (["initial_states.thrown=true", "scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}"], "takes one object alone"),
         (["scene.object.rolling=-1"], "rolling=-1"),
         (["memory.again.most=-1"], "most=-1"),
         (["memory.again.patience=0"], "patience=0"),

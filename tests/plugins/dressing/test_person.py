@@ -39,11 +39,11 @@ def test_it_is_the_papers() -> None:
     assert len(sensors()) == 22
     for side, y in (("left", 0.21), ("right", -0.21)):
         tip, *_, neck = (place(data, *one) for one in limb(side))  # type: ignore[arg-type]
-        assert tip == pytest.approx([0, y, -0.75])
+        assert tip == pytest.approx([0, y, -0.765])
         assert neck == pytest.approx([0, 0, 0])
         points = [place(data, *one) for one in limb(side)]  # type: ignore[arg-type]
         length = sum(np.linalg.norm(a - b) for a, b in zip(points[1:], points[:-1], strict=True))
-        assert length == pytest.approx(0.96, abs=0.001)
+        assert length == pytest.approx(0.975, abs=0.001)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -64,7 +64,7 @@ def test_arms_are_mirror_images(side: str) -> None:
     _, data = posed(**{f"{side}_elbow": 1.5})
     assert place(data, *limb(side)[0])[0] > 0.3, "elbows flex forward"  # type: ignore[arg-type]
     _, data = posed(**{f"{side}_shoulder_swing": -np.pi / 2})
-    assert place(data, *limb(side)[0])[0] == pytest.approx(0.75), "arms swing forward"  # type: ignore[arg-type]
+    assert place(data, *limb(side)[0])[0] == pytest.approx(0.765), "arms swing forward"  # type: ignore[arg-type]
 
 
 def test_what_cloth_meets_is_where_the_links_are() -> None:

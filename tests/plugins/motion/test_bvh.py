@@ -374,6 +374,9 @@ Frame Time: 0.025 -> FPS: 40
 1 90 3 -> 1 90\n3
 Frame Time: 0.025 -> Frame Time: 25 ms
 Frame Time: 0.025 -> Frame Time: 1/40
+Frame Time: 0.025 -> Frame_Time = 0.025
+Frame Time: 0.025 -> Sample Rate: 40
+CHANNELS 1 Yrotation -> CHANNELS 1 Yrotation\n    End Site\n    {\n    }
 MOTION -> MOTION:
 CHANNELS 3 -> CHANNEL 3
 Zrotation -> Zrot
@@ -392,7 +395,11 @@ def dialects() -> Iterator[str]:
     yield TEXT.replace("1 90 3 ", "1,0 90 3 ").replace("0.025", "0,025")
     yield "# exported\n\n// by hand\n" + TEXT
     yield "/* made by\n a program */\n% and by hand\n" + TEXT
-    yield from (TEXT + "\0", TEXT + "\x1a")
+    yield from (TEXT + "\0", TEXT + "\x1a", "\ufeff\ufeff" + TEXT)
+    yield "# of somebody's\n" * 1000 + TEXT
+    *above, first, second = TEXT.splitlines()
+    for end in ("", ","):
+        yield "\n".join((*above, *(",".join(row.split()) + end for row in (first, second))))
     yield TEXT.replace("-10 -20", "\u221210 \u221220")
     yield TEXT.replace("40\n1 90", "40 # first\n1 90")
 

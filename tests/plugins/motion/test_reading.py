@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
 import os
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -60,6 +65,23 @@ def test_other_content_is_nobodys(tmp_path: Path, registry: Registry, content: b
             UnknownFormatError, match=r"not a format that is read here \(amc, angles, bvh"
         ):
             read_clip(path, registry)
+
+
+@pytest.mark.parametrize(
+    ("pack", "name"),
+    [(gzip.compress, "gzip"), (bz2.compress, "bzip2"), (lzma.compress, "xz"), (None, "zip")],
+)
+def test_a_packed_file_says_so(
+    tmp_path: Path, registry: Registry, pack: Callable[[bytes], bytes] | None, name: str
+) -> None:
+    clip, path = WRITE["bvh"](tmp_path), tmp_path / f"walker.bvh.{name}"
+    if pack:
+        path.write_bytes(pack(clip.read_bytes()))
+    else:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.write(clip, "walker.bvh")
+    with pytest.raises(UnknownFormatError, match=f"packed by {name}. Unpack it"):
+        read_clip(path, registry)
 
 
 def test_a_skeleton_alone(tmp_path: Path, registry: Registry) -> None:

@@ -203,6 +203,8 @@ def test_other_shapes_and_names_of_the_arrays(tmp_path: Path) -> None:
         {**renamed, **hands},
         {**arrays, "poses": matrices},
         {**renamed, **parts},
+        {**arrays, "poses": vectors.reshape(1, 6, 72), "trans": arrays["trans"][None]},  # a batch
+        {**arrays, "poses": vectors.reshape(6, 1, 72), "trans": arrays["trans"][:, None]},
     ):
         clip = read(tmp_path, others)
         assert SmplReader().recognises(b"PK\x03\x04", tmp_path / "clip.npz")

@@ -15,6 +15,7 @@ from motion_files import walker, write_csv, write_npz
 
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.angles import AnglesReader
 from understudy_motion.readers.table import CsvReader, NpzReader
 from understudy_motion.reading import UNSAID, ReadOptions
 from understudy_motion.writers.table import CsvWriter, NpzWriter
@@ -229,6 +230,38 @@ def test_tables_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
         same(rows[0].replace("time", time), *rows[1:])
     with pytest.raises(FileError, match="line 5: 10 numbers are needed, not 9"):
         read_csv(tmp_path, "\n".join((*comments, f",{rows[0]}", rows[1][2:], f"1,{rows[2]}")))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("# loop: true", "# loop: True"),
+        ("# rate: 50", "# Rate: 50 Hz"),
+        ("# rate: 50", "# fps = 50"),
+        ("# rate: 50", "# frame rate: 50,0"),
+        ("# rate: 50", "# rate: 50,,,,,,,,,"),
+        ("# rate: 50", '"# rate: 50",,,'),
+        ("root.px,root.py,root.pz", "Root.PX,Root.PY,Root.PZ"),
+        ("root.px,root.py,root.pz", "root_px,root_py,root_pz"),
+        ("root.px,root.py,root.pz", "root.px [m],root.py (m),root.pz [m]"),
+        ("knee.rx,knee.ry", "knee.RX,knee.ry [rad]"),
+        (",0\n", ",0,\n"),
+        ("0.7,0\n", "0.7,0\n,,,,,,,,,\n,,,,,,,,,\n"),
+        ("0.5,0\n", "0.5,0\n# second\n"),
+        ("0.7,0\n", "0.7,0\n# end\n"),
+        ("# made", "\ufeff\ufeff# made"),
+    ],
+)
+def test_as_people_write(tmp_path: Path, old: str, new: str) -> None:
+    assert old in CSV
+    clip, expected = read_csv(tmp_path, CSV.replace(old, new)), read_csv(tmp_path, CSV)
+    head = (tmp_path / "clip.csv").read_bytes()
+    assert CsvReader().recognises(head, tmp_path / "clip.csv")
+    assert not AnglesReader().recognises(head, tmp_path / "clip.csv")
+    assert (clip.joint_names, clip.loop) == (expected.joint_names, True)
+    assert clip.frame_rate == pytest.approx(50.0)
+    assert torch.equal(clip.rotations, expected.rotations)
+    assert torch.equal(clip.root_position, expected.root_position)
 
 
 def test_columns_in_any_order(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -168,7 +168,7 @@ def test_the_page_shows_the_chair_where_the_episode_has_it() -> None:
 
 
 def test_the_page_shows_any_other_scene() -> None:
-    """A hand with two sticks: its geoms where MuJoCo has them, at every step."""
+    """A hand with two sticks: its geoms where MuJoCo has them, some 30 times a second."""
     pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
     import mujoco
 
@@ -182,7 +182,7 @@ def test_the_page_shows_any_other_scene() -> None:
         data = mujoco.MjData(model)
         before = [place for place, _ in page.places()]
         assert len(before) == model.ngeom
-        for _ in range(20):
+        for _ in range(21):
             page.advance()
         data.qpos[:] = player.shown()["qpos"]
         mujoco.mj_kinematics(model, data)
@@ -198,6 +198,64 @@ def test_the_page_shows_any_other_scene() -> None:
         check_page(page.url)
     finally:
         page.close()
+
+
+def test_a_target_is_dragged_and_the_object_brought_there() -> None:
+    """One beyond reach is red, and the hand waits; one within reach is green, and its plan is drawn. An object that is nudged is planned for anew."""
+    pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
+    from understudy_play.scene_page import ScenePage
+    from understudy_viewer.page import free_port
+
+    player = Player(open_skill("chopsticks/relocate", ["scene.object.rolling=0.0005"]), seed=3)
+    page = ScenePage(player, "127.0.0.1", free_port("127.0.0.1", 0))
+    table = player.environment.table
+
+    def until(done: Callable[[], bool], steps: int) -> None:
+        for _ in range(steps):
+            page.advance()
+            if done():
+                return
+        raise AssertionError("not within the steps")
+
+    try:
+        first = player.way()[-1]
+        assert page.target == (pytest.approx(tuple(first)), True)
+        page.send(0.6, 0.2)
+        page.advance()
+        page.advance()
+        np.testing.assert_array_equal(player.way()[-1], first, "what has begun is ended first")
+        assert player.leads is not None
+        until(lambda: bool(player.leads.refused), 400)
+        for _ in range(3):
+            page.advance()
+        assert "the arm is too short, by" in player.leads.refused
+        assert not page.target[1]
+        hinges = table["qpos"][0, :7].clone()
+        for _ in range(12):
+            page.advance()
+        assert (table["qpos"][0, :7] - hinges).abs().max() < 0.02, "it waits"
+        assert player.falls == 0, "an episode goes on where it would have ended"
+
+        page.send(0.05, -0.02)
+        until(lambda: bool((player.way()[-1, :2] == np.float32([0.05, -0.02])).all()), 5)
+        for _ in range(3):
+            page.advance()
+        assert page.target == (pytest.approx((0.05, -0.02, 0.01), abs=1e-6), True)
+        until(lambda: bool(table["plan_over"][0]), 400)
+        assert float((table["qpos"][0, 50:52] - torch.tensor([0.05, -0.02])).norm()) < 0.005
+
+        page.nudge(1.0, 0.0)
+        until(lambda: float(table["replans"][0]) == 1.0, 250)
+        np.testing.assert_array_equal(player.way()[-1, :2], np.float32([0.05, -0.02]))
+        lies = table["qpos"][0, 50:52].numpy()
+        np.testing.assert_allclose(player.way()[0, :2], lies, atol=1e-3)
+        assert player.falls == 0
+    finally:
+        page.close()
+
+
+def test_nobody_leads_where_nothing_can_be_led(player: Player) -> None:
+    assert player.leads is None
 
 
 def test_what_comes_with_the_package_can_be_judged_and_packed_anew(tmp_path: Path) -> None:
@@ -349,6 +407,10 @@ def test_an_unpacked_skill_is_a_run_that_acts_as_the_skill_does(
         torch.testing.assert_close(again.policy[name], value)
     assert main(["play", "sitting/sit", "--unpack", str(run)]) == 2
     assert "already holds a run" in capsys.readouterr().err
+    assert main(["resume", str(run)]) == 2
+    said = capsys.readouterr().err
+    assert f"start.run={run}" in said
+    assert said.count("\n") == 1
 
 
 def test_a_skill_packed_without_its_overrides_is_not_unpacked(

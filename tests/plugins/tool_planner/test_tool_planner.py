@@ -22,6 +22,7 @@ from understudy_tool_planner.configuration import NoPlan, orientations
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.planner import DT, STEP, Plan, Planner, Task
 from understudy_tool_planner.tasks import random_goal, random_table
+from understudy_tool_planner.throwing import GRAVITY, STOP, SWING, throw
 
 F64 = torch.float64
 SHAPES = [
@@ -322,3 +323,67 @@ def test_the_next_configuration_is_tried_when_one_fails(
     planner.plan(task, planner.begin(), nothing, error.double())
     assert len(tried) >= 2
     assert all(given is tried[0] for given in tried)
+
+
+# ------------------------------------------------------------------ throws, and two at once
+
+NOTHING = Things.of([], torch.zeros(0, 2, dtype=F64), torch.zeros(0, dtype=F64))
+
+
+def test_a_throw_lands_where_it_shall() -> None:
+    """The swing has the flight's velocity as it lets go, and the flight falls freely to the goal."""
+    goal = torch.tensor([0.05, 0.28, 0.02], dtype=F64)
+    thrown = throw(torch.tensor([-0.1, -0.1, 0.01], dtype=F64), goal)
+    dt = 1e-4
+    before, release = thrown.swing(torch.tensor([SWING - dt, SWING], dtype=F64))
+    torch.testing.assert_close(release, thrown.release)
+    torch.testing.assert_close((release - before) / dt, thrown.velocity, atol=1e-3, rtol=0)
+    late = thrown.swing(torch.tensor([SWING + STOP, SWING + 2 * STOP], dtype=F64))
+    torch.testing.assert_close(late[0], late[1])
+    times = torch.tensor([0.0, dt, 2 * dt, thrown.seconds, 9.0], dtype=F64)
+    way = thrown.flight(times)
+    torch.testing.assert_close(way[0], thrown.release)
+    torch.testing.assert_close((way[1] - way[0]) / dt, thrown.velocity, atol=1e-3, rtol=0)
+    fall = (way[2] - 2 * way[1] + way[0]) / dt**2
+    torch.testing.assert_close(fall, torch.tensor([0.0, 0.0, -GRAVITY], dtype=F64), atol=1e-5, rtol=0)  # fmt: skip
+    torch.testing.assert_close(way[3:], goal.expand(2, 3))
+
+
+def test_a_throw_is_a_plan(planner: Planner) -> None:
+    """The object stays between the tips until they open, flies then, and the arm keeps up."""
+    task = Task(Shape("sphere", (0.01,)), (-0.05, -0.05), (0.02, 0.26), thrown=True)
+    plan = planner.plan(task, planner.begin(), NOTHING)
+    assert plan.clearance >= 0.0
+    assert plan.object[-1, :3].tolist() == pytest.approx([0.02, 0.26, 0.01])
+    held = (plan.phase == 1) | (plan.phase == 2)
+    matrix = rotations.to_matrix(plan.lower[held, 3:])
+    centre, _ = gripper.tips(plan.angle[held])
+    middle = plan.lower[held, :3] + torch.einsum("nij,nj->ni", matrix, centre)
+    closing = int((plan.phase == 1).sum())
+    torch.testing.assert_close(middle[closing:], plan.object[held, :3][closing:])
+    assert float(plan.angle[plan.phase == 3][10:].abs().max()) == 0.0, "open"
+    step = plan.object[1:, :3] - plan.object[:-1, :3]
+    assert float(step.square().sum(1).sqrt().max()) < 0.03, "no jump as it is let go"
+    assert float((plan.arm[1:] - plan.arm[:-1]).abs().max()) < STEP
+
+
+def test_the_sticks_keep_clear_of_what_lies_upon_an_object(planner: Planner) -> None:
+    lower, upper = Shape("box", (0.015, 0.015, 0.015)), Shape("box", (0.012, 0.012, 0.012))
+    task = Task(lower, (-0.06, -0.05), (0.06, -0.02), above=upper)
+    plan = planner.plan(task, planner.begin(), NOTHING)
+    assert plan.clearance >= 0.0
+    for rows, place in ((plan.phase < 2, task.start), (plan.phase == 3, task.goal)):
+        over = task.over(
+            torch.tensor([*place, lower.height], dtype=F64), torch.zeros((), dtype=F64)
+        )
+        assert over.places[0].tolist() == pytest.approx([*place, 0.021])
+        matrix = rotations.to_matrix(plan.lower[rows, 3:])
+        middles = gripper.middles(plan.lower[rows, :3], matrix, plan.angle[rows])
+        along = torch.linspace(-HALF_LENGTH, HALF_LENGTH, 261, dtype=F64)
+        points = (
+            middles[..., None, :]
+            + along[:, None] * gripper.axes(matrix, plan.angle[rows])[..., None, :]
+        )
+        from understudy_tool_planner.clearance import to_points
+
+        assert float(to_points(points[..., None, :], over).amin()) - RADIUS >= -1e-6

@@ -30,8 +30,9 @@ def build_spec(
     friction: float = 1.0,
     thing: tools.Thing | None = None,
     below: tools.Thing | None = None,
+    above: tools.Thing | None = None,
 ) -> mujoco.MjSpec:
-    """Arm, hand, tool and table, with a `thing` on it and one `below`, or without. Arm and hand bear their own weight, the others do
+    """Arm, hand, tool and table, with a `thing` on it, one `below` and one `above`, or without. Arm and hand bear their own weight, the others do
     not.
 
     Every hinge of arm and hand has a position servo of its name, in the order of the joints. Hand links
@@ -54,7 +55,7 @@ def build_spec(
         if link.shape is not None:
             _add_shape(body, link, link.shape, friction, link.name in arm)
     tools.add(spec, tool, friction, (_TOOL, _HAND | _TOOL))
-    for name, lying in (("object", thing), ("below", below)):
+    for name, lying in (("object", thing), ("below", below), ("above", above)):
         if lying is not None:
             tools.add_thing(spec, name, lying, friction, (_TOOL, _HAND | _TOOL))
     for name in (*(f"{finger}_distal" for finger in measures.names), *tools.tips(tool)):

@@ -54,6 +54,7 @@ class HandScene(MujocoScene):
         below: tools.Thing | None = (
             None  #: what it is put upon, free to move, too; null is the table
         )
+        above: tools.Thing | None = None  #: what lies upon it and is to go along; null is nothing
         friction: float = 1.0  #: sliding, of everything (the release)
         contact: Contact = field(
             default_factory=Contact
@@ -75,7 +76,7 @@ class HandScene(MujocoScene):
     def spec(self) -> mujoco.MjSpec:
         spec = build_spec(
             self.measures, self.options.tool, self.options.friction, self.options.object,
-            self.options.below,
+            self.options.below, self.options.above,
         )  # fmt: skip
         spec.option.timestep = self.timestep
         FIRM.apply(spec)

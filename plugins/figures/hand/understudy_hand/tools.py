@@ -147,7 +147,7 @@ def add_thing(
     spec: mujoco.MjSpec, name: str, thing: Thing, friction: float, contact: tuple[int, int]
 ) -> None:
     """Add the body `name`, on the table and out of the hand's way, with the contact masks (type, affinity)."""
-    y = 0.25 if name == "object" else 0.15
+    y = {"object": 0.25, "below": 0.15, "above": 0.05}[name]
     body = spec.worldbody.add_body(name=name, pos=[-0.5, y, thing.height])
     body.add_freejoint(name=name)
     kinds = {

@@ -76,6 +76,12 @@ def metres_of(unit: Unit) -> float:
     return METRES[unit] if isinstance(unit, str) else float(unit)
 
 
+PACKED = {
+    b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"7z\xbc\xaf": "7-Zip", b"Rar!": "RAR",
+    b"\x28\xb5\x2f\xfd": "Zstandard", b"PK\x03\x04": "zip",
+}  # fmt: skip
+"""How packed files begin."""
+
 UNSAID = ReadOptions()
 """Options of a file that says everything."""
 
@@ -152,6 +158,11 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
             f"Clip {path}: a pickle, which could run any code when it is read, and is not. Save what it "
             "holds as a table or an NPZ where it was made (docs/motion.md): of a robot, its root's "
             "position, its quaternion as xyzw and its angles as the columns of a CSV."
+        )
+    packed = next((name for sign, name in PACKED.items() if head.startswith(sign)), None)
+    if packed and (packed != "zip" or path.suffix.lower() == ".zip"):  # NPZ are zip, too
+        raise UnknownFormatError(
+            f"Clip {path}: packed by {packed}. Unpack it, and name the file within."
         )
     formats = ", ".join(known) or "none"
     raise UnknownFormatError(

@@ -27,6 +27,7 @@ from understudy_tool_planner.configuration import (
     choose,
 )
 from understudy_tool_planner.objects import Shape, Things
+from understudy_tool_planner.throwing import OPENING, STOP, SWING, Throw, throw
 from understudy_tool_planner.trajectory import Frames, Pose, Way
 
 __all__ = ["ASIDE", "CLOSING", "DT", "LEAST", "PHASES", "PRESSING", "Plan", "Planner"]
@@ -57,6 +58,16 @@ class Task:
     heading: float = 0.0  #: rad, at the start
     goal_heading: float | None = None  #: rad; None leaves it as it is
     upon: float = 0.0  #: m: how high what it is put upon is; 0 is the table
+    thrown: bool = False  #: whether it is thrown there
+    above: Shape | None = None  #: what lies upon it and goes along; the sticks keep clear of it
+
+    def over(self, place: Tensor, heading: Tensor) -> Things:
+        """What lies upon it where it is at `place` (3,) m, turned by `heading` () rad."""
+        if self.above is None:
+            return Things.of([], place.new_zeros(0, 2), place.new_zeros(0))
+        found = Things.of([self.above], place[None, :2], heading[None])
+        found.places[:, 2] += place[2] + self.shape.height
+        return found
 
 
 @dataclass(frozen=True)
@@ -158,16 +169,20 @@ class Planner:
         start = heading.new_tensor((*task.start, task.shape.height))
         goal = heading.new_tensor((*task.goal, task.shape.height + task.upon))
         away = _away(now) if anew else None
-        found = choose(task.shape, start, heading, goal, last, now.lower[3:], others, self._holder)
+        thrown = None
+        if task.thrown:  # then it is let go in the air, turned as it was taken
+            thrown = throw(start, goal)
+            goal, last = thrown.release, heading
+        over = task.over(start, heading), task.over(goal, last)
+        around = _united(others, *over)
+        found = choose(task.shape, start, heading, goal, last, now.lower[3:], around, self._holder)
         own = Things.of([task.shape], start[None, :2], heading[None])
-        everything = Things(
-            *(torch.cat(pair) for pair in zip(_fields(others), _fields(own), strict=True))
-        )
+        everything = _united(others, own, over[0])
         worst: NoPlan | None = None
         for row in range(min(_TRIED, len(found.score))):
             try:
                 return self._complete(
-                    task, now, found, row, start, goal, heading, last, others, everything, error, away
+                    task, now, found, row, start, goal, heading, last, others, everything, over, error, away, thrown
                 )  # fmt: skip
             except NoPlan as refused:
                 worst = worst or refused
@@ -186,8 +201,10 @@ class Planner:
         last: Tensor,
         others: Things,
         everything: Things,
+        over: tuple[Things, Things],
         error: Tensor | None,
         away: Frames | None,
+        thrown: Throw | None,
     ) -> Plan:
         closed, wide = found.closed[row], found.open[row]
         takes, puts = found.turn[row], found.end[row]
@@ -202,7 +219,12 @@ class Planner:
         carried = task.shape.height - SUNK if task.upon > 0 else task.shape.reach
         ways = [
             Way(begin, pose(takes, wide, start), everything),
-            Way(pose(takes, closed, start), pose(puts, closed, goal), others, carried),
+            Way(
+                pose(takes, closed, start),
+                pose(puts, closed, goal if thrown is None else thrown.begin),
+                others,
+                carried,
+            ),
         ]
         inner, value = trajectory.find(ways, 1)
         parts, clear = [], []
@@ -225,9 +247,17 @@ class Planner:
         count = round(PRESSING / DT)
         rest = Frames(*(getattr(close, n)[-1:].repeat_interleave(count, 0) for n in _FRAMES))
         close = _joined(close, rest)
-        free = self._release(puts, closed, goal, shares)
+        if thrown is None:
+            free = self._release(puts, closed, goal, shares)
+        else:
+            swing, free = self._swing(puts, closed, thrown)
+            parts[1] = _joined(parts[1], swing)
+            clear.append(float(trajectory.clearance(swing, others).amin()))
         order = [parts[0], close, parts[1], free]
-        clear += [float(trajectory.clearance(f, others).amin()) for f in (close, free)]
+        clear += [
+            float(trajectory.clearance(frames, _united(others, above)).amin())
+            for frames, above in zip((close, free), over, strict=True)
+        ]
         whole = _joined(*order)
         phase = torch.repeat_interleave(
             torch.arange(4), torch.tensor([len(f.angle) for f in order])
@@ -251,6 +281,8 @@ class Planner:
         middle = exact + torch.einsum("nij,nj->ni", matrix, centre)
         moving, done = phase == 2, phase == 3
         at = torch.where(moving[:, None], middle, torch.where(done[:, None], goal, start))
+        if thrown is not None:
+            at[done] = thrown.flight(DT * torch.arange(1, int(done.sum()) + 1, dtype=at.dtype))
         first = rotations.from_heading(heading)
         turned = rotations.multiply(
             rotations.multiply(whole.turn, rotations.conjugate(takes)), first
@@ -307,6 +339,19 @@ class Planner:
             place, turn.expand(len(place), 4), torch.cat([angle, torch.zeros(len(steps)).to(angle)])
         )
 
+    def _swing(self, turn: Tensor, closed: Tensor, thrown: Throw) -> tuple[Frames, Frames]:
+        """The sticks until they let go, and from then on until the object lands: they open and stop."""
+        count = round(max(STOP, thrown.seconds) / DT)
+        times = DT * torch.arange(1, round(SWING / DT) + count + 1, dtype=torch.float64)
+        opened = ((times - SWING) / OPENING).clamp(0.0, 1.0)
+        middle, angle = thrown.swing(times), closed * (1.0 - opened)
+        turns = turn.expand(len(times), 4)
+        place = gripper.placed(rotations.to_matrix(turns), angle, middle)
+        return tuple(  # type: ignore[return-value]
+            Frames(place[part], turns[part], angle[part])
+            for part in (slice(None, -count), slice(-count, None))
+        )
+
     def _arms(self, now: Moment, palm: Tensor, hand: Tensor, phase: Tensor) -> Tensor:
         """(T, 7) rad: the swivel goes evenly from where it is to the best end of the approach, and from there
         to that of the relocation."""
@@ -353,6 +398,10 @@ def _away(now: Moment) -> Frames:
 def _height(pose: Pose) -> Tensor:
     centre, _ = gripper.tips(pose.angle)
     return pose.place[2] + rotations.to_matrix(pose.turn)[2] @ centre
+
+
+def _united(*several: Things) -> Things:
+    return Things(*(torch.cat(parts) for parts in zip(*map(_fields, several), strict=True)))
 
 
 def _fields(things: Things) -> tuple[Tensor, ...]:

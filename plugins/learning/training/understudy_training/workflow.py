@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import torch
 
@@ -43,6 +44,13 @@ def train(overrides: Sequence[str]) -> int:
 
 def resume(path: str, overrides: Sequence[str]) -> int:
     """Continue the run at `path` to its criterion or budget."""
+    if path in installed().registry.names("skill") and not Path(path).exists():
+        folder = f"runs/{path.replace('/', '-')}"
+        raise RunError(
+            f"{path} is a skill, whose training is over. `understudy play {path}` shows it, and `understudy play {path} "
+            f"--unpack {folder}` makes a run with which another training begins: `understudy train experiment=NAME "
+            f"start.run={folder}`."
+        )
     run = runs.open_run(path)
     count = at(run.info, "machine.threads")  # the same bits follow at an equal number
     if type(count) is int and 0 < count <= runs.cores() and "OMP_NUM_THREADS" not in os.environ:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,6 +16,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.task import Context, Memory
 from understudy_chopsticks.relocate import SLOWING, bank_of
+from understudy_tool_planner.configuration import NoPlan
 from understudy_tool_planner.planner import DT
 
 #: s after which what slows down stands.
@@ -26,19 +28,34 @@ class Again(Memory):
 
     A relocation fails where the object is far from its plan, or elsewhere as it ends. The sticks then slow down and stop until the object lies still,
     rest for the 0.1 s that a plan takes to be found, open, go up by 3 cm and begin anew, for the same goals. Trainings never plan
-    anew, as in the thesis: nothing leaves the device in them.
+    anew, as in the thesis: nothing leaves the device in them. With `onward` each relocation after the first is planned as the one before is over,
+    from where the object then lies.
+
+    Somebody who watches leads one world (:meth:`send`, section 5.7.6): its relocation is ended first, the next goal is theirs, and where no plan
+    reaches it the hand waits for another.
 
     - ``followed`` () number in the bank; ``plan_since`` () s of the episode
     - ``plan_stopped`` () s, the plan's time at which it stopped, -1 where it goes on; ``stopped_since`` () s of the episode
-    - ``replans`` () so far; ``given_up`` () 1 where there was no plan
+    - ``replans`` () so far; ``given_up`` () 1 where there was no plan; ``leg_begun`` () number of the last relocation that has begun
 
     *Limits:* evaluations on a GPU are refused, since their steps are captured. An object that is not flat on the table, falls off it, does not come to rest, or that no plan reaches, is given up. A
     sphere rests only if it has rolling friction (``scene.object.rolling``).
     """
 
-    reads = ("plan_row", "episode_time", "qpos", "qvel", "object_distance", "leg_missed")
+    reads = (
+        "plan_row", "episode_time", "qpos", "qvel", "object_distance", "leg_missed", "planned_leg", "plan_over",
+    )  # fmt: skip
     keeps = dict.fromkeys(
-        ("followed", "plan_since", "plan_stopped", "stopped_since", "replans", "given_up"), ()
+        (
+            "followed",
+            "plan_since",
+            "plan_stopped",
+            "stopped_since",
+            "replans",
+            "given_up",
+            "leg_begun",
+        ),
+        (),
     )
 
     @dataclass(frozen=True)
@@ -46,10 +63,11 @@ class Again(Memory):
         most: int = (
             0  #: plans made anew in an episode of an evaluation; the thesis does not limit them
         )
+        #: plan each next relocation of an evaluation's episode only as it begins, from where the object lies
+        onward: bool = False
         distance: float = (
             0.0178  #: m from the plan at which the object counts as lost (as termination lost)
         )
-
         still: float = 0.02  #: m/s below which the object lies still
         patience: float = 2.0  #: s for which the sticks wait until it does
 
@@ -60,19 +78,53 @@ class Again(Memory):
     def __init__(self, options: Options, context: Context) -> None:
         made, self._bank = bank_of(context, "memory 'chopsticks/again'")
         self._options, self._most = options, options.most if context.evaluating else 0
+        self._onward = self._bank.one_by_one = options.onward and context.evaluating
         joint = made.scene.model.joint("object")
         self._at, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
-        if self._most and context.device.type != "cpu":
+        if (self._most or self._onward) and context.device.type != "cpu":
+            asked = f"memory.again.most={self._most}" if self._most else "memory.again.onward=true"
             raise ConfigError(
-                f"memory.again.most={self._most} needs device=cpu simulator=mujoco: plans are made on the host, which a step "
+                f"{asked} needs device=cpu simulator=mujoco: plans are made on the host, which a step "
                 "that a GPU captures does not wait for. Evaluate the run there: "
-                "understudy evaluate RUN device=cpu simulator=mujoco memory.again.most=4"
+                f"understudy evaluate RUN device=cpu simulator=mujoco {asked}"
             )
-        if self._most:
+        if self._most or self._onward:
             self._bank.spare(context.num_worlds)
+        self._context = context
+        #: m: where whoever leads wants the object, and has it brought; None before they say so.
+        self.target: tuple[float, float] | None = None
+        self._new = False  #: whether nothing was planned for it yet
+        self.refused = ""  #: why no plan reaches it, in a sentence
+
+    def send(self, x: float, y: float) -> None:
+        """Bring the object to this place of the table next, m. From then on plans are made anew without limit.
+
+        Raises
+        ------
+        ConfigError
+            where there is more than one world, or plans are made on another device.
+        """
+        if self._context.num_worlds != 1 or self._context.device.type != "cpu":
+            raise ConfigError(
+                "An object is led in one world on the CPU. Set num_worlds=1 device=cpu."
+            )
+        if self.target is None:
+            self._most = 1_000_000_000
+            self._bank.spare(1)
+        self.target, self._new, self.refused = (x, y), True, ""
+
+    @property
+    def body(self) -> str:
+        """Name of the body that is led."""
+        return "object"
+
+    def way(self, fields: Mapping[str, Tensor]) -> np.ndarray:
+        """(T, 3) m: of the object, in the plan that world 0 follows."""
+        return self._bank.way(int(fields["followed"][0]))
 
     def begin(self, plan_row: Tensor, **fields: Tensor) -> dict[str, Tensor]:
         new = {name: torch.zeros_like(plan_row) for name in self.keeps}
+        self._new = self.target is not None
         return {**new, "followed": plan_row, "plan_stopped": new["plan_stopped"] - 1.0}
 
     def advance(
@@ -84,10 +136,14 @@ class Again(Memory):
         qvel: Tensor,
         object_distance: Tensor,
         leg_missed: Tensor,
+        planned_leg: Tensor,
+        plan_over: Tensor,
     ) -> Mapping[str, Tensor]:
-        if not self._most:
+        if not self._most and not self._onward:
             return kept
         new = {name: value.clone() for name, value in kept.items()}
+        if self._new:
+            new["given_up"].zero_()
         stopped = new["plan_stopped"] >= 0
         failed = (object_distance > self._options.distance) | (leg_missed > 0)
         failed &= ~stopped & (new["replans"] < self._most) & (new["given_up"] == 0)
@@ -96,19 +152,52 @@ class Again(Memory):
         new["stopped_since"] = torch.where(failed, episode_time, new["stopped_since"])
         speed = qvel[:, self._dof : self._dof + 3].norm(dim=-1)
         since = episode_time - new["stopped_since"]
+        stopped &= new["given_up"] == 0  # who is led waits for another goal
         ready = stopped & (speed < self._options.still) & (since > STOPS)
         late = since > self._options.patience
+        late &= self.target is None  # who is led waits as long as it takes
         late = stopped & ~ready & (late | (qpos[:, self._at + 2] < 0))  # or beside the table
         for world in (ready | late).nonzero()[:, 0].tolist():  # an evaluation's, and few
             thing = qpos[world, self._at : self._at + 7].double().cpu()
             frame = round((float(new["plan_stopped"][world]) + SLOWING) / DT)
             old, row = int(new["followed"][world]), None
-            if ready[world]:
+            if ready[world] and self.target is not None:
+                row = self._toward(old, world, frame, thing, anew=True)
+            elif ready[world]:
                 row = self._bank.again(old, world, frame, thing[:3], thing[3:])
-            new["plan_stopped"][world] = -1.0
             if row is None:
                 new["given_up"][world] = 1.0
+                if self.target is None:  # else it stands still
+                    new["plan_stopped"][world] = -1.0
                 continue
+            new["plan_stopped"][world] = -1.0
             new["followed"][world], new["plan_since"][world] = row, episode_time[world]
             new["replans"][world] += 1.0
+        if self._new and bool(plan_over[0] > 0) and bool(new["plan_stopped"][0] < 0):
+            thing = qpos[0, self._at : self._at + 7].double().cpu()
+            row = self._toward(int(new["followed"][0]), 0, round(float(time[0]) / DT), thing)
+            if row is not None:
+                new["followed"][0], new["plan_since"][0] = row, episode_time[0]
+        if self._onward:
+            begun = (planned_leg > new["leg_begun"]) & (new["plan_stopped"] < 0)
+            new["leg_begun"] = torch.where(begun, planned_leg, new["leg_begun"])
+            for world in begun.nonzero()[:, 0].tolist():
+                thing = qpos[world, self._at : self._at + 7].double().cpu()
+                old, frame = int(new["followed"][world]), round(float(time[world]) / DT)
+                row = self._bank.onward(old, world, frame, thing[:3], thing[3:])
+                if row is None:
+                    new["given_up"][world] = 1.0
+                    continue
+                new["followed"][world], new["plan_since"][world] = row, episode_time[world]
         return new
+
+    def _toward(
+        self, old: int, world: int, frame: int, thing: Tensor, anew: bool = False
+    ) -> int | None:
+        assert self.target is not None
+        self._new, self.refused = False, ""
+        try:
+            return self._bank.toward(old, world, frame, thing[:3], thing[3:], self.target, anew)
+        except NoPlan as refused:
+            self.refused = str(refused)
+            return None

@@ -46,6 +46,8 @@ _FRAME = 7 + 1 + 7 + 1 + 1 + 1
 _OBJECT, _HELD, _LEG, _LAST = slice(8, 15), 15, 16, 17
 #: s between two relocations, in which the object comes to rest.
 RESTING = 0.3
+#: m: where throws go to, x and y: the table's far side.
+_FAR = ((-0.1, 0.1), (0.2, 0.3))
 #: Goals that are tried for a plan.
 _TRIES = 20
 #: Relocations in an episode, at most.
@@ -73,6 +75,13 @@ class Bank:
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.
         self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
+        above = made.scene.options.above
+        self._above = objects.Shape(above.kind, above.sizes) if above is not None else None
+        if self._above is not None and thing.kind != "box":
+            raise ConfigError(
+                f"Nothing lies upon a {thing.kind} (scene.above). Set scene.object to a box, such as "
+                "'{kind: box, sizes: [0.015, 0.015, 0.015]}'."
+            )
         self._upon = 2.0 * self._below.height if self._below is not None else 0.0
         self._planner = Planner(made.grips[0], made.scene)
         self._device = context.device
@@ -80,17 +89,26 @@ class Bank:
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
         self._seed, self._drawn = context.seed, 0
         self._relocations, self._noise, self._spare = 1, 0.0, 0
+        self._thrown = False
+        #: Whether a relocation is planned only as it begins (:meth:`onward`), and how many were.
+        self.one_by_one, self._onwards = False, 0
         self._missing: set[int] = set()
         self.frames = self.goals = self.lengths = torch.zeros(0)
 
     def fill(
-        self, count: int, seconds: float, relocations: int, noise: float, later: bool = False
+        self,
+        count: int,
+        seconds: float,
+        relocations: int,
+        noise: float,
+        later: bool = False,
+        thrown: bool = False,
     ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
         take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`)."""
         if len(self.frames):
             return
-        self._relocations, self._noise = relocations, noise
+        self._relocations, self._noise, self._thrown = relocations, noise, thrown
         longest = relocations * seconds + (relocations - 1) * RESTING
         self._room = round(longest / DT) + 1
         self.frames = torch.zeros(count, self._room, _FRAME, device=self._device)
@@ -131,7 +149,7 @@ class Bank:
         """Put a new plan into a row, in place."""
         plans = self._plans()
         for leg, plan in enumerate(plans):
-            self.goals[row, leg] = plan.object[-1, :3].float().to(self._device)
+            self.goals[row, leg:] = plan.object[-1, :3].float().to(self._device)
         self._put(row, plans, 0)
 
     def again(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
@@ -144,7 +162,8 @@ class Bank:
         now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
         if abs(float(place[2]) - self._shape.height) > ON_TABLE:
             return None
-        goals = [(float(x), float(y)) for x, y in self.goals[row, leg:, :2]]
+        known = leg + 1 if self.one_by_one else self._relocations
+        goals = [(float(x), float(y)) for x, y in self.goals[row, leg:known, :2]]
         start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
         plans: list[Plan] = []
         try:
@@ -160,27 +179,89 @@ class Bank:
         self.goals[own] = self.goals[row].clone()
         return own if self._put(own, plans, leg) else None
 
+    def onward(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
+        """The row of `world` itself with the relocation that begins with the frame `frame` of the plan `row`: from where arm and sticks are planned
+        then, and the object lies, to a goal that is drawn now. None where there is no such plan.
+        """
+        for number in range(_TRIES):
+            name = f"{self._stream}/onward/{self._onwards}/{number}"
+            empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
+            goal = random_goal(empty, 0, random.generator(self._seed, name))
+            try:
+                found = self.toward(row, world, frame, place, turn, goal)
+            except NoPlan:
+                continue
+            self._onwards += 1
+            return found
+        return None
+
+    def toward(
+        self,
+        row: int,
+        world: int,
+        frame: int,
+        place: Tensor,
+        turn: Tensor,
+        goal: tuple[float, float],
+        anew: bool = False,
+    ) -> int:
+        """The row of `world` itself with a plan to `goal` m: from where arm and sticks are in the plan `row` at its frame `frame`, and
+        the object lies; `anew` where something has failed.
+
+        Raises
+        ------
+        NoPlan
+            there is none.
+        """
+        frame = min(frame, int(self.lengths[row]))
+        here = self.frames[row, frame].double().cpu()
+        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
+            raise NoPlan("No plan reaches the goal: the object does not lie on the table.")
+        if self._above is not None:
+            raise NoPlan("No plan reaches the goal: what lay upon the object may be in the way.")
+        start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
+        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+        table = Table((self._shape,), (start,), (heading,))
+        plan = self._planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
+        own, leg = self.drawn + world, int(here[_LEG])
+        if not self._put(own, [plan], leg):
+            raise NoPlan("No plan reaches the goal in time. Choose another goal.")
+        self.goals[own] = self.goals[row].clone()
+        self.goals[own, leg:] = plan.object[-1, :3].float().to(self._device)
+        return own
+
+    def way(self, row: int) -> np.ndarray:
+        """(T, 3) m: where the object is in the plan `row`."""
+        return self.frames[row, : int(self.lengths[row]) + 1, _OBJECT][:, :3].cpu().numpy()
+
     def _put(self, row: int, plans: list[Plan], first: int) -> bool:
-        """Write the frames of `plans`, whose first is the relocation number `first`; whether they had room."""
-        parts: list[Tensor] = []
-        for leg, plan in enumerate(plans, first):
-            held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
-            count = len(plan.angle)
-            which, last = torch.full((count, 1), float(leg)), torch.zeros(count, 1)
-            frames = torch.cat(
-                [plan.arm, plan.angle[:, None], plan.object, held[:, None], which, last], dim=1
-            ).float()
-            if leg + 1 < self._relocations:
-                frames = torch.cat([frames, frames[-1:].repeat(round(RESTING / DT), 1)])
-            frames[-1, _LAST] = 1.0
-            parts.append(frames)
-        frames = torch.cat(parts).to(self._device)
+        """Write the frames of `plans`, whose first is the relocation number `first`; whether they had room. Where
+        others follow that are not planned yet, a frame of the next one is the last."""
+        parts = [self._leg(plan, leg) for leg, plan in enumerate(plans, first)]
+        if first + len(plans) < self._relocations:
+            parts.append(parts[-1][-1:].clone())
+            parts[-1][:, _LEG], parts[-1][:, _LAST] = first + len(plans), 0.0
+        frames = torch.cat(parts)
         if len(frames) > self.frames.shape[1]:
             return False
+        frames = frames.to(self._device)
         self.frames[row, : len(frames)] = frames
         self.frames[row, len(frames) :] = frames[-1]
         self.lengths[row] = len(frames) - 1
         return True
+
+    def _leg(self, plan: Plan, leg: int) -> Tensor:
+        """(T, _FRAME) of `plan`, the relocation number `leg`, with the rest after it."""
+        held = (plan.phase == PHASES.index("close")) | (plan.phase == PHASES.index("relocate"))
+        count = len(plan.angle)
+        which, last = torch.full((count, 1), float(leg)), torch.zeros(count, 1)
+        frames = torch.cat(
+            [plan.arm, plan.angle[:, None], plan.object, held[:, None], which, last], dim=1
+        ).float()
+        if leg + 1 < self._relocations:
+            frames = torch.cat([frames, frames[-1:].repeat(round(RESTING / DT), 1)])
+        frames[-1, _LAST] = 1.0
+        return frames
 
     def _table(
         self, start: tuple[float, float], heading: float, goal: tuple[float, float]
@@ -193,7 +274,7 @@ class Bank:
     def _plans(self) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
         plans: list[Plan] = []
-        for _ in range(self._relocations):
+        for _ in range(1 if self.one_by_one else self._relocations):
             plans.append(self._plan(plans[-1] if plans else None))
         return plans
 
@@ -207,8 +288,13 @@ class Bank:
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
             empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
-            if self._below is not None:
-                apart = self._shape.reach + self._below.reach + APART
+            if self._thrown:
+                share = torch.rand(2, generator=stream).tolist()
+                goal = tuple(
+                    low + (high - low) * s for (low, high), s in zip(_FAR, share, strict=True)
+                )
+            if (by := self._below or self._above) is not None:
+                apart = self._shape.reach + by.reach + APART
                 if math.dist(start, goal) < apart:
                     continue
             most = 0.25 if self._shape.kind == "capsule" else 0.5
@@ -221,6 +307,7 @@ class Bank:
             table = self._table(start, heading, goal)
             try:
                 task = table.task(0, goal, self._upon)
+                task = replace(task, above=self._above, thrown=self._thrown)
                 plan = self._planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
@@ -273,20 +360,28 @@ class Relocations(InitialStates):
         relocations: int = 1  #: of the object, one after another in a plan; figure 5.21 has eight
         #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
         noise: float = 0.0
+        thrown: bool = (
+            False  #: whether the object is thrown, to the table's far side (section 5.7.1)
+        )
 
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
             check_range(self, "refill", least=0, most=100_000)
             check_range(self, "relocations", least=1, most=MOST)
             check_range(self, "noise", least=0, most=0.05)
-            check_range(self, "longest", least=2 * (LEAST + CLOSING) + PRESSING + ASIDE, most=60.0)
+            if self.thrown and self.relocations > 1:
+                raise ValueError(
+                    f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
+                )
+            least = round(2 * (LEAST + CLOSING) + PRESSING + ASIDE, 6)
+            check_range(self, "longest", least=least, most=60.0)
             if self.refill >= self.plans:
                 raise ValueError(
                     f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
                 )
 
     def __init__(self, options: Options, context: Context) -> None:
-        made, self._bank = bank_of(context, "initial_states 'chopsticks/relocations'")
+        made, self.bank = bank_of(context, "initial_states 'chopsticks/relocations'")
         self._evaluating = context.evaluating
         self._refill = 0 if context.evaluating else options.refill
         if made.scene.options.below is not None and options.relocations > 1:
@@ -294,11 +389,16 @@ class Relocations(InitialStates):
                 f"initial_states.relocations={options.relocations} is not possible with scene.below: what is put upon "
                 "another stays there. Set one of them alone."
             )
+        if options.thrown and (made.scene.options.below or made.scene.options.above):
+            raise ConfigError(
+                "initial_states.thrown=true takes one object alone. Leave out scene.below and scene.above."
+            )
         # A GPU captures the step in which episodes begin, so its bank has to be whole before.
         self._later = context.evaluating and context.device.type == "cpu"
-        self._bank.fill(
-            options.plans, options.longest, options.relocations, options.noise, self._later
-        )
+        self.bank.fill(
+            options.plans, options.longest, options.relocations, options.noise, self._later,
+            options.thrown,
+        )  # fmt: skip
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
         self._start, self._velocity = start, torch.zeros(model.nv, device=device)
@@ -306,6 +406,10 @@ class Relocations(InitialStates):
         below = made.scene.options.below
         self._under = None if below is None else int(model.joint("below").qposadr[0])
         self._height = 0.0 if below is None else below.height
+        above = made.scene.options.above
+        self._over = None if above is None else int(model.joint("above").qposadr[0])
+        if above is not None and made.scene.options.object is not None:
+            self._up = made.scene.options.object.height + above.height
         #: Rows that may be drawn, then those that wait to be replaced.
         self._order = torch.arange(options.plans, device=device)
         self._waiting: list[int] = []
@@ -319,18 +423,21 @@ class Relocations(InitialStates):
         place = (share * free).long().clamp(max=free - 1)
         row = self._order[place]
         if self._later:
-            self._bank.need(row.unique().tolist())
-        thing = self._bank.frames[row, 0, _OBJECT]
+            self.bank.need(row.unique().tolist())
+        thing = self.bank.frames[row, 0, _OBJECT]
         qpos = self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
         if self._under is not None:
-            qpos[:, self._under : self._under + 2] = self._bank.goals[row, 0, :2]
+            qpos[:, self._under : self._under + 2] = self.bank.goals[row, 0, :2]
             qpos[:, self._under + 2] = self._height
+        if self._over is not None:
+            qpos[:, self._over : self._over + 7] = thing
+            qpos[:, self._over + 2] += self._up
         return {
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
-            "plan_goal": self._bank.goals[row, -1],
+            "plan_goal": self.bank.goals[row, -1],
         }
 
     def update(self, rollout: Rollout) -> dict[str, float]:
@@ -340,7 +447,7 @@ class Relocations(InitialStates):
         followed = set(rollout.fields["plan_row"][-1].long().unique().tolist())
         done = [row for row in self._waiting if row not in followed]
         for row in done:
-            self._bank.replace(row)
+            self.bank.replace(row)
         self._waiting = [row for row in self._waiting if row not in done]
         count = len(self._order)
         while len(self._waiting) < self._refill:
@@ -352,12 +459,12 @@ class Relocations(InitialStates):
 
     def state_dict(self) -> State:
         return {
-            "bank": self._bank.state_dict(), "order": self._order, "waiting": list(self._waiting),
+            "bank": self.bank.state_dict(), "order": self._order, "waiting": list(self._waiting),
             "next": self._next,
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
-        self._bank.load_state_dict(state["bank"])
+        self.bank.load_state_dict(state["bank"])
         self._order.copy_(state["order"])
         self._waiting, self._next = [int(row) for row in state["waiting"]], int(state["next"])
 
@@ -481,7 +588,8 @@ class Object(Fields):
 
     - ``object_state`` (13,): position, rotation, linear and angular velocity in the palm's frame
     - ``object_distance`` () m and ``object_turn`` () rad from the plan; ``goal_distance`` () m from the goal
-    - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal
+    - ``object_placed`` () 1 where the plan is over and the object within `within` m of the goal; where something is to go along, it still
+      lies upon it
     - ``plan_over`` () 1 once the plan has ended
     - ``legs_placed`` (8,) 1 in the moment at which that relocation is over and its object within `within` m;
       ``leg_placed`` () 1 where any is, ``leg_missed`` () 1 where one is over and its object elsewhere
@@ -520,6 +628,10 @@ class Object(Fields):
             for address in (model.joint("object").qposadr, model.joint("object").dofadr)
         )
         self._palm, self._options = model.body("palm").id, options
+        above, own = made.scene.options.above, made.scene.options.object
+        self._above = None if above is None else int(model.joint("above").qposadr[0])
+        if above is not None and own is not None:
+            self._up, self._half = own.height + above.height, 0.5 * min(own.sizes)
         self._legs = torch.arange(MOST, device=context.device)
         self._round = model.geom("object").type[0] == 2  # a sphere's rotation is nobody's
 
@@ -547,7 +659,12 @@ class Object(Fields):
         turned = rotations.angle_between(rotation, planned_object[:, 3:])
         # The last one is judged when the plan is over, the others in their last frame.
         done = torch.where(plan_time < plan_lasts - 0.5 * DT, goes & (leg_over > 0), over)
-        there = done & (away <= self._options.within)
+        good = away <= self._options.within
+        if self._above is not None:
+            apart = qpos[:, self._above : self._above + 3] - place
+            lies = (apart[:, 2] - self._up).abs() < ON_TABLE
+            good &= lies & (apart[:, :2].norm(dim=-1) < self._half)
+        there = done & good
         legs = planned_leg.long()[:, None] == self._legs
         return {
             "object_state": torch.cat(
@@ -563,7 +680,7 @@ class Object(Fields):
             "object_distance": (place - planned_object[:, :3]).norm(dim=-1) * goes,
             "object_turn": torch.zeros_like(turned) if self._round else turned,
             "goal_distance": away,
-            "object_placed": (over & (away <= self._options.within)).float(),
+            "object_placed": (over & good).float(),
             "plan_over": over.float(),
             "legs_placed": (there[:, None] & legs).float(),
             "leg_placed": there.float(),

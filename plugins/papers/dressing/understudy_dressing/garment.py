@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from understudy_cloth.scene import ClothScene
+from understudy_dressing.drawing import FELT, Felt
 from understudy_dressing.person import Side
 
 
 class GarmentScene(ClothScene):
     """A garment with sleeves, V vertices and F triangles."""
+
+    recorded = (*ClothScene.recorded, *FELT)
+
+    def draw(
+        self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
+    ) -> Iterator[np.ndarray]:
+        """The garment, the person, and what it feels."""
+        from understudy_cloth.drawing import draw
+
+        felt = Felt(tracks) if all(name in tracks for name in self.recorded) else None
+        yield from draw(self.model(), tracks, width, height, self.azimuth, felt)
 
     @property
     @abstractmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import mujoco
 import numpy as np
@@ -68,9 +68,10 @@ def draw(
     width: int,
     height: int,
     azimuth: float | None = None,
+    more: Callable[[int, mujoco.MjvScene], None] | None = None,
 ) -> Iterator[np.ndarray]:
     """Frames (height, width, 3) uint8 of the recorded ``cloth_position`` (T, V, 3), and of tools where they are
-    recorded.
+    recorded. `more` is told the frame's number and adds shapes to its picture.
 
     Raises
     ------
@@ -104,6 +105,8 @@ def draw(
             mujoco.mj_flex(compiled, data)
             data.flexvert_xpos[:] = here
             renderer.update_scene(data, camera, option)
+            if more is not None:
+                more(frame, renderer.scene)
             yield renderer.render()
     finally:
         renderer.close()

@@ -99,6 +99,7 @@ class _Reader:
                     f"The model {self._path} is a template: expand it first, by xacro FILE > robot.urdf."
                 )
             _without_visuals(root)
+            self._check_limits(root)
         elements = list(root.iter())
         for element in elements:
             if element.tag in _REFUSED:
@@ -120,6 +121,21 @@ class _Reader:
             compiler.set("fusestatic", "false")
         text = ElementTree.tostring(root, encoding="unicode")
         return Mjcf(text, self._assets, urdf)
+
+    def _check_limits(self, robot: ElementTree.Element) -> None:
+        """Refuse a joint whose range is upside down, which MuJoCo takes for one without."""
+        for joint in robot.iter("joint"):
+            limit = joint.find("limit")
+            ends = [limit.get(end, "0") for end in ("lower", "upper")] if limit is not None else []
+            try:
+                wrong = bool(ends) and float(ends[0]) > float(ends[1])
+            except ValueError:  # MuJoCo says it
+                continue
+            if wrong:
+                raise FileError(
+                    f"The model {self._path} does not load: joint '{joint.get('name', '')}' has the lower limit "
+                    f"{ends[0]}, above its upper one of {ends[1]}."
+                )
 
     def _parse(self, path: Path) -> ElementTree.Element:
         content = self._content(path, self._bytes_left, MAX_BYTES)

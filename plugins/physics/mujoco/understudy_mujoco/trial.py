@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from understudy.errors import FileError
 from understudy_mujoco.apart import Limits, read_apart, serve
@@ -20,6 +21,15 @@ from understudy_mujoco.mjcf import Mjcf, read_mjcf
 
 LIMITS = Limits()
 """For reading and compiling a model."""
+
+_CARRIED = ("numeric", "key", "_")
+"""Of fields that no simulation reads; those that end in 0 are worked out of others."""
+_OBJECTS = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+}
 
 _passed: set[bytes] = set()
 
@@ -73,12 +83,35 @@ def attempt(path: Path) -> str:
     try:
         spec = spec_of(model)
         doing = "compile"
-        spec.compile()
+        compiled = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
         said = str(error).strip().partition("\n")[0]
         if not said or said == "Caught an unknown exception!":
             said = "MuJoCo gives no reason, which may be that it needs more memory."
         raise FileError(f"The model {path} does not {doing}: {said}") from error
+    if damaged := not_finite(compiled):
+        raise FileError(f"The model {path} does not compile: its {damaged} is no finite number.")
+    return ""
+
+
+def not_finite(model: mujoco.MjModel) -> str:
+    """The first number of `model` that is none, and whose it is; nothing if all are finite. MuJoCo takes them, and
+    simulates nothing with them. A range may be infinite; what it only carries along may be anything."""
+    for holder in (model, model.opt):
+        for name in dir(holder):
+            value = getattr(holder, name)
+            plain = isinstance(value, float) or (
+                isinstance(value, np.ndarray) and value.dtype.kind == "f"
+            )
+            if not plain or name.startswith(_CARRIED) or name.endswith("0") or "user" in name:
+                continue
+            wrong = np.isnan(value) if "range" in name else ~np.isfinite(value)
+            if wrong.any():
+                kind, row = name.partition("_")[0], int(np.argwhere(np.atleast_1d(wrong))[0, 0])
+                if kind == "dof":
+                    kind, row = "jnt", int(model.dof_jntid[row])
+                of = mujoco.mj_id2name(model, _OBJECTS[kind], row) if kind in _OBJECTS else ""
+                return f"{name} of {of!r}" if of else name
     return ""
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
 
 import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,7 +18,7 @@ from understudy_mujoco.scene import MujocoScene
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import Skill
 
-__all__ = ["World"]
+__all__ = ["Leads", "World"]
 
 #: Seconds: no episode is cut.
 _ENDLESS = 86400.0
@@ -24,6 +26,28 @@ _ENDLESS = 86400.0
 _LEASH = 0.08
 #: Of the height at which its root began: lower, a character is down.
 _DOWN = 0.35
+
+
+@runtime_checkable
+class Leads(Protocol):
+    """A memory by which whoever watches leads a body of the scene to a place; from then on an episode goes on where it would
+    have succeeded."""
+
+    target: tuple[float, float] | None  #: m: where it shall go; None before anybody leads
+    refused: str  #: why it cannot, in a sentence; empty where it can
+
+    @property
+    def body(self) -> str:
+        """Its name, of a body with a free joint of that name."""
+        ...
+
+    def send(self, x: float, y: float) -> None:
+        """Bring it there next, m."""
+        ...
+
+    def way(self, fields: Mapping[str, Tensor]) -> np.ndarray:
+        """(T, 3) m: as it is planned."""
+        ...
 
 
 class World(ABC):
@@ -42,6 +66,9 @@ class World(ABC):
         #: where nothing can be sent anywhere.
         self.target: tuple[float, float] | None = None
         self._seed = seed
+        memories = (wired.part for wired in self.environment.parts.memories.values())
+        #: By what its body is led; None where nothing is.
+        self.leads: Leads | None = next((m for m in memories if isinstance(m, Leads)), None)
         self._tracks = [n for n in self.scene.recorded if n in self.environment.table.shapes]
         self._mass, self._alone = 0.0, False
         if isinstance(self.scene, MujocoScene):
@@ -85,7 +112,13 @@ class World(ABC):
         environment, seen = self.environment, []
         if environment.decision > 1:
             environment.on_period = lambda: seen.append(self.shown())
-        step = environment.step(self.act(self._observations))
+        action = self.act(self._observations)
+        if self.leads is None or self.leads.target is None:
+            step = environment.step(action)
+        else:
+            step = environment.advance(action)
+            if bool(step.failed.any()):
+                step.observations = environment.begin(step.failed)
         self.falls += int(step.failed.sum())
         if bool(step.ended.any()):
             self._moved.zero_()
@@ -129,6 +162,19 @@ class World(ABC):
         state = self._state()
         state["qvel"][:, :3] += torch.tensor(impulse) / self._mass
         self._set(state)
+
+    def nudge(self, x: float, y: float) -> None:
+        """Change the velocity of the body that is led by so much, m/s."""
+        assert self.leads is not None
+        assert isinstance(self.scene, MujocoScene)
+        at, state = int(self.scene.model.joint(self.leads.body).dofadr[0]), self._state()
+        state["qvel"][:, at : at + 2] += torch.tensor([x, y])
+        self._set(state)
+
+    def way(self) -> np.ndarray:
+        """(T, 3) m: where the body that is led is planned to be."""
+        assert self.leads is not None
+        return self.leads.way(self.environment.table)
 
     def _state(self) -> dict[str, Tensor]:
         simulator = self.environment.parts.simulator

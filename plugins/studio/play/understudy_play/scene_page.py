@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from html import escape
 
@@ -18,6 +19,13 @@ from understudy_viewer.server import open_server, stop_server
 
 #: m: half the side of a plane that has none.
 _ENDLESS = 5.0
+#: Frames a second, at most: what more costs would slow down what acts.
+_FRAMES = 34.0
+#: Of a target that is reached, one that is not, and of the way there.
+_GOOD, _BAD, _WAY = (22, 163, 74), (220, 38, 38), (37, 99, 235)
+#: m/s of a nudge; by its button, along the world's axes.
+_NUDGE = 0.15
+_WAYS = {"←": (-1.0, 0.0), "→": (1.0, 0.0), "↑": (0.0, 1.0), "↓": (0.0, -1.0)}
 
 
 class ScenePage:
@@ -31,6 +39,12 @@ class ScenePage:
         self._model = world.scene.shown().compile()
         self._data = mujoco.MjData(self._model)
         self._controls = Controls()
+        self._lock = (
+            threading.Lock()
+        )  # of what the browser's events change: the world is the loop's
+        self._sent: tuple[float, float] | None = None
+        self._nudges: list[tuple[float, float]] = []
+        self._steps, self._every = 0, max(1, round(1.0 / (_FRAMES * world.dt)))
         self._server, self.url = open_server(host, port)
         self._dress()
         self._draw(world.shown()["qpos"].double().numpy())
@@ -45,9 +59,35 @@ class ScenePage:
             self._following.advance()
         if self._controls.taken_again():
             self._world.restart()
+            self._steps = -1
+        with self._lock:
+            (sent, nudges), self._sent, self._nudges = (self._sent, self._nudges), None, []
+        if self._world.leads is not None:
+            if sent is not None:
+                self._world.leads.send(*sent)
+            for x, y in nudges:
+                self._world.nudge(_NUDGE * x, _NUDGE * y)
         for shown in self._world.step():
-            self._draw(shown["qpos"].double().numpy())
+            self._steps += 1
+            if self._steps % self._every == 0:
+                self._draw(shown["qpos"].double().numpy())
             after_each()
+
+    def send(self, x: float, y: float) -> None:
+        """Have what is led brought to this place, m, from the next decision on."""
+        with self._lock:
+            self._sent = x, y
+
+    def nudge(self, x: float, y: float) -> None:
+        """Push what is led at the next decision; along the world's axes."""
+        with self._lock:
+            self._nudges.append((x, y))
+
+    @property
+    def target(self) -> tuple[tuple[float, float, float], bool]:
+        """Where the target that is drawn is, m, and whether it is one that a plan reaches."""
+        x, y, z = (float(part) for part in self._handle.position)
+        return (x, y, z), tuple(self._flag.color) == _GOOD
 
     def close(self) -> None:
         self._controls.closed = True
@@ -80,21 +120,64 @@ class ScenePage:
         gui.main_panel.dock_right()
         gui.add_html(f"<div style='margin:0 .75em'><b>{escape(self._world.name)}</b></div>")
         self._told = gui.add_html("")
+        if self._world.leads is not None:
+            self._lead(self._world.leads.body)
         self._controls.add_to(gui)
         if self._following is not None:
             self._following.add_to(gui)
 
+    def _lead(self, body: str) -> None:
+        """A target to drag, the planned way to it, and buttons for nudges."""
+        scene, gui = self._server.scene, self._server.gui
+        geom = self._model.geom(body)
+        size = float(np.min(geom.size[geom.size > 0]))
+        self._handle = scene.add_transform_controls(
+            "/target", scale=8.0 * size, active_axes=(True, True, False), disable_rotations=True,
+            depth_test=False,
+        )  # fmt: skip
+        self._flag = scene.add_icosphere("/target/flag", 1.1 * size, _GOOD, opacity=0.5)
+        self._way = scene.add_line_segments("/way", np.zeros((1, 2, 3)), _WAY, thickness=0.002)
+        self._drawn = np.zeros((0, 3))
+        gui.add_html("<div style='margin:0 .75em'>Drag the target to have it brought there.</div>")
+        nudge = gui.add_button_group("Nudge", tuple(_WAYS))
+
+        @self._handle.on_update
+        def _(event: viser.TransformControlsEvent) -> None:
+            if event.phase == "end":
+                x, y, _ = self._handle.position
+                self.send(float(x), float(y))
+
+        @nudge.on_click
+        def _(_: object) -> None:
+            self.nudge(*_WAYS[nudge.value])
+
+    def _draw_way(self) -> str:
+        """The plan as it is now, if it is another one; why there is none."""
+        leads = self._world.leads
+        assert leads is not None
+        way = self._world.way()
+        if not np.array_equal(way, self._drawn):
+            self._drawn = way
+            self._way.points = np.stack([way[:-1], way[1:]], axis=1)
+            if leads.target is None or not leads.refused:
+                self._handle.position = way[-1]
+        self._flag.color = _BAD if leads.refused else _GOOD
+        self._way.visible = not leads.refused
+        return leads.refused
+
     def _draw(self, qpos: np.ndarray) -> None:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
-        turn = np.zeros(4)
+        turn, told = np.zeros(4), ""
         with self._server.atomic():
+            if self._world.leads is not None:
+                told = self._draw_way()
             for geom, part in self._parts:
                 mujoco.mju_mat2Quat(turn, self._data.geom_xmat[geom])
                 part.position, part.wxyz = self._data.geom_xpos[geom].copy(), turn.copy()
             self._told.content = (
                 "<div style='margin:0 .75em;font-size:.85em;color:#667080'>"
-                f"{self._world.fallen}</div>"
+                f"{escape(told) or self._world.fallen}</div>"
             )
 
 

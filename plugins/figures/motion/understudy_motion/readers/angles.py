@@ -22,7 +22,13 @@ from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_motion.clip import ANGLE, Clip
-from understudy_motion.readers.text import decoded, is_number, number_rows, without_comments
+from understudy_motion.readers.text import (
+    decoded,
+    is_number,
+    number_rows,
+    plain_name,
+    without_comments,
+)
 from understudy_motion.reading import (
     UNSAID,
     ClipReader,
@@ -55,7 +61,7 @@ class AnglesReader(ClipReader):
         words = _words(lines[0], _delimiter(lines[0]))
         if [word.lower() for word in words[:7]] == _PROTOMOTIONS:
             return True
-        if "root.px" in words:  # a table of named joints' rotations, which has a reader of its own
+        if "root.px" in map(plain_name, words):  # of named joints' rotations: has its own reader
             return False
         if _names(lines):
             words = _words(lines[1], _delimiter(lines[0]))

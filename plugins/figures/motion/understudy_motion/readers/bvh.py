@@ -40,6 +40,7 @@ from understudy_motion.kinematics import forward_kinematics, tip_positions
 from understudy_motion.readers.frames import product_of_turns, to_world
 from understudy_motion.readers.text import decoded, is_number, number_rows, shown, without_comments
 from understudy_motion.reading import (
+    HEAD_BYTES,
     MAX_JOINTS,
     MAX_NAME,
     METRES,
@@ -125,7 +126,8 @@ _REMARK = re.compile(r"\s(#|//|;)(\s.*)?$")
 
 
 _SAID = re.compile(
-    r"(frames|frame\s*time|frame\s*rate|fps)\b[\s:=]*(\S*(?:\s*ms\b)?)", re.IGNORECASE
+    r"(frames|frame[\s_]*time|(?:frame|sample)[\s_]*rate|fps)\b[\s:=]*(\S*(?:\s*ms\b)?)",
+    re.IGNORECASE,
 )
 """A line, or a part of it, between MOTION and the numbers."""
 
@@ -137,6 +139,8 @@ class BvhReader(ClipReader):
 
     def recognises(self, head: bytes, path: Path) -> bool:
         lines = without_comments(decoded(head).splitlines())
+        if len(head) == HEAD_BYTES and lines[1:] and not any(lines[:-1]):  # remarks that go on beyond it
+            return path.suffix.lower() in self.suffixes
         return any(line[:9].upper() == "HIERARCHY" for line in lines)
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
@@ -233,14 +237,15 @@ class _Hierarchy:
     def _end(self) -> tuple[float, ...]:
         """Where the tip is; what the file calls it, before the brace, does not matter."""
         self._words_before_brace()
-        self._expect("OFFSET")
-        tip = self._vector()
-        if (word := self._next()).upper() == "CHANNELS":
+        tip, word = (0.0, 0.0, 0.0), self._next()
+        if word.upper() == "OFFSET":
+            tip, word = self._vector(), self._next()
+        if word.upper() == "CHANNELS":
             if self._channels():
                 self._fail("the end of a joint has no CHANNELS")
             word = self._next()
         if word != "}":
-            self._fail(f"'}}' is expected, not {shown(word)}")
+            self._fail(f"'OFFSET' or '}}' is expected, not {shown(word)}")
         return tip
 
     @staticmethod
@@ -347,7 +352,9 @@ def _motion(
     if any(";" in line for line in body):
         body = [line.replace(";", " ") for line in body]
     if any("," in line for line in body):  # between numbers, or within
-        mark = " " if any("." in line for line in body) else "."
+        whole = next(line for line in body if line)
+        apart = any("." in line for line in body) or len(whole.split()) != columns
+        mark = " " if apart else "."
         body = [line.replace(",", mark) for line in body]
     values = number_rows(path, body, last + 2, columns)
     ends = np.cumsum([len(joint.channels) for joint in joints])

@@ -3,8 +3,8 @@
 ``poses`` (F, 3 J) holds a rotation vector per joint, the root's first: 22 joints of the body, then
 those of SMPL (24), SMPL-H (52) or SMPL-X (55); or the parts stand apart as ``root_orient``,
 ``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``. Joints may have an axis of their own, and be
-rotation matrices: (F, J, 3) or (F, J, 3, 3). ``trans`` (F, 3) is in metres. The rate is
-``mocap_framerate``, ``mocap_frame_rate``, ``mocap_fps``, ``frame_rate``, ``framerate`` or ``fps``. The body model's own
+rotation matrices: (F, J, 3) or (F, J, 3, 3). ``trans`` (F, 3) is in metres. An axis of a batch of one
+clip, or of one person, is left out. The rate is ``mocap_framerate``, ``mocap_frame_rate``, ``mocap_fps``, ``frame_rate``, ``framerate`` or ``fps``. The body model's own
 names of these arrays (``global_orient``, ``body_pose``, ``transl``, …) are read as well.
 
 The body's own frames have y up, z forward and x left and are parallel in the T-pose; the world has
@@ -143,8 +143,9 @@ class SmplReader(ClipReader):
         num_frames, num_joints = vectors.shape[:2]
         check_size(path, num_frames, JOINTS[num_joints])
         where = _named("trans", archive.names) or "trans"
-        flat = where not in archive.names or len(archive.shape(where)) != 3
-        places = archive.floats(where, *((num_frames, 3) if flat else (num_frames, 1, 3)))
+        shape = archive.shape(where) if where in archive.names else ()
+        single = {0: (1, num_frames, 3), 1: (num_frames, 1, 3)}.get(_single(shape), (num_frames, 3))
+        places = archive.floats(where, *single)
         scale = archive.number(_SCALE) if _SCALE in archive.names and not options.unit else 1.0
         if not 1e-6 < scale < 1e6:
             raise FileError(
@@ -207,16 +208,24 @@ def _named(name: str, names: Collection[str]) -> str | None:
 
 
 def _vectors(archive: Archive, name: str) -> np.ndarray:
-    """(F, 3 J) rotation vectors of an array (F, 3 J), (F, J, 3) or (F, J, 3, 3)."""
+    """(F, 3 J) rotation vectors of an array (F, 3 J), which may have an axis of one more, (F, J, 3) or (F, J, 3, 3)."""
     axes = len(archive.shape(name)) if name in archive.names else 2
     if axes == 4:
         matrices = archive.floats(name, None, None, 3, 3)
         vectors = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec()
         return vectors.reshape(len(matrices), -1)
+    if axes == 3 and archive.shape(name)[2] != 3 and _single(archive.shape(name)) is not None:
+        values = archive.floats(name, None, None, None)
+        return values.reshape(-1, values.shape[2])
     if axes == 3:
         vectors = archive.floats(name, None, None, 3)
         return vectors.reshape(len(vectors), -1)
     return archive.floats(name, None, None)
+
+
+def _single(shape: tuple[int, ...]) -> int | None:
+    """Which of the first two of three axes has a size of 1, as of a batch of one clip or one person."""
+    return shape[:2].index(1) if len(shape) == 3 and 1 in shape[:2] else None
 
 
 def _rate(path: Path, archive: Archive) -> float:

@@ -11,7 +11,7 @@ SI units, z up, x forward, quaternions wxyz: nothing is converted.
 ``root.py``, ``root.pz`` (m); and for each joint, the root first, ``NAME.qw``, ``.qx``, ``.qy``,
 ``.qz`` or its rotation vector ``NAME.rx``, ``.ry``, ``.rz`` (rad). Lines before it that begin with
 ``#`` may say ``# rate: 60`` (frames/s, instead of ``time``), ``# loop: true`` and
-``# licence: TEXT``. It has no skeleton. Semicolons or tabs may stand between the columns, decimal commas
+``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons or tabs may stand between the columns, decimal commas
 in numbers; columns without a name, and those of row numbers, are left out.
 """
 
@@ -29,7 +29,7 @@ import torch
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
-from understudy_motion.readers.text import decoded, is_number, number_rows, shown
+from understudy_motion.readers.text import decoded, is_number, number_rows, plain_name, shown
 from understudy_motion.reading import (
     MAX_RECORD_LINE,
     UNSAID,
@@ -55,6 +55,10 @@ UNREAD = re.compile(r"(index|idx|id|row|level_[0-9]+|frames?|unnamed: [0-9]+|)",
 TIME = re.compile(r"(time|times|t|timestamp)([_ ]*[\[(]?(s|sec|seconds)[\])]?)?", re.IGNORECASE)
 """The column of times, s."""
 DELIMITERS = ",;\t"
+SAID = re.compile(
+    r'\s*"?#\s*(?:(rate|frame[ _]?rate|fps)|(loop)|(licen[cs]e))\s*[:=](.*)', re.IGNORECASE
+)
+"""A line before the table that says something of it; spreadsheets quote it, or end it with delimiters."""
 
 
 class NpzReader(ClipReader):
@@ -112,7 +116,9 @@ class CsvReader(ClipReader):
     def recognises(self, head: bytes, path: Path) -> bool:
         lines = decoded(head).splitlines()
         _, start = _comments(lines)
-        return start < len(lines) and "root.px" in lines[start] and _delimiter(lines[start]) != ""
+        if start == len(lines) or not (delimiter := _delimiter(lines[start])):
+            return False
+        return ROOT_POSITION[0] in _cells(lines[start], delimiter)
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
@@ -121,7 +127,7 @@ class CsvReader(ClipReader):
         header = lines[start] if start < len(lines) else ""
         delimiter = _delimiter(header) or ","
         columns = _cells(header, delimiter)
-        body = lines[start + 1 :]
+        body = [_row(line, len(columns), delimiter) for line in lines[start + 1 :]]
         columns, body = _plain(path, columns, body, delimiter)
         joints = _joint_columns(path, columns)
         num_frames = sum(1 for line in body if line.strip())
@@ -145,12 +151,13 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
     """What the comments before the table say, and the index of the line of column names."""
     said: dict[str, str] = {}
     for index, line in enumerate(lines):
-        if comment := re.match(r"\s*#\s*(rate|loop|licence)\s*:(.*)", line):
-            said[comment[1]] = comment[2].strip()
+        if comment := SAID.match(line):
+            name = "rate" if comment[1] else "loop" if comment[2] else "licence"
+            said[name] = comment[4].strip(f'{DELIMITERS} "')
         elif (
             line.strip()
             and not line.lower().startswith("sep=")
-            and (not line.lstrip().startswith("#") or ROOT_POSITION[0] in line)
+            and (not line.lstrip(' "').startswith("#") or ROOT_POSITION[0] in line)
         ):
             return said, index
     return said, len(lines)
@@ -166,7 +173,16 @@ def _delimiter(header: str) -> str:
 def _cells(header: str, delimiter: str) -> list[str]:
     names = [name.strip().strip('"').strip() for name in header.split(delimiter)]
     names[0] = names[0].lstrip("# ")
-    return ["time" if TIME.fullmatch(name) else name for name in names]
+    return ["time" if TIME.fullmatch(name) else plain_name(name) for name in names]
+
+
+def _row(line: str, count: int, delimiter: str) -> str:
+    """`line` of a table of `count` columns, empty where it is a comment or delimiters alone, and without one at its
+    end that no column's name has."""
+    if line.lstrip().startswith("#") or not line.strip(f"{delimiter} "):
+        return ""
+    more = line.count(delimiter) == count and line.rstrip(" ").endswith(delimiter)
+    return line.rstrip(" ")[:-1] if more else line
 
 
 def _plain(
@@ -237,16 +253,17 @@ def _times(
                 f"Clip {path}: there is neither a column 'time' nor a line '# rate: 60'; give "
                 "motion.rate (--source-rate)."
             )
-        if not is_number(said["rate"]) or not 0.0 < float(said["rate"]) <= 1e6:
+        word = re.sub(r"\s*(hz|fps)$", "", said["rate"], flags=re.IGNORECASE).replace(",", ".")
+        if not is_number(word) or not 0.0 < float(word) <= 1e6:
             raise FileError(
                 f"Clip {path}: the rate {shown(said['rate'])} is no number of frames per second."
             )
-        rate = float(said["rate"])
+        rate = float(word)
     return torch.arange(len(rows), dtype=torch.float64) / rate
 
 
 def _loop(path: Path, said: dict[str, str]) -> bool:
-    word = said.get("loop", "false")
+    word = said.get("loop", "false").lower()
     if word not in ("true", "false"):
         raise FileError(f"Clip {path}: '# loop:' is true or false, not {shown(word)}.")
     return word == "true"

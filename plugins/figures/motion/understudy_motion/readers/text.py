@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,6 +37,7 @@ def decoded(content: bytes) -> str:
     except UnicodeDecodeError:
         text = content.decode("cp1252", errors="replace")
     text = text.replace("\u2212", "-")  # the minus of typographers
+    text = text.replace("\ufeff", "")  # a second mark, as where files were put together
     return text.rstrip("\0\x1a")  # with which old programs end a file
 
 
@@ -56,6 +58,19 @@ def is_number(word: str) -> bool:
 def shown(text: str) -> str:
     """`text` quoted and cut, for a message."""
     return repr(text if len(text) <= 40 else text[:40] + "…")
+
+
+_COLUMN = re.compile(
+    r"(?:(root)[._](p[xyz])|(.*)\.(q[wxyz]|r[xyz]))(\s*[\[(](m|rad)?[\])])?", re.IGNORECASE
+)
+
+
+def plain_name(column: str) -> str:
+    """The name of a table's `column` as it is written here: without a unit, its part in small letters."""
+    if found := _COLUMN.fullmatch(column):
+        root, position, joint, rotation = found.groups()[:4]
+        return f"{root.lower()}.{position.lower()}" if root else f"{joint}.{rotation.lower()}"
+    return column
 
 
 def number_rows(
