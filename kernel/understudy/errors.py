@@ -71,11 +71,13 @@ def shown(text: str) -> str:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """`` Did you mean 'x'?`` for a near miss of known names, or their ends, else all known names; many
+    """`` Did you mean 'x'?`` for a near miss of known names, or their ends, in letters of any size, else all known names; many
     are grouped by what stands before their slash."""
     names = sorted(set(known))
-    close = [n for n in names if n.endswith((f"/{word}", f".{word}"))]
-    close = close or difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    small, low = word.lower(), {n.lower(): n for n in reversed(names)}
+    close = [low[small]] if small in low else []
+    close = close or [n for n in names if n.lower().endswith((f"/{small}", f".{small}"))]
+    close = close or [low[n] for n in difflib.get_close_matches(small, low, n=1, cutoff=0.6)]
     if word and close:
         return f" Did you mean {' or '.join(map(repr, close))}?"
     if not 0 < len(names) <= 200:

@@ -86,9 +86,9 @@ def _check(words: Sequence[str], overrides_allowed: bool, command: str) -> None:
         if instead := _instead(word.partition("=")[0]):
             raise ConfigError(f"{word} is Hydra's own. {instead}")
         if word.startswith("-"):
-            form = (
-                f"Write {key}={value or following}." if value or following else "Write KEY=VALUE."
-            )
+            if not value and "=" not in following:
+                value = following
+            form = f"Write {key}={value}." if value else "Write KEY=VALUE."
             raise ConfigError(
                 f"There is no option {word}. {form} See `understudy {command} --help`."
             )

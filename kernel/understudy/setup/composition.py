@@ -136,6 +136,8 @@ def _check(override: str, plugins: Plugins) -> None:
     if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
         raise ConfigError(f"{override}: Hydra itself cannot be configured. Remove it.")
     key, equals, value = override.partition("=")
+    if not key.strip("+~ '\""):
+        raise ConfigError(f"'{override}' sets nothing. Write KEY=VALUE, without spaces.")
     if not equals and not override.startswith("~"):
         known = options(plugins, "experiment")
         form = f"experiment={key}" if key in known else "KEY=VALUE, without spaces"
@@ -193,6 +195,9 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
     if missing:
         group, name = missing.groups()
         return f"There is no {group}={name}.{suggestion(name, options(plugins, group))}"
+    if slashed := re.search(r"Could not override '(\w+/[\w/]+)'", text):
+        dotted = slashed[1].replace("/", ".")
+        return f"There is no configuration key '{slashed[1]}'. A part's option has dots: {dotted}=VALUE."
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
         slots = {s.name: s for s in plugins.registry.slots.values()}

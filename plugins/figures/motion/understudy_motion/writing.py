@@ -18,7 +18,7 @@ from understudy.errors import FileError
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
 
-__all__ = ["ClipWriter", "Shape", "Shown", "write_clip", "write_figures"]
+__all__ = ["ClipWriter", "Shape", "Shown", "write_clip", "write_figures", "writer_of"]
 
 
 @dataclass(frozen=True)
@@ -76,14 +76,13 @@ def write_clip(clip: Clip, path: Path, registry: Registry, shapes: Sequence[Shap
     write_figures([Shown(clip, shapes)], path, registry)
 
 
-def write_figures(figures: Sequence[Shown], path: Path, registry: Registry) -> None:
-    """Write motions to `path` by its ending, all or nothing; an existing file is replaced.
+def writer_of(path: Path, registry: Registry) -> ClipWriter:
+    """The writer for the ending of `path`.
 
     Raises
     ------
     FileError
-        no writer has this ending, or the folder cannot be written, or as
-        :meth:`ClipWriter.write_all`.
+        there is none.
     """
     writers = [registry.find("clip_writer", n).factory() for n in registry.names("clip_writer")]
     writer = next((w for w in writers if w.suffix == path.suffix.lower()), None)
@@ -93,6 +92,19 @@ def write_figures(figures: Sequence[Shown], path: Path, registry: Registry) -> N
             f"Clip {path}: no format is written to '{path.suffix}' files. Known: {endings}."
             f"{registry.absent()}"
         )
+    return writer
+
+
+def write_figures(figures: Sequence[Shown], path: Path, registry: Registry) -> None:
+    """Write motions to `path` by its ending, all or nothing; an existing file is replaced.
+
+    Raises
+    ------
+    FileError
+        as :func:`writer_of`, or the folder cannot be written, or as
+        :meth:`ClipWriter.write_all`.
+    """
+    writer = writer_of(path, registry)
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
             temporary = Path(folder) / path.name

@@ -30,7 +30,7 @@ from understudy_motion.arguments import add_reading, open_clip, positive
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.kinematics import need_skeleton
 from understudy_motion.reading import metres_of
-from understudy_motion.writing import Shape, Shown, write_figures
+from understudy_motion.writing import Shape, Shown, write_figures, writer_of
 from understudy_mujoco.studio import REFERENCE
 from understudy_skills.folder import run_folder
 
@@ -103,6 +103,9 @@ class Export(Command):
     def run(self, options: argparse.Namespace) -> int:
         if options.destination.suffix.lower() == ONNX:
             return _policy(options)
+        registry = installed().registry
+        if options.destination.suffix.lower() != PAGE:
+            writer_of(options.destination, registry)  # before a skill is recorded, which takes time
         options.source = run_folder(options.source, recorded=True)
         if options.destination.suffix.lower() == PAGE:
             return _page(options)
@@ -119,7 +122,6 @@ class Export(Command):
                 )
             )
             return 0
-        registry = installed().registry
         clip, character = _moving(options, registry)
         if options.character == BONES:
             character = None
