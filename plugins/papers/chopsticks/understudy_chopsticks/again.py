@@ -118,9 +118,9 @@ class Again(Memory):
         """Name of the body that is led."""
         return "object"
 
-    def way(self, fields: Mapping[str, Tensor]) -> np.ndarray:
+    def way(self, kept: Mapping[str, Tensor]) -> np.ndarray:
         """(T, 3) m: of the object, in the plan that world 0 follows."""
-        return self._bank.way(int(fields["followed"][0]))
+        return self._bank.way(int(kept["followed"][0]))
 
     def begin(self, plan_row: Tensor, **fields: Tensor) -> dict[str, Tensor]:
         new = {name: torch.zeros_like(plan_row) for name in self.keeps}

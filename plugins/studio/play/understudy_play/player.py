@@ -14,6 +14,7 @@ from torch import Tensor
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.config import Experiment
+from understudy.task import Shape
 from understudy_mujoco.scene import MujocoScene
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import Skill
@@ -35,6 +36,7 @@ class Leads(Protocol):
 
     target: tuple[float, float] | None  #: m: where it shall go; None before anybody leads
     refused: str  #: why it cannot, in a sentence; empty where it can
+    keeps: Mapping[str, Shape]  #: a memory's
 
     @property
     def body(self) -> str:
@@ -45,7 +47,7 @@ class Leads(Protocol):
         """Bring it there next, m."""
         ...
 
-    def way(self, fields: Mapping[str, Tensor]) -> np.ndarray:
+    def way(self, kept: Mapping[str, Tensor]) -> np.ndarray:
         """(T, 3) m: as it is planned."""
         ...
 
@@ -174,7 +176,7 @@ class World(ABC):
     def way(self) -> np.ndarray:
         """(T, 3) m: where the body that is led is planned to be."""
         assert self.leads is not None
-        return self.leads.way(self.environment.table)
+        return self.leads.way({name: self.environment.table[name] for name in self.leads.keeps})
 
     def _state(self) -> dict[str, Tensor]:
         simulator = self.environment.parts.simulator
