@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import pytest
 from worlds import python
 
