@@ -144,8 +144,10 @@ class SmplReader(ClipReader):
         check_size(path, num_frames, JOINTS[num_joints])
         where = _named("trans", archive.names) or "trans"
         shape = archive.shape(where) if where in archive.names else ()
-        single = {0: (1, num_frames, 3), 1: (num_frames, 1, 3)}.get(_single(shape), (num_frames, 3))
-        places = archive.floats(where, *single)
+        wanted, single = [num_frames, 3], _single(shape)
+        if single is not None:
+            wanted.insert(single, 1)
+        places = archive.floats(where, *wanted)
         scale = archive.number(_SCALE) if _SCALE in archive.names and not options.unit else 1.0
         if not 1e-6 < scale < 1e6:
             raise FileError(
