@@ -18,9 +18,10 @@ from typing import Any
 
 import torch
 
-from understudy.running.evaluation import wilson_interval
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
 from understudy_chopsticks.relocate import Relocations
+from understudy_reinforcement.evaluation import wilson_interval
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill
 from understudy_tool_planner.planner import CLOSING, DT, PRESSING
 
