@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from understudy.running.evaluation import wilson_interval
 
-from understudy.setup.building import build_environment, build_policy
+from understudy.setup.building import build_environment
 from understudy_chopsticks.relocate import Relocations
+from understudy_reinforcement.evaluation import wilson_interval
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill
 from understudy_tool_planner.planner import CLOSING, DT, PRESSING
 
@@ -85,8 +86,7 @@ def episodes(
         policy = build_policy(skill.experiment, built.context)
         skill.give(policy)
         seen, table = environment.reset(begun, "relocations"), environment.table
-        watched: list[Watched | None] = [Watched() for _ in range(worlds)]
-        begun += worlds
+        watched, begun = [Watched() for _ in range(worlds)], begun + worlds
         while any(w is not None for w in watched):
             step = environment.advance(policy.distribution(seen).mode())
             seen, again = step.observations, torch.zeros(worlds, dtype=torch.bool)
@@ -131,15 +131,15 @@ def main() -> None:
     given, words = parser.parse_known_args()
     torch.set_num_threads(1)
     lines = given.out.read_text().splitlines() if given.out.exists() else []
-    rows: list[dict[str, Any]] = [json.loads(line) for line in lines]
-    row: dict[str, Any] | None = next((r for r in rows if r["what"] == given.what), None)
+    rows = [json.loads(line) for line in lines]
+    row = next((r for r in rows if r["what"] == given.what), None)
     if row is None:
         rows.append(row := {"what": given.what, "episodes": []})
     relocations = next(
         (int(w.split("=")[1]) for w in words if w.startswith("initial_states.relocations=")), 1
     )
     done, begun = len(row["episodes"]), time.process_time()
-    spent = float(row.get("core_seconds", 0.0))
+    spent = row.get("core_seconds", 0.0)
     for found in episodes(words, done, given.episodes, given.worlds, given.seconds):
         row["episodes"].append(found)
         row |= {

@@ -59,18 +59,6 @@ class Context:
     _shared: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
-    def coarse(self) -> bool:
-        """Whether physics is coarser than the task's, as trainings may begin."""
-        return self.own_substeps is not None and self.substeps < self.own_substeps
-
-    @property
-    def longest_dt(self) -> float:
-        """s: the time step of physics, or the task's where that is longer: what a model is made for, so that
-        a finer step tries the same model."""
-        own = self.own_substeps or self.substeps
-        return self.control_dt / min(self.substeps, own)
-
-    @property
     def action_size(self) -> int:
         """A, the number of columns of an action."""
         return self.action_space.size if self.action_space is not None else 0

@@ -81,9 +81,16 @@ class CharacterScene(MujocoScene):
                 f"'{character.joint_names[0]}' by a joint."
             )
         servos = options.servos
-        if context and context.coarse and servos.step_speed is None:
+        own = (context and context.own_substeps) or 0  # of the task; a training may begin coarser
+        if context and context.substeps < own and servos.step_speed is None:
             servos = replace(servos, step_speed=COARSE_SPEED)
-        drive(spec, character, timestep, servos, context.longest_dt if context else timestep)
+        # A finer step tries the same model, so that is made for the task's step, or a longer one.
+        longest = (
+            context.control_dt / min(context.substeps, own or context.substeps)
+            if context
+            else timestep
+        )
+        drive(spec, character, timestep, servos, longest)
         spec.modelname = name
         spec.option.timestep = timestep
         if options.solver == "fast":
