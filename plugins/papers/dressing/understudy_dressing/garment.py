@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,14 +17,9 @@ class GarmentScene(ClothScene):
 
     recorded = (*ClothScene.recorded, *FELT)
 
-    def draw(
-        self, tracks: Mapping[str, np.ndarray], width: int = 960, height: int = 540
-    ) -> Iterator[np.ndarray]:
-        """The garment, the person, and what it feels."""
-        from understudy_cloth.drawing import draw
-
-        felt = Felt(tracks) if all(name in tracks for name in self.recorded) else None
-        yield from draw(self.model(), tracks, width, height, self.azimuth, felt)
+    def marks(self, tracks: Mapping[str, np.ndarray]) -> Felt | None:
+        """What the person feels, where that was recorded."""
+        return Felt(tracks) if all(name in tracks for name in self.recorded) else None
 
     @property
     @abstractmethod

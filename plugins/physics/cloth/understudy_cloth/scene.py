@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -80,7 +80,11 @@ class ClothScene(Scene):
         """The garment and the bodies that it meets."""
         from understudy_cloth.drawing import draw
 
-        yield from draw(self.model(), tracks, width, height, self.azimuth)
+        yield from draw(self.model(), tracks, width, height, self.azimuth, self.marks(tracks))
+
+    def marks(self, tracks: Mapping[str, np.ndarray]) -> Callable[[int, Any], None] | None:
+        """What is told each frame's number and its MuJoCo scene, and adds shapes to the picture; or nothing."""
+        return None
 
     def describe(self) -> dict[str, Any]:
         model = self.model()
