@@ -139,9 +139,8 @@ class BvhReader(ClipReader):
 
     def recognises(self, head: bytes, path: Path) -> bool:
         lines = without_comments(decoded(head).splitlines())
-        if (
-            len(head) == HEAD_BYTES and lines[1:] and not any(lines[:-1])
-        ):  # remarks that go on beyond it
+        remarks = len(head) == HEAD_BYTES and len(lines) > 1 and not any(lines[:-1])
+        if remarks:  # which go on beyond it
             return path.suffix.lower() in self.suffixes
         return any(line[:9].upper() == "HIERARCHY" for line in lines)
 
