@@ -393,7 +393,7 @@ class Environment:
         promises.returned(self.num_worlds, part.where, part.part.keeps, values)
         for name, field_name in part.provides.items():
             kept, value = self._kept[field_name], values[name]
-            if self.device.type == "cpu" and worlds is None and torch.equal(kept, value):
+            if value is kept:
                 continue  # so that what is computed from it stays
             kept.copy_(value if worlds is None else torch.where(rows(worlds, kept), value, kept))
             self.table.put({field_name: kept})

@@ -189,7 +189,10 @@ class Again(Memory):
                     new["given_up"][world] = 1.0
                     continue
                 new["followed"][world], new["plan_since"][world] = row, episode_time[world]
-        return new
+        # What has not changed is returned as it is: what is computed from it stays.
+        return {
+            name: kept[name] if torch.equal(kept[name], new[name]) else new[name] for name in new
+        }
 
     def _toward(
         self, old: int, world: int, frame: int, thing: Tensor, anew: bool = False
