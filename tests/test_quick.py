@@ -51,6 +51,7 @@ def test_it_ends_in_time_and_says_what_it_left_out(
     file = tmp_path / "test_long.py"
     file.write_text(
         "import time, pytest\n"
+        "@pytest.mark.timeout(140)\n"
         "def test_long(): time.sleep(150)\n"
         "@pytest.mark.parametrize('i', range(3))\n"
         "def test_later(i): raise AssertionError\n"
