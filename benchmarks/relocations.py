@@ -72,11 +72,11 @@ class Watched:
 
 @torch.no_grad()
 def episodes(
-    words: list[str], begun: int, count: int, worlds: int, seconds: float
+    name: str, words: list[str], begun: int, count: int, worlds: int, seconds: float
 ) -> Iterator[dict[str, Any]]:
     """Those of the numbers from `begun` to `count`, as they end; as many side by side as there are `worlds`."""
     worlds = min(worlds, count - begun)
-    skill = open_skill(SKILL, [*words, f"seed={begun}", f"initial_states.plans={worlds}"])
+    skill = open_skill(name, [*words, f"seed={begun}", f"initial_states.plans={worlds}"])
     built = build_environment(
         skill.experiment, num_worlds=worlds, episode_seconds=seconds, evaluating=True
     )
@@ -123,6 +123,7 @@ def summary(episodes: list[dict[str, Any]], relocations: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--what", required=True, help="name of the row")
+    parser.add_argument("--skill", default=SKILL, help="that ships, a packed one, or a run")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--worlds", type=int, default=16, help="episodes side by side")
     parser.add_argument("--seconds", type=float, default=32.0, help="of an episode, at most")
@@ -140,11 +141,11 @@ def main() -> None:
     )
     done, begun = len(row["episodes"]), time.process_time()
     spent = row.get("core_seconds", 0.0)
-    for found in episodes(words, done, given.episodes, given.worlds, given.seconds):
+    for found in episodes(given.skill, words, done, given.episodes, given.worlds, given.seconds):
         row["episodes"].append(found)
         row |= {
             "when": datetime.date.today().isoformat(), "device": "cpu", "machine": given.machine,
-            "skill": SKILL, "simulator": "mujoco", "overrides": words,
+            "skill": Path(given.skill).stem if given.skill.endswith(".json") else given.skill, "simulator": "mujoco", "overrides": words,
             "core_seconds": round(spent + time.process_time() - begun, 1),
             **summary(row["episodes"], relocations),
         }  # fmt: skip
