@@ -40,7 +40,9 @@ class FindGrip(Command):
             help="draw N places about these and keep the grip that slips least in 10 s (default: these alone)",
         )  # fmt: skip
         parser.add_argument("--seed", type=int, default=0, help="of what is drawn (default: 0)")
-        parser.add_argument("--tool", default="sticks", help="sticks, tongs or brush (default: sticks)")
+        parser.add_argument(
+            "--tool", default="sticks", help="sticks, tongs or brush (default: sticks)"
+        )
         parser.add_argument("--fingers", type=int, default=5, help="of the hand (default: 5)")
         parser.add_argument("--finger-length", type=float, default=1.0, help="default: 1")
         parser.add_argument("--size", type=float, default=1.0, help="of the hand (default: 1)")

@@ -150,7 +150,7 @@ def search_grip(
 
     Where the links lie that bear the tool is drawn as well, and so is where the tool's search begins: another hand
     has them elsewhere, and the thesis gives none. Those whose fingers reach are balanced and held for two seconds at
-    the first angle; of :data:`MOST_HELD` that slip least the other angles are solved.
+    the last angle, where most is to be borne; of :data:`MOST_HELD` that slip least the other angles are solved.
 
     Raises
     ------
@@ -173,7 +173,10 @@ def search_grip(
         supports = tuple(along[len(places) :])
         candidates.append(Candidate(style, tuple(along[: len(places)]), supports))
     first = solver.solve(
-        candidates, 200, angles=own.angles[:1] * tries, nominal=torch.tensor(nominal, dtype=torch.float64)
+        candidates,
+        200,
+        angles=own.angles[-1:] * tries,
+        nominal=torch.tensor(nominal, dtype=torch.float64),
     )
     reach = (first.gaps <= WIDEST_GAP) & (first.clearance >= LEAST_CLEARANCE)
     slips = dict[int, float]()
@@ -181,9 +184,11 @@ def search_grip(
         data, found = _balanced(solver, style, first, row)
         slips[row] = _slip(hold(scene, data, found.targets, 2.0, 0.5))
     best, least, said = None, math.inf, "it falls within 2 s"
-    for row in sorted((r for r, s in slips.items() if s < math.inf), key=slips.__getitem__)[:MOST_HELD]:
+    for row in sorted((r for r, s in slips.items() if s < math.inf), key=slips.__getitem__)[
+        :MOST_HELD
+    ]:
         try:
-            grip = _find(solver, candidates[row], 400, _rows(first, row))
+            grip = _find(solver, candidates[row], 200, _rows(first, row))
         except ConfigError as error:
             said = str(error)
             continue
@@ -228,7 +233,7 @@ def _balanced(
 def _find(
     solver: PoseSolver, candidate: Candidate, iterations: int, base: Poses | None = None
 ) -> Grip:
-    """The grip of `candidate`, whose pose at the first of the angles is `base`."""
+    """The grip of `candidate`, whose pose at one of the angles is `base`."""
     scene, style, angles = solver.scene, candidate.style, solver.holding.angles
     what = f"The style {written(style)} with places {_rounded(candidate.places)}"
     if base is None:

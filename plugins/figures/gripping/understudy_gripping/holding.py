@@ -72,7 +72,7 @@ _HOLDINGS: dict[str, Holding] = {
     # The thumb on one bar, index and middle finger on the other, no others (section 5.7.4).
     "tongs": Holding(
         supports={},
-        angles=(0.02, 0.035, 0.05, 0.065, 0.08),
+        angles=(0.02, 0.03, 0.04, 0.05, 0.06),
         far=0.06, turned=1.0, bar=BAR, most=1.5,
     ),  # fmt: skip
     # As the upper one of two sticks. It has no angle; two rows make it a table like others.

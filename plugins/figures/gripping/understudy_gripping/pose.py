@@ -190,7 +190,8 @@ class _Problem:
         self._support_sticks = torch.tensor([part - 1 for part, _ in supports], dtype=torch.long)
         #: (B, S)
         self._support_places = torch.tensor(
-            [c.supports or [place for _, place in supports] for c in candidates], dtype=torch.float64
+            [c.supports or [place for _, place in supports] for c in candidates],
+            dtype=torch.float64,
         )
 
     def sticks(self, point: Tensor) -> tuple[Tensor, Tensor]:

@@ -83,7 +83,9 @@ def check_style(style: Sequence[int], fingers: int, tool: Tool = "sticks") -> No
         reason = f"{'a brush is' if tool == 'brush' else 'tongs are'} held otherwise"
     elif not (reason := _against(style)):
         return
-    raise ConfigError(f"The gripping style {shown} is not possible: {reason}.{_list(fingers, tool)}")
+    raise ConfigError(
+        f"The gripping style {shown} is not possible: {reason}.{_list(fingers, tool)}"
+    )
 
 
 def _against(style: Sequence[int]) -> str:

@@ -84,7 +84,9 @@ class Again(Memory):
         joint = made.scene.model.joint("object")
         self._at, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
         if (self._most or self._onward) and context.device.type != "cpu":
-            asked = f"memory.again.most={options.most}" if self._most else "memory.again.onward=true"
+            asked = (
+                f"memory.again.most={options.most}" if self._most else "memory.again.onward=true"
+            )
             raise ConfigError(
                 f"{asked} needs device=cpu simulator=mujoco: plans are made on the host, which a step "
                 "that a GPU captures does not wait for. Evaluate the run there: "

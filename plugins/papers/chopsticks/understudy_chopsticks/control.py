@@ -31,13 +31,18 @@ class State(Encoder):
         forces: bool = True  #: normal forces on fingertips and on the sticks' tips
         planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
         object: bool = False  #: the object as it is and as it is planned, in the palm's frame
-        stroke: bool = False  #: how far a brush's tip is from where it shall be, in the palm's frame
+        stroke: bool = (
+            False  #: how far a brush's tip is from where it shall be, in the palm's frame
+        )
 
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "encoder 'chopsticks/state'")
         scene, touching = made.scene, len(made.touching)
         self._options, self._hinges = options, scene.hinges
-        places = (*(f"{finger}_distal" for finger in scene.measures.names), *tips(scene.options.tool))
+        places = (
+            *(f"{finger}_distal" for finger in scene.measures.names),
+            *tips(scene.options.tool),
+        )
         self._touch = (
             tuple(f"recent_sensor_touch_{name}" for name in places) if options.forces else ()
         )
@@ -47,7 +52,9 @@ class State(Encoder):
             *(_OBJECT if options.object else ()), *(_STROKE if options.stroke else ()),
         )  # fmt: skip
         planned = GRIPPER + (2 * scene.hinges if options.planned_hand else 0)
-        size = 2 * scene.hinges + 13 * made.parts + touching + len(self._touch) + len(AHEAD) * planned
+        size = (
+            2 * scene.hinges + 13 * made.parts + touching + len(self._touch) + len(AHEAD) * planned
+        )
         size += (13 + 7 * len(AHEAD) if options.object else 0) + (3 if options.stroke else 0)
         self.shape = (size + len(self._from),)
 

@@ -279,7 +279,7 @@ class OpenAndClose(InitialStates):
         self._options, model = options, made.scene.model
         if made.parts < 2:
             raise ConfigError(
-                f"Nothing opens and closes of a {made.scene.options.tool}. Set scene.tool=sticks or tongs."
+                "initial_states 'chopsticks/open_and_close' needs a tool that opens. Set scene.tool=sticks or tongs."
             )
         most = float(made.angles[-1]) - made.least
         if options.amplitude[1] > most:

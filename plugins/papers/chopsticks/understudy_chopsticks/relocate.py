@@ -73,7 +73,7 @@ class Bank:
             )
         if (tool := made.scene.options.tool) != "sticks":
             raise ConfigError(
-                f"Relocation is planned for two sticks, and the scene has {tool}. Set scene.tool=sticks."
+                f"Relocation needs two sticks, and the scene has tool={tool}. Set scene.tool=sticks."
             )
         self._shape = objects.Shape(thing.kind, thing.sizes)
         below = made.scene.options.below

@@ -72,7 +72,9 @@ class Strokes(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "initial_states 'chopsticks/strokes'")
         if len(made.grips) > 1 or made.parts != 1:
-            raise ConfigError("Strokes take one grip of a brush. Set scene.tool=brush grip.name=brush.")
+            raise ConfigError(
+                "initial_states 'chopsticks/strokes' needs one grip of a brush. Set scene.tool=brush grip.name=brush."
+            )
         own = context.once("strokes", lambda: _drawn(options, context))
         device = context.device
         start = made.begin(own.start)[0]
@@ -180,7 +182,9 @@ class Stroke(Fields):
         pose = torch.cat([arms, hand], dim=-1)
         velocity = torch.cat([speed, torch.zeros_like(hand)], dim=-1)
         lower = made.lower.expand(*arms.shape[:2], 7)
-        gripper = torch.cat([lower, torch.zeros_like(lower), torch.zeros_like(lower[..., :1])], dim=-1)
+        gripper = torch.cat(
+            [lower, torch.zeros_like(lower), torch.zeros_like(lower[..., :1])], dim=-1
+        )
         ahead = torch.cat([pose, velocity, gripper], dim=-1)
         wanted = curves.tips[row, here[:, 0]]
         turn = xquat[:, self._body]
