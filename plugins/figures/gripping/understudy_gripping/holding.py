@@ -73,15 +73,18 @@ _HOLDINGS: dict[str, Holding] = {
     "tongs": Holding(
         supports={},
         angles=(0.02, 0.03, 0.04, 0.05, 0.06),
-        far=0.06, turned=1.0, bar=BAR, most=1.5,
-    ),  # fmt: skip
+        far=0.06,
+        turned=1.0,
+        bar=BAR,
+        most=1.5,
+    ),
     # As the upper one of two sticks. It has no angle; two rows make it a table like others.
     "brush": Holding(
         supports={"index_proximal": (UPPER, 0.065)},
         angles=(0.0, 1.0),
         place=(0.0355, -0.0611, 0.1260),
     ),
-}  # fmt: skip
+}
 
 
 def holding(tool: str) -> Holding:
