@@ -179,11 +179,12 @@ def search_grip(
         nominal=torch.tensor(nominal, dtype=torch.float64),
     )
     reach = (first.gaps <= WIDEST_GAP) & (first.clearance >= LEAST_CLEARANCE)
+    idle = tuple(f for f, part in zip(scene.measures.names, style, strict=True) if not part)
     slips = dict[int, float]()
     for row in reach.nonzero()[:, 0].tolist():
         data, found = _balanced(solver, style, first, row)
-        slips[row] = _slip(hold(scene, data, found.targets, 2.0, 0.5))
-    best, least, said = None, math.inf, "it falls within 2 s"
+        slips[row] = _slip(hold(scene, data, found.targets, 2.0, 0.5), idle)
+    best, least, said = None, math.inf, "it falls within two seconds, or other fingers hold it too"
     for row in sorted((r for r, s in slips.items() if s < math.inf), key=slips.__getitem__)[
         :MOST_HELD
     ]:
@@ -192,7 +193,7 @@ def search_grip(
         except ConfigError as error:
             said = str(error)
             continue
-        slip = max(_slip(grip.held(scene, k, 10.0, 1.0)) for k in range(len(grip.angles)))
+        slip = max(_slip(grip.held(scene, k, 10.0, 1.0), idle) for k in range(len(grip.angles)))
         if slip < least:
             best, least = grip, slip
     if best is None:
@@ -211,9 +212,10 @@ def _rows(poses: Poses, *rows: int) -> Poses:
     )  # fmt: skip
 
 
-def _slip(held: Held) -> float:
-    """m, infinite where something fell."""
-    return float(held.drift.max()) if held.fell is None else math.inf
+def _slip(held: Held, idle: tuple[str, ...]) -> float:
+    """m, infinite where something fell, or a finger touches that the style has `idle`."""
+    helped = any(link.partition("_")[0] in idle for link in held.links if "metacarpal" not in link)
+    return float(held.drift.max()) if held.fell is None and not helped else math.inf
 
 
 def _balanced(
