@@ -281,7 +281,7 @@ class OpenAndClose(InitialStates):
             raise ConfigError(
                 "initial_states 'chopsticks/open_and_close' needs a tool that opens. Set scene.tool=sticks or tongs."
             )
-        most = float(made.angles[-1]) - made.least
+        most = round(float(made.angles[-1]) - made.least, 6)
         if options.amplitude[1] > most:
             raise ConfigError(
                 f"initial_states.amplitude={list(options.amplitude)} is not possible: the grip closes by "
