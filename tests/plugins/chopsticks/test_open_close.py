@@ -316,7 +316,7 @@ def test_each_world_has_its_own_grip(grip: Grip) -> None:
         (["scene=hand/tongs"], "the scene has tongs"),
         (["grip.name=standart"], "There is no grip 'standart'"),
         (["grip.file=nowhere.json"], "nowhere.json"),
-        (["initial_states.amplitude=[0, 0.3]"], "the grip closes to 0.15 rad"),
+        (["initial_states.amplitude=[0, 0.3]"], "the grip closes by 0.15 rad"),
         (["initial_states.amplitude=[0.1, 0.05]"], "the first is the lower one"),
         (["initial_states.arms=[]"], "give at least one"),
         (["initial_states.arms=[[9, 0, 0, 0, 0, 0, 0]]"], "beyond the arm's range"),

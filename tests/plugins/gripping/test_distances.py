@@ -11,8 +11,9 @@ import torch
 
 from understudy_gripping.descent import minimise
 from understudy_gripping.distances import LEAST, box_distance, clamped_log
+from understudy_gripping.holding import holding
 from understudy_gripping.kinematics import HandKinematics, stick_ends
-from understudy_gripping.pose import Candidate, PoseSolver, _Problem, first_guess
+from understudy_gripping.pose import Candidate, PoseSolver, _Problem
 from understudy_gripping.styles import NAMED, styles
 from understudy_hand.scene import HandScene
 from understudy_hand.tools import HALF_LENGTH, RADIUS
@@ -102,7 +103,9 @@ def test_distances_are_mujocos(scene: HandScene) -> None:
 def test_the_gradient_of_the_cost_is_right(scene: HandScene) -> None:
     solver = PoseSolver(scene)
     chosen = [NAMED["standard"], styles(5)[0]]
-    problem = _Problem(solver, [Candidate(style, first_guess(style)) for style in chosen])
+    problem = _Problem(
+        solver, [Candidate(style, holding("sticks").first_guess(style)) for style in chosen]
+    )
     lower = [0.0355, -0.0611, 0.0910, 0.558891, 0.529425, 0.499098, 0.397808]
     problem.nominal = torch.tensor([lower, lower], dtype=torch.float64)
     generator = torch.Generator().manual_seed(0)
@@ -122,7 +125,7 @@ def test_the_gradient_of_the_cost_is_right(scene: HandScene) -> None:
 
 def test_candidates_do_not_change_one_another(scene: HandScene) -> None:
     solver = PoseSolver(scene)
-    chosen = [Candidate(style, first_guess(style)) for style in styles(5)[:3]]
+    chosen = [Candidate(style, holding("sticks").first_guess(style)) for style in styles(5)[:3]]
     together, alone = solver.solve(chosen, 8), solver.solve(chosen[1:2], 8)
     torch.testing.assert_close(together.pose[1], alone.pose[0], rtol=1e-6, atol=1e-8)
 

@@ -16,8 +16,18 @@ import pytest
 from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
 from understudy_gripping.balance import balance
-from understudy_gripping.grip import Grip, _kept, find_grip, load_grip, standard
+from understudy_gripping.grip import (
+    Grip,
+    _kept,
+    brush,
+    find_grip,
+    load_grip,
+    search_grip,
+    standard,
+    tongs,
+)
 from understudy_gripping.hold import placed
+from understudy_gripping.holding import holding
 from understudy_gripping.styles import NAMED
 from understudy_hand.scene import FIRM, HandScene
 from understudy_hand.table import ARM_POSE
@@ -146,6 +156,8 @@ def change(key: str, value: Any) -> str:
         (change("hand", {"fingers": 5, "finger_length": 10**400, "size": 1}), "is no grip"),
         (change("hand", [1]), "is no grip"),
         (change("style", "12112"), "cross"),
+        (change("tool", "fork"), "there is no tool 'fork'"),
+        (change("tool", []), "is no grip"),
         (change("places", [0.1]), "places are not 4 finite numbers"),
         (change("lower", [0, 0, 0, 2, 0, 0, 0]), "no unit quaternion"),
         (change("lower", [0, 0, 0, "x", 0, 0, 0]), "lower are not 7 finite numbers"),
@@ -191,6 +203,9 @@ def test_a_missing_file_is_said() -> None:
         (["11120", "--places", "35"], "--places takes 4 numbers"),
         (["11120", "--places", "35", "2", "-9", "nan"], "between -130 and 130"),
         (["11120", "--size", "0"], "--size=0.0 is not possible"),
+        (["11120", "--tool", "fork"], "No hand holds 'fork'. There are: sticks, tongs, brush."),
+        (["11120", "--tool", "tongs"], "tongs are held otherwise. A hand of 5 fingers has: 21100."),
+        (["11120", "--tries", "-1"], "--tries is a number from 0 to 1000"),
         (["11120", "--places", "120", "-120", "120", "-120"], "has no pose"),
     ],
 )
@@ -203,3 +218,50 @@ def test_bad_words_are_one_sentence_and_nothing_is_written(
     assert said in printed
     assert len(printed.strip().splitlines()) == 1
     assert not file.exists()
+
+
+# ------------------------------------------------------------------ other tools
+
+
+@pytest.mark.parametrize(("path", "tool"), [(tongs(), "tongs"), (brush(), "brush")])
+def test_grips_of_other_tools_hold_for_ten_seconds(path: Path, tool: str) -> None:
+    """As the standard grip does, by the fingers that its style names and no other."""
+    found = load_grip(path)
+    assert (found.tool, found.style[3:]) == (tool, (0, 0))
+    found.need(made := scene(tool=tool))
+    for row in (0, len(found.angles) - 1):
+        held = found.held(made, row, seconds=10.0, settle=1.0)
+        assert held.fell is None
+        assert held.drift.max() < 1e-3
+        assert held.depth < 0.5e-3
+        assert {link for link in held.links if link.endswith("_distal")} == {
+            "thumb_distal", "index_distal", "middle_distal",
+        }  # fmt: skip
+
+
+def test_a_grip_of_tongs_presses_against_their_spring() -> None:
+    """The torque of thumb's force about the hinge is 20 N m/rad times how far the bars are closed."""
+    made, found = scene(tool="tongs"), load_grip(tongs())
+    for row, angle in enumerate(found.angles):
+        data = placed(made, np.array(ARM_POSE), found.poses[row], found.upper[row], found.lower)
+        assert float(data.joint("opening").qpos[0]) == pytest.approx(0.2 - angle, abs=1e-6)
+        balanced = balance(made, data, found.style, 3.0, 1.0)
+        assert balanced.error < 0.3
+        lever = 0.13 - found.places[0]
+        assert balanced.forces["thumb_distal"] * lever == pytest.approx(20.0 * angle, rel=0.35)
+
+
+def test_a_search_takes_the_first_guess_where_no_other_is_drawn() -> None:
+    """One try is the tool's own place, so that a search is never worse than none."""
+    made = scene(tool="brush")
+    places = holding("brush").first_guess((1, 1, 1, 0, 0))
+    found = search_grip(made, (1, 1, 1, 0, 0), places, tries=1)
+    assert found.places == pytest.approx(places)
+    assert found.held(made, 0, 3.0).drift.max() < 1e-3
+
+
+def test_a_search_that_finds_none_says_how_far_it_came() -> None:
+    with pytest.raises(
+        ConfigError, match=r"None of 1 places of the style 11100 holds; the fingers reach 0"
+    ):
+        search_grip(scene(tool="brush"), (1, 1, 1, 0, 0), (0.12, -0.12, 0.12), tries=1)

@@ -103,7 +103,8 @@ def test_the_gripper_is_what_the_tongs_do() -> None:
     data.joint("lower_bar").qpos[3:] = [0.5, 0.5, -0.5, 0.5]
     mujoco.mj_kinematics(model, data)
     lower, above = data.body("lower_bar"), data.body("upper_bar")
-    place, turn = upper(lower.xpos.tolist(), lower.xquat.tolist(), angle, tools.TONGS)
+    closed = tools.REST - angle  # the hinge says how open they are
+    place, turn = upper(lower.xpos.tolist(), lower.xquat.tolist(), closed, tools.TONGS)
     np.testing.assert_allclose(place, above.xpos, atol=1e-12)
     np.testing.assert_allclose(turn, above.xquat, atol=1e-12)
 
@@ -112,12 +113,19 @@ def test_what_angles_mean() -> None:
     """The pivot of sticks is 17.5 cm from their tips, that of tongs 26 cm."""
     assert tip_distance(0.0, tools.STICKS) == pytest.approx(0.035)
     assert tip_distance(0.12, tools.STICKS) == pytest.approx(0.035 - 0.175 * 0.12, abs=2e-3)
-    assert tip_distance(0.0, tools.TONGS) == pytest.approx(0.008)
-    assert tip_distance(0.2, tools.TONGS) == pytest.approx(0.008 + 0.26 * 0.2, abs=2e-3)
+    assert tip_distance(0.2, tools.TONGS) == pytest.approx(0.008)
+    assert tip_distance(0.0, tools.TONGS) == pytest.approx(0.008 + 0.26 * 0.2, abs=2e-3)
+
+
+def test_a_brush_is_one_round_handle() -> None:
+    model = scene(tool="brush").model
+    assert (model.nq, model.nv) == (36 + 7, 36 + 6)
+    assert model.geom("brush").size[:2].tolist() == [0.004, 0.13]
+    assert model.sensor("touch_brush_tip").type == mujoco.mjtSensor.mjSENS_TOUCH
 
 
 @pytest.mark.parametrize("fingers", [3, 4, 5])
-@pytest.mark.parametrize("tool", ["sticks", "tongs"])
+@pytest.mark.parametrize("tool", ["sticks", "tongs", "brush"])
 def test_one_limit_of_a_hinge_acts_at_a_time(fingers: int, tool: str) -> None:
     """Else MuJoCo balances both, and MuJoCo Warp, which has the nearer one only, hits to and fro."""
     model = scene(fingers=fingers, tool=tool).model

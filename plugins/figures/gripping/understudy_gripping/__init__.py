@@ -1,4 +1,4 @@
-"""Grips: how a hand holds two sticks: styles, poses by inverse kinematics, forces that balance. Knows no task."""
+"""Grips: how a hand holds two sticks, tongs or a brush: styles, poses by inverse kinematics, forces that balance. Knows no task."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("hand", "mujoco", "tensors")
@@ -7,14 +7,16 @@ REQUIRES = ("hand", "mujoco", "tensors")
 PARTS = {
     "grip": {
         "standard": ("grip:standard", "the style 11120"),
+        "tongs": ("grip:tongs", "tongs, by thumb, index and middle finger"),
+        "brush": ("grip:brush", "a brush, by thumb, index and middle finger"),
     },
     "command": {
-        "grip": ("command:FindGrip", "find how a hand holds two sticks"),
+        "grip": ("command:FindGrip", "find how a hand holds a tool"),
     },
 }
 
 #: Kinds of parts that this one adds, and what each is.
-KINDS = {"grip": "how a hand holds two sticks: a function that gives the file's path"}
+KINDS = {"grip": "how a hand holds a tool: a function that gives the file's path"}
 
 #: Sections of a configuration: the options, and what is built of them.
 SECTIONS = {"grip": ("grip:GripOptions", "grip:build_grips")}

@@ -1,7 +1,7 @@
 """Forces that hold a tool still, and joint targets that make them.
 
-A pose alone holds nothing: targets must reach into the sticks, by as much as the contacts are to bear.
-Contact forces that balance the sticks inside friction cones follow from a bounded least squares; by the
+A pose alone holds nothing: targets must reach into the tool, by as much as the contacts are to bear.
+Contact forces that balance the tool inside friction cones follow from a bounded least squares; by the
 hinges' gains they become offsets of targets. N, m, rad.
 """
 
@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from understudy_gripping.pose import SUPPORTS
+from understudy_gripping.holding import holding
 from understudy_gripping.styles import Style
 from understudy_hand.scene import HandScene
 
@@ -23,8 +23,6 @@ FRICTION = 0.6
 _EDGES = 8
 #: How strongly forces are drawn to those that are wanted, and m of a lever as which torques count.
 _DRAWN, _LEVER = 0.03, 0.05
-#: rad: how far a target may be from the pose.
-_MOST = 0.6
 _NEAR = 0.1
 
 
@@ -34,20 +32,20 @@ class Balance:
 
     targets: np.ndarray  #: (U,) rad, of all servos, the arm's too
     forces: dict[str, float]  #: N, along the normal, by link
-    error: float  #: N, or N m over 5 cm: the largest that is left on a stick
+    error: float  #: N, or N m over 5 cm: the largest that is left on the tool
 
 
 def contacts(style: Style, scene: HandScene) -> dict[str, int]:
-    """By link that shall touch: the stick, 1 the upper one."""
-    fingers = scene.measures.names
-    tips = {f"{f}_distal": stick for f, stick in zip(fingers, style, strict=True) if stick}
-    return tips | {name: stick for name, (stick, _) in SUPPORTS.items() if name in scene.links}
+    """By link that shall touch: the tool's part, 1 the upper one."""
+    fingers, supports = scene.measures.names, holding(scene.options.tool).supports
+    tips = {f"{f}_distal": part for f, part in zip(fingers, style, strict=True) if part}
+    return tips | {name: part for name, (part, _) in supports.items() if name in scene.links}
 
 
 def balance(
     scene: HandScene, data: mujoco.MjData, style: Style, wanted: float = 3.0, least: float = 1.0
 ) -> Balance:
-    """Targets that hold the sticks in the pose of `data`, which is computed forward.
+    """Targets that hold the tool in the pose of `data`, which is computed forward.
 
     *Limits:* statics of this one pose; friction cones are pyramids, and what cannot be
     balanced is left as the error.
@@ -63,34 +61,39 @@ def balance(
     touching = contacts(style, scene)
     places, rows = np.zeros(6), []
     jacobian, torques = np.zeros((3, model.nv)), []
-    sticks = [model.body(name).id for name in scene.tool_bodies]
-    for name, stick in touching.items():
-        geom, body = model.geom(name).id, sticks[stick - 1]
-        other = model.geom(scene.tool_bodies[stick - 1]).id
+    parts = [model.body(name).id for name in scene.tool_bodies]
+    # Of the tool's degrees of freedom: those that move it, by N, and those that turn it, by N at a lever.
+    own = np.flatnonzero(np.isin(model.dof_bodyid, parts))
+    turns = model.jnt_type[model.dof_jntid[own]] == mujoco.mjtJoint.mjJNT_HINGE
+    turns |= own - model.jnt_dofadr[model.dof_jntid[own]] >= 3
+    scale = np.where(turns, 1.0 / _LEVER, 1.0)
+    for name, part in touching.items():
+        geom, body = model.geom(name).id, parts[part - 1]
+        other = model.geom(scene.tool_bodies[part - 1]).id
         mujoco.mj_geomDistance(model, data, geom, other, _NEAR, places)
         middle = 0.5 * (places[:3] + places[3:])
-        normal = places[3:] - places[:3]  # from the finger into the stick
+        normal = places[3:] - places[:3]  # from the finger into the tool
         normal /= np.linalg.norm(normal)
         mujoco.mj_jac(model, data, jacobian, None, middle, model.geom_bodyid[geom])
+        on_finger = jacobian.copy()
+        mujoco.mj_jac(model, data, jacobian, None, middle, body)
         for edge in _cone(normal):
-            wrench = np.zeros((2, 6))
-            wrench[stick - 1] = [*edge, *np.cross(middle - data.xpos[body], edge) / _LEVER]
-            rows.append(wrench.ravel())
-            torques.append(jacobian.T @ edge)
+            rows.append(scale * (jacobian.T @ edge)[own])
+            torques.append(on_finger.T @ edge)
     columns = np.array(rows).T
-    weight = np.zeros((2, 6))
-    weight[:, 2] = -model.opt.gravity[2] * model.body_mass[sticks]
+    # What the tool weighs, and what its spring pushes with.
+    weight = scale * (data.qfrc_bias - data.qfrc_passive)[own]
     drawn = np.full(columns.shape[1], wanted / _EDGES)
     solved = lsq_linear(
         np.vstack([columns, _DRAWN * np.eye(columns.shape[1])]),
-        np.concatenate([weight.ravel(), _DRAWN * drawn]),
+        np.concatenate([weight, _DRAWN * drawn]),
         (least / _EDGES, np.inf),
     )
-    error = np.abs(columns @ solved.x - weight.ravel()).max()
-    servos = model.nu
+    error = np.abs(columns @ solved.x - weight).max()
+    servos, most = model.nu, holding(scene.options.tool).most
     gains = model.actuator_gainprm[:, 0]
     offsets = (np.array(torques).T @ solved.x)[:servos] / gains
-    targets = data.qpos[:servos] + np.clip(offsets, -_MOST, _MOST)
+    targets = data.qpos[:servos] + np.clip(offsets, -most, most)
     along = solved.x.reshape(-1, _EDGES).sum(1)
     return Balance(targets, dict(zip(touching, map(float, along), strict=True)), float(error))
 

@@ -1,4 +1,4 @@
-"""``understudy grip``: finds how a hand holds two sticks in a style."""
+"""``understudy grip``: finds how a hand holds a tool in a style."""
 
 from __future__ import annotations
 
@@ -6,19 +6,24 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from understudy.command.command import Command
 from understudy.errors import ConfigError
-from understudy_gripping.grip import find_grip
-from understudy_gripping.pose import first_guess
+from understudy_gripping.grip import find_grip, search_grip
+from understudy_gripping.holding import holding
 from understudy_gripping.styles import read_style, written
 from understudy_hand.scene import HandScene
 from understudy_hand.tools import HALF_LENGTH
 
+#: Of a search, at most: they are solved side by side.
+MOST_TRIES = 1000
+
 
 class FindGrip(Command):
-    """Solves the pose from straight fingers, balances the sticks, and holds each angle for a second.
+    """Solves the pose from straight fingers, balances the tool, and holds each angle for a second.
 
-    Some seconds of one core. Nothing is written of a grip that does not hold.
+    Some seconds of one core; with --tries as much for each of them. Nothing is written of a grip that does not hold.
     """
 
     example = "understudy grip 11120 grip.json"
@@ -30,6 +35,14 @@ class FindGrip(Command):
             "--places", type=float, nargs="+", metavar="MM",
             help="mm from the middle of the stick, of each finger that touches, from the thumb on",
         )  # fmt: skip
+        parser.add_argument(
+            "--tries", type=int, default=0, metavar="N",
+            help="draw N places about these and keep the grip that slips least in 10 s (default: these alone)",
+        )  # fmt: skip
+        parser.add_argument("--seed", type=int, default=0, help="of what is drawn (default: 0)")
+        parser.add_argument(
+            "--tool", default="sticks", help="sticks, tongs or brush (default: sticks)"
+        )
         parser.add_argument("--fingers", type=int, default=5, help="of the hand (default: 5)")
         parser.add_argument("--finger-length", type=float, default=1.0, help="default: 1")
         parser.add_argument("--size", type=float, default=1.0, help="of the hand (default: 1)")
@@ -38,15 +51,20 @@ class FindGrip(Command):
         yield options.file
 
     def run(self, options: argparse.Namespace) -> int:
+        own = holding(options.tool)
+        if not 0 <= options.tries <= MOST_TRIES or options.seed < 0:
+            raise ConfigError(f"--tries is a number from 0 to {MOST_TRIES}, and --seed at least 0.")
         try:
-            chosen = HandScene.Options(options.fingers, options.finger_length, options.size)
+            chosen = HandScene.Options(
+                options.fingers, options.finger_length, options.size, options.tool
+            )
         except ValueError as error:
             raise ConfigError(
                 f"--{str(error).replace('finger_length', 'finger-length')}"
             ) from error
-        style = read_style(options.style, options.fingers)
+        style = read_style(options.style, options.fingers, options.tool)
         touching = sum(map(bool, style))
-        places = [p / 1e3 for p in options.places or []] or first_guess(style)
+        places = [p / 1e3 for p in options.places or []] or own.first_guess(style)
         if len(places) != touching:
             raise ConfigError(
                 f"--places takes {touching} numbers for the style {written(style)}, one for each finger "
@@ -55,12 +73,16 @@ class FindGrip(Command):
         if not all(abs(place) <= HALF_LENGTH for place in places):
             raise ConfigError("--places are mm from the middle of a stick, between -130 and 130.")
         scene = HandScene(chosen)
-        grip = find_grip(scene, style, places)
+        if options.tries:
+            grip = search_grip(scene, style, places, options.tries, options.seed)
+        else:
+            grip = find_grip(scene, style, places)
         grip.save(options.file)
-        held = grip.held(scene, 0, 10.0, 1.0)
-        drift = " and ".join(f"{1e3 * d:.2f}" for d in held.drift)
+        every = [grip.held(scene, row, 10.0, 1.0) for row in range(len(grip.angles))]
+        slip = " and ".join(f"{1e3 * d:.2f}" for d in np.max([h.drift for h in every], axis=0))
+        depth, parts = max(held.depth for held in every), " and ".join(scene.tool_bodies)
         print(
-            f"{written(style)}: the sticks slip by {drift} mm in 9 s, fingers are at most "
-            f"{1e3 * held.depth:.2f} mm in them. Written: {options.file}"
+            f"{written(style)}: {parts.replace('_', ' ')} slip by {slip} mm in 9 s at the worst of {len(every)} "
+            f"angles; anything is at most {1e3 * depth:.2f} mm in them. Written: {options.file}"
         )
         return 0

@@ -1,4 +1,4 @@
-"""A grip: how a hand holds two sticks, at some angles between them. As a JSON file, and as a config section."""
+"""A grip: how a hand holds a tool, at some angles between its parts. As a JSON file, and as a config section."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 
@@ -22,49 +24,58 @@ from understudy.folders import read
 from understudy.inputs import Inputs
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.registry import Registry
-from understudy_gripping.balance import balance
+from understudy_gripping.balance import Balance, balance
 from understudy_gripping.hold import Held, hold, placed
-from understudy_gripping.pose import Candidate, Poses, PoseSolver, first_guess
+from understudy_gripping.holding import holding
+from understudy_gripping.pose import Candidate, Poses, PoseSolver
 from understudy_gripping.styles import Style, read_style, written
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE, FEWEST, FINGERS, Measures
-from understudy_hand.tools import HALF_LENGTH, upper_pose
+from understudy_hand.tools import GRIPPERS, HALF_LENGTH, Tool, upper_pose
+from understudy_tensors import rotations
 
 __all__ = ["Grip", "Grips"]
 
-#: rad: angles at which a grip is solved. The sticks touch at 0.154.
-ANGLES = (0.0, 0.04, 0.08, 0.12, 0.15)
 #: N, wanted and least, of each contact; 2 and 0.5 lose the sticks under 40 mrad of noise, these do not at 60.
 FORCES = (3.0, 1.0)
 #: m: a wider gap between what shall touch, or less clearance, is no grip.
 WIDEST_GAP, LEAST_CLEARANCE = 2e-3, 0.0
+#: m: how far each place may be from a first guess in a search, in a human hand.
+SPREAD = 0.025
+#: Candidates of a search of which all angles are solved, at most.
+MOST_HELD = 4
 _VERSION = 1
 _LARGEST = 1 << 20
 #: The name of a grip that has the job for itself.
 _ONLY = "grip"
+_TOOLS = {"sticks": "two sticks", "tongs": "tongs", "brush": "a brush", "none": "no tool"}
+_THE = {"sticks": "the sticks", "tongs": "the tongs", "brush": "the brush"}
 #: In the folder of a run, beside the grips that were found for it: what is against the others.
 _AGAINST = "against.txt"
 
 
 @dataclass(frozen=True)
 class Grip:
-    """K angles, H hinges of the hand; m, rad, in the palm's frame."""
+    """K angles, H hinges of the hand; m, rad, in the palm's frame. The lower part of a tool that has one is that one."""
 
     measures: Measures  #: of the hand
     style: Style
-    places: tuple[float, ...]  #: by finger that touches, along its stick: x of section 5.5.3
+    places: tuple[float, ...]  #: by finger that touches, along its part: x of section 5.5.3
     hinges: tuple[str, ...]
-    lower: np.ndarray  #: (7,) the lower stick's position and rotation, at all angles
-    angles: np.ndarray  #: (K,) between the sticks, rising
+    lower: np.ndarray  #: (7,) the lower part's position and rotation, at all angles
+    angles: np.ndarray  #: (K,) by which the parts are closed, rising
     poses: np.ndarray  #: (K, H)
-    targets: np.ndarray  #: (K, H) of the servos, which press as much as holds the sticks
+    targets: np.ndarray  #: (K, H) of the servos, which press as much as holds the tool
+    tool: Tool = "sticks"
 
     @property
     def upper(self) -> np.ndarray:
-        """(K, 7) the upper stick's position and rotation."""
+        """(K, 7) the upper part's position and rotation; of a tool of one part that one's."""
         angles = torch.from_numpy(self.angles)
         lower = torch.from_numpy(self.lower).expand(len(angles), 7)
-        return torch.cat(upper_pose(lower[:, :3], lower[:, 3:], angles), dim=1).numpy()
+        if (gripper := GRIPPERS.get(self.tool)) is None:
+            return lower.numpy()
+        return torch.cat(upper_pose(lower[:, :3], lower[:, 3:], angles, gripper), dim=1).numpy()
 
     @property
     def touching(self) -> tuple[str, ...]:
@@ -73,12 +84,12 @@ class Grip:
 
     def need(self, scene: HandScene) -> None:
         """Raises:
-        ConfigError: it is a grip of another hand than the scene's, or the scene has no sticks.
+        ConfigError: it is a grip of another hand than the scene's, or of another tool.
         """
-        if scene.options.tool != "sticks":
+        if scene.options.tool != self.tool:
             raise ConfigError(
-                f"The grip {written(self.style)} holds two sticks, and the scene has "
-                f"{scene.options.tool}. Set scene.tool=sticks."
+                f"The grip {written(self.style)} holds {_TOOLS[self.tool]}, and the scene has "
+                f"{_TOOLS[scene.options.tool]}. Set scene.tool={self.tool}, or another grip."
             )
         if scene.measures != self.measures:
             raise ConfigError(
@@ -97,6 +108,7 @@ class Grip:
         values = {
             "version": _VERSION,
             "hand": asdict(self.measures),
+            "tool": self.tool,
             "style": written(self.style),
             "places": _rounded(self.places),
             "hinges": list(self.hinges),
@@ -120,38 +132,129 @@ def _rounded(values: Any) -> Any:
 def find_grip(
     scene: HandScene, style: Style, places: Sequence[float], iterations: int = 400
 ) -> Grip:
-    """A grip from the T-pose: its poses at :data:`ANGLES`, targets that hold them, held for a second.
+    """A grip from the T-pose: its poses at the tool's angles, targets that hold them, held for a second.
 
     Raises
     ------
     ConfigError
-        fingers do not reach, or the sticks fall; the sentence says what.
+        fingers do not reach, or the tool falls; the sentence says what.
     """
-    solver = PoseSolver(scene)
-    candidate = Candidate(style, tuple(places))
-    base = solver.solve([candidate], iterations, angles=ANGLES[:1])
-    what = f"The style {written(style)} with places {_rounded(candidate.places)}"
-    _refuse_unreachable(what, base)
-    count = len(ANGLES)
-    start = Poses(
-        base.hinges, base.pose.expand(count, -1), base.lower.expand(count, -1),
-        torch.tensor(ANGLES, dtype=torch.float64), base.gaps, base.clearance, base.cost, 0,
+    return _find(PoseSolver(scene), Candidate(style, tuple(places)), iterations)
+
+
+def search_grip(
+    scene: HandScene, style: Style, places: Sequence[float], tries: int, seed: int = 0
+) -> Grip:
+    """Of `tries` places and starts, drawn about `places` and the tool's own, the grip that slips least in ten
+    seconds at any of its angles.
+
+    Where the links lie that bear the tool is drawn as well, and so is where the tool's search begins: another hand
+    has them elsewhere, and the thesis gives none. Those whose fingers reach are balanced and held for two seconds at
+    the last angle, where most is to be borne; of :data:`MOST_HELD` that slip least the other angles are solved.
+
+    Raises
+    ------
+    ConfigError
+        none holds; the sentence says how far they came.
+    """
+    solver, generator = PoseSolver(scene), np.random.default_rng(seed)
+    own, size = solver.holding, scene.measures.size
+    named = [place for name, (_, place) in own.supports.items() if name in scene.links]
+    candidates, nominal = [], []
+    for number in range(tries):
+        wide = 0.0 if number == 0 else 1.0  # the first one is what there is without a search
+        drawn = wide * generator.uniform(-1.0, 1.0, (len(places) + len(named) + 6,))
+        along = np.array([*places, *named]) + SPREAD * size * drawn[:-6]
+        along = along.clip(-HALF_LENGTH, HALF_LENGTH).tolist()
+        turn = rotations.from_exponential_map(torch.tensor(own.turned * drawn[-3:]) + 1e-12)
+        turn = rotations.multiply(torch.tensor(own.turn, dtype=torch.float64), turn)
+        place = size * (np.array(own.place) + own.far * drawn[-6:-3])
+        nominal.append([*place, *turn.tolist()])
+        supports = tuple(along[len(places) :])
+        candidates.append(Candidate(style, tuple(along[: len(places)]), supports))
+    first = solver.solve(
+        candidates,
+        200,
+        angles=own.angles[-1:] * tries,
+        nominal=torch.tensor(nominal, dtype=torch.float64),
+    )
+    reach = (first.gaps <= WIDEST_GAP) & (first.clearance >= LEAST_CLEARANCE)
+    idle = tuple(f for f, part in zip(scene.measures.names, style, strict=True) if not part)
+    slips = dict[int, float]()
+    for row in reach.nonzero()[:, 0].tolist():
+        data, found = _balanced(solver, style, first, row)
+        slips[row] = _slip(hold(scene, data, found.targets, 2.0, 0.5), idle)
+    best, least, said = None, math.inf, "it falls within two seconds, or other fingers hold it too"
+    for row in sorted((r for r, s in slips.items() if s < math.inf), key=slips.__getitem__)[
+        :MOST_HELD
+    ]:
+        try:
+            grip = _find(solver, candidates[row], 200, _rows(first, row))
+        except ConfigError as error:
+            said = str(error)
+            continue
+        slip = max(_slip(grip.held(scene, k, 10.0, 1.0), idle) for k in range(len(grip.angles)))
+        if slip < least:
+            best, least = grip, slip
+    if best is None:
+        raise ConfigError(
+            f"None of {tries} places of the style {written(style)} holds; the fingers reach {len(slips)} of them. Of the "
+            f"last one: {said}"
+        )
+    return best
+
+
+def _rows(poses: Poses, *rows: int) -> Poses:
+    """Those of the candidates `rows`."""
+    chosen = list(rows)
+    return replace(
+        poses, **{n: getattr(poses, n)[chosen] for n in ("pose", "lower", "angle", "gaps", "clearance", "cost")}
     )  # fmt: skip
-    poses = solver.solve([candidate] * count, iterations, start, ANGLES)
+
+
+def _slip(held: Held, idle: tuple[str, ...]) -> float:
+    """m, infinite where something fell, or a finger touches that the style has `idle`."""
+    helped = any(link.partition("_")[0] in idle for link in held.links if "metacarpal" not in link)
+    return float(held.drift.max()) if held.fell is None and not helped else math.inf
+
+
+def _balanced(
+    solver: PoseSolver, style: Style, poses: Poses, row: int
+) -> tuple[mujoco.MjData, Balance]:
+    """The scene in the pose number `row`, and what balances the tool there."""
+    scene, lower = solver.scene, poses.lower[row : row + 1]
+    upper = lower
+    if (gripper := GRIPPERS.get(solver.tool)) is not None:
+        angle = poses.angle[row : row + 1]
+        upper = torch.cat(upper_pose(lower[:, :3], lower[:, 3:], angle, gripper), dim=1)
+    pose = poses.pose[row].numpy()
+    data = placed(scene, np.array(ARM_POSE), pose, upper[0].numpy(), lower[0].numpy())
+    return data, balance(scene, data, style, *FORCES)
+
+
+def _find(
+    solver: PoseSolver, candidate: Candidate, iterations: int, base: Poses | None = None
+) -> Grip:
+    """The grip of `candidate`, whose pose at one of the angles is `base`."""
+    scene, style, angles = solver.scene, candidate.style, solver.holding.angles
+    what = f"The style {written(style)} with places {_rounded(candidate.places)}"
+    if base is None:
+        base = solver.solve([candidate], iterations, angles=angles[:1])
+    _refuse_unreachable(what, base)
+    count = len(angles)
+    start = replace(_rows(base, *[0] * count), angle=torch.tensor(angles, dtype=torch.float64))
+    poses = solver.solve([candidate] * count, iterations, start, angles)
     _refuse_unreachable(what, poses)
-    targets = []
-    for row in range(count):
-        upper, lower = poses.upper[row].numpy(), poses.lower[row].numpy()
-        data = placed(scene, np.array(ARM_POSE), poses.pose[row].numpy(), upper, lower)
-        targets.append(balance(scene, data, style, *FORCES).targets[len(ARM_POSE) :])
+    arm = len(ARM_POSE)
+    targets = [_balanced(solver, style, poses, row)[1].targets[arm:] for row in range(count)]
     grip = Grip(
         scene.measures, style, candidate.places, poses.hinges, poses.lower[0].numpy(),
-        np.array(ANGLES), poses.pose.numpy(), np.array(targets),
+        np.array(angles), poses.pose.numpy(), np.array(targets), solver.tool,
     )  # fmt: skip
-    for row, angle in enumerate(ANGLES):
+    for row, angle in enumerate(angles):
         if (fell := grip.held(scene, row, 1.0).fell) is not None:
             raise ConfigError(
-                f"{what} does not hold the sticks: at an angle of {angle:g} rad one falls after "
+                f"{what} does not hold {_THE[solver.tool]}: at an angle of {angle:g} rad one falls after "
                 f"{fell:.2f} s. Try other places."
             )
     return grip
@@ -181,7 +284,10 @@ def load_grip(path: Path) -> Grip:
         measures = Measures(
             int(values["hand"]["fingers"]), *(float(values["hand"][k]) for k in ("finger_length", "size"))
         )  # fmt: skip
-        style = read_style(str(values["style"]), measures.fingers)
+        tool = values.get("tool", "sticks")  # what the first of these files were of
+        if tool not in _THE:
+            raise ValueError(f"there is no tool {tool!r}")
+        style = read_style(str(values["style"]), measures.fingers, tool)
         hinges = tuple(map(str, values["hinges"]))
         if len(set(hinges)) != len(hinges) or not hinges:
             raise ValueError("its hinges are not named each once")
@@ -195,6 +301,7 @@ def load_grip(path: Path) -> Grip:
             _numbers(values, "angles", (rows,)),
             _numbers(values, "poses", (rows, len(hinges))),
             _numbers(values, "targets", (rows, len(hinges))),
+            tool,
         )
         if rows < 2 or (np.diff(grip.angles) <= 0).any():
             raise ValueError("its angles are not two or more that rise")
@@ -282,7 +389,7 @@ def _candidate(options: CandidateOptions) -> Candidate:
         read_style(text, len(FINGERS))  # which says why not
     style = read_style(text, fingers)
     touching = [f for f, stick in zip(FINGERS, style, strict=False) if stick]
-    guess = dict(zip(touching, first_guess(style), strict=True))
+    guess = dict(zip(touching, holding("sticks").first_guess(style), strict=True))
     chosen = guess if options.places is None else options.places
     if set(chosen) != set(touching):
         raise ConfigError(
@@ -390,6 +497,14 @@ def _kept(folder: Path, names: Sequence[str]) -> Grips:
     )
 
 
+def _packaged(name: str) -> Path:
+    return Path(__file__).parent / "grips" / f"{name}.json"
+
+
 def standard() -> Path:
     """The standard style of the human hand, found from the T-pose."""
-    return Path(__file__).parent / "grips" / "standard.json"
+    return _packaged("standard")
+
+
+#: Grips of other tools in the human hand, and of sticks in other hands, searched for.
+tongs, brush = (partial(_packaged, name) for name in ("tongs", "brush"))

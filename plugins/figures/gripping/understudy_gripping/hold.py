@@ -1,4 +1,4 @@
-"""Holding a grip in simulation, before any training: what slips, and how deep fingers are in sticks."""
+"""Holding a grip in simulation, before any training: what slips, and how deep fingers are in the tool."""
 
 from __future__ import annotations
 
@@ -11,30 +11,37 @@ from understudy_hand.scene import HandScene
 
 __all__ = ["hold", "placed"]
 
-#: m: a stick that is so far from where it was in the palm has fallen.
+#: m: a part that is so far from where it was in the palm has fallen.
 FALLEN = 0.03
 
 
 @dataclass(frozen=True)
 class Held:
-    fell: float | None  #: s, when a stick fell; None if none did
-    drift: np.ndarray  #: (2,) m, of the sticks in the palm's frame from `settle` to the end
-    turn: np.ndarray  #: (2,) rad, of their axes
-    depth: float  #: m: the deepest penetration of sticks after `settle`
+    """P parts of a tool: two sticks, or tongs' two bars, the upper one first; one of a brush."""
+
+    fell: float | None  #: s, when a part fell; None if none did
+    drift: np.ndarray  #: (P,) m, of the parts in the palm's frame from `settle` to the end
+    turn: np.ndarray  #: (P,) rad, of their axes
+    depth: float  #: m: the deepest penetration of the tool after `settle`
     qpos: np.ndarray  #: (nq,) at the end
-    links: frozenset[str]  #: that touched a stick at the end
+    links: frozenset[str]  #: that touched the tool at the end
 
 
 def placed(
     scene: HandScene, arm: np.ndarray, pose: np.ndarray, upper: np.ndarray, lower: np.ndarray
 ) -> mujoco.MjData:
-    """The scene with the arm at `arm` (7,) rad, the hand at `pose` (H,) rad, and the sticks (7,) where they
-    are given in the palm's frame; computed forward."""
+    """The scene with the arm at `arm` (7,) rad, the hand at `pose` (H,) rad, and the tool's parts (7,) where they
+    are given in the palm's frame; computed forward. A tool of one part is where the lower one is."""
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[: model.nu] = [*arm, *pose]
     mujoco.mj_kinematics(model, data)
-    palm = data.body("palm")
-    for name, local in zip(scene.tool_bodies, (upper, lower), strict=True):
+    palm, free = data.body("palm"), {model.joint(j).name for j in range(model.njnt)}
+    for name, local in zip(reversed(scene.tool_bodies), (lower, upper), strict=False):
+        if name not in free:  # it hangs on the other by a hinge
+            turn = np.zeros(3)
+            mujoco.mju_subQuat(turn, np.asarray(upper[3:], float), np.asarray(lower[3:], float))
+            data.joint("opening").qpos = -turn[2]
+            continue
         qpos = data.joint(name).qpos
         mujoco.mju_rotVecQuat(qpos[:3], np.asarray(local[:3], float), palm.xquat)
         qpos[:3] += palm.xpos
@@ -82,7 +89,7 @@ def hold(
 
 
 def _relative(scene: HandScene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (2, 3) m and axes (2, 3) of the sticks in the palm's frame."""
+    """Middles (P, 3) m and axes (P, 3) of the tool's parts in the palm's frame."""
     model = scene.model
     palm = model.body("palm").id
     turn = data.xmat[palm].reshape(3, 3)

@@ -14,11 +14,12 @@ from torch import Tensor
 
 from understudy_gripping.descent import minimise
 from understudy_gripping.distances import box_distance, clamped_log
+from understudy_gripping.holding import holding
 from understudy_gripping.kinematics import HandKinematics, Placed, stick_ends
-from understudy_gripping.styles import LOWER, UPPER, Style, check_style
+from understudy_gripping.styles import Style, check_style
 from understudy_hand.scene import HandScene
 from understudy_hand.table import FINGERS
-from understudy_hand.tools import HALF_LENGTH, RADIUS, upper_pose
+from understudy_hand.tools import GRIPPERS, HALF_LENGTH, RADIUS, upper_pose
 from understudy_tensors import rotations
 from understudy_tensors.segments import (
     at,
@@ -27,19 +28,10 @@ from understudy_tensors.segments import (
     segment_distance,
 )
 
-__all__ = ["first_guess", "sides"]
+__all__ = ["Candidate", "PoseSolver", "Poses"]
 
-#: m, rad: where the lower stick lies in a human palm, about which it is searched (the release's grip).
-_PLACE = (0.0355, -0.0611, 0.0910)
-_TURN = (0.558891, 0.529425, 0.499098, 0.397808)
-#: m and rad: how far the lower stick may go from there, and the range of the angle of the upper one.
-_FAR, _TURNED, ANGLES = 0.04, 0.6, (-0.2, 0.2)
-#: Links that bear a stick beside the tips: the stick, and where along it (m from the middle).
-SUPPORTS = {
-    "index_metacarpal": (LOWER, 0.085),  # the valley
-    "thumb_middle": (LOWER, 0.045),
-    "index_proximal": (UPPER, 0.065),
-}
+#: rad: the range of the angle of the upper part.
+ANGLES = (-0.2, 0.2)
 #: m: z0 of eq. 5.6, and how far apart what touches shall be.
 _BARRIER, _GAP = 1e-3, 2e-4
 #: Of the cost's parts. Those of eq. 5.6 are 1 for both in the thesis, in units that it does not say.
@@ -61,6 +53,8 @@ class Candidate:
 
     style: Style
     places: tuple[float, ...]  #: m, by finger that touches, from the thumb on; x of section 5.5.3
+    #: m, by link that bears the tool beside the tips; none takes those of the tool.
+    supports: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,48 +72,27 @@ class Poses:
     cost: Tensor  #: (B,)
     iterations: int
 
-    @property
-    def upper(self) -> Tensor:
-        """(B, 7)"""
-        return torch.cat(upper_pose(self.lower[:, :3], self.lower[:, 3:], self.angle), dim=1)
-
-
-def first_guess(style: Style) -> tuple[float, ...]:
-    """m: places 13 mm from one another towards the tips, the thumb's behind the others (measured)."""
-    ahead = {UPPER: 0.0, LOWER: -0.012}
-    places = [0.035]
-    for stick in style[1:]:
-        if stick:
-            places.append(ahead[stick])
-            ahead[stick] -= 0.013
-    return tuple(places)
-
-
-def sides(style: Style) -> tuple[tuple[float, float, float], ...]:
-    """By finger: towards which of its stick's sides it lies. The thesis searches no sides; these are the
-    release's: thumb +z, index +y above other fingers, all others -z."""
-    above = style[1] == UPPER and UPPER in style[2:]
-    index = (0.0, 1.0, 0.0) if above else (0.0, 0.0, -1.0)
-    return ((0.0, 0.0, 1.0), index, *[(0.0, 0.0, -1.0)] * (len(style) - 2))
-
 
 class PoseSolver:
     """Finds gripping poses of one hand.
 
     *Limits:* a local search from straight fingers, so that a grip which there is may not be
-    found. Contact is of tips with round sticks; forces come after it
+    found. Contact is of tips with round sticks or bars; forces come after it
     (:mod:`understudy_gripping.balance`).
     """
 
     def __init__(self, scene: HandScene) -> None:
-        self.scene = scene
+        self.scene, self.tool = scene, scene.options.tool
+        self.holding = holding(self.tool)
         self.kinematics = hand = HandKinematics(scene)
         self.fingers = scene.measures.names
         self._size = scene.measures.size
         capsules = hand.capsules
         self._tips = torch.tensor([capsules.index(f"{f}_distal") for f in self.fingers])
-        self._supports = [name for name in SUPPORTS if name in capsules]
-        self._support_rows = torch.tensor([capsules.index(name) for name in self._supports])
+        self._supports = [name for name in self.holding.supports if name in capsules]
+        self._support_rows = torch.tensor(
+            [capsules.index(name) for name in self._supports], dtype=torch.long
+        )
         self._apart = torch.tensor(_pairs_apart(capsules)).T
         low, high = hand.ranges.T
         inside = torch.where(high - low > 1e-3, _INSIDE, 0.0)
@@ -143,6 +116,7 @@ class PoseSolver:
         iterations: int = 400,
         start: Poses | None = None,
         angles: Sequence[float] | None = None,
+        nominal: Tensor | None = None,
     ) -> Poses:
         """The poses of all `candidates`, side by side.
 
@@ -155,20 +129,24 @@ class PoseSolver:
         start
             where to begin (B rows); the T-pose without. The lower stick then stays as it is.
         angles
-            B angles between the sticks to hold; free without.
+            B angles between the parts to hold; free without.
+        nominal
+            (B, 7) about which the lower part is searched; that of the tool without.
 
         Raises
         ------
         ConfigError
             the hand has no such style.
         """
+        own = self.holding
         for candidate in candidates:
-            check_style(candidate.style, len(self.fingers))
+            check_style(candidate.style, len(self.fingers), self.tool)
         problem = _Problem(self, candidates)
         count, hinges = len(candidates), len(self.kinematics.hinges)
-        free = torch.tensor([_FAR] * 3 + [_TURNED] * 3, dtype=torch.float64).expand(count, 6)
-        nominal = torch.tensor([*_PLACE, *_TURN], dtype=torch.float64).repeat(count, 1)
-        nominal[:, :3] *= self._size
+        free = torch.tensor([own.far] * 3 + [own.turned] * 3, dtype=torch.float64).expand(count, 6)
+        if nominal is None:
+            nominal = torch.tensor([*own.place, *own.turn], dtype=torch.float64).repeat(count, 1)
+            nominal[:, :3] *= self._size
         point = torch.cat([problem.rest, torch.zeros(count, 7, dtype=torch.float64)], dim=1)
         if start is not None:
             nominal, free = start.lower, torch.zeros(count, 6, dtype=torch.float64)
@@ -198,41 +176,65 @@ class _Problem:
         styles = torch.tensor([c.style for c in candidates])
         #: (B, F) whether a finger touches, and (B, F) the stick's row: 0 the upper one.
         self._touches, self._stick = styles > 0, (styles - 1).clamp(min=0)
+        own = solver.holding
+        self._gripper = GRIPPERS.get(solver.tool)
         places = torch.zeros(styles.shape, dtype=torch.float64)
         for row, candidate in enumerate(candidates):
             places[row, self._touches[row]] = torch.tensor(candidate.places, dtype=torch.float64)
-        side = torch.tensor([sides(c.style) for c in candidates], dtype=torch.float64)
+        side = torch.tensor([own.sides(c.style) for c in candidates], dtype=torch.float64)
         along = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
         #: (B, F, 3) in the stick's frame: what p_i(x) of eq. 5.6 is.
-        self._goals = places[..., None] * along + RADIUS * side
+        self._goals = places[..., None] * along + own.thickness * side
         self.rest = torch.stack([solver.rest(c.style) for c in candidates])
-        supports = [SUPPORTS[name] for name in solver._supports]
-        self._support_sticks = torch.tensor([stick - 1 for stick, _ in supports])
-        self._support_places = torch.tensor([p for _, p in supports], dtype=torch.float64)
+        supports = [own.supports[name] for name in solver._supports]
+        self._support_sticks = torch.tensor([part - 1 for part, _ in supports], dtype=torch.long)
+        #: (B, S)
+        self._support_places = torch.tensor(
+            [c.supports or [place for _, place in supports] for c in candidates],
+            dtype=torch.float64,
+        )
 
     def sticks(self, point: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions (B, 2, 3) and rotations (B, 2, 4), the upper stick first."""
+        """Positions (B, P, 3) and rotations (B, P, 4) of the tool's parts, the upper one first."""
         position = self.nominal[:, :3] + point[:, -7:-4]
         turn = rotations.multiply(
             self.nominal[:, 3:], rotations.from_exponential_map(_nudged(point[:, -4:-1]))
         )
-        upper, turned = upper_pose(position, turn, point[:, -1])
+        if self._gripper is None:
+            return position[:, None], turn[:, None]
+        upper, turned = upper_pose(position, turn, point[:, -1], self._gripper)
         return torch.stack([upper, position], 1), torch.stack([turned, turn], 1)
 
     def _distances(self, point: Tensor) -> tuple[Placed, Tensor, Tensor, Tensor, Tensor]:
-        """Shapes; ends of the sticks (B, 2, 2, 3); and m between the sticks and capsules (B, C, 2), boxes
-        (B, S, 2), one another (B,)."""
-        hand = self._hand
+        """Shapes; ends of the parts (B, P, 2, 3); and m between the parts and capsules (B, C, P), boxes
+        (B, S, P), one another (B, P - 1); tongs' bars hang together."""
+        hand, bar = self._hand, self._solver.holding.bar
         shapes = hand.shapes(point[:, :-7])
         positions, turns = self.sticks(point)
         ends = stick_ends(positions, turns, HALF_LENGTH)
-        gaps = segment_distance(shapes.ends[:, :, None], ends[:, None])
-        gaps = gaps - hand.radii[:, None] - RADIUS
+        if bar is None:
+            gaps = segment_distance(shapes.ends[:, :, None], ends[:, None]) - RADIUS
+            along, thickness = ends, RADIUS
+        else:
+            gaps = box_distance(
+                shapes.ends[:, :, None], positions[:, None], rotations.to_matrix(turns)[:, None],
+                positions.new_tensor(bar),
+            )  # fmt: skip
+            # Boxes of the hand see a bar as three rods side by side.
+            across = positions.new_tensor(
+                [[0.0, 0.0, way * (bar[2] - bar[1])] for way in (-1.0, 0.0, 1.0)]
+            )
+            aside = rotations.rotate(turns[:, :, None], across)
+            along = (ends[:, :, None] + aside[..., None, :]).flatten(1, 2)
+            thickness = bar[1]
+        gaps = gaps - hand.radii[:, None]
         boxes = box_distance(
-            ends[:, None], shapes.boxes[:, :, None], shapes.turns[:, :, None],
+            along[:, None], shapes.boxes[:, :, None], shapes.turns[:, :, None],
             hand.box_sizes[:, None],
-        ) - RADIUS  # fmt: skip
-        between = segment_distance(ends[:, 0], ends[:, 1]) - 2.0 * RADIUS
+        ) - thickness  # fmt: skip
+        between = gaps.new_zeros(len(point), 0)
+        if bar is None and ends.shape[1] == 2:
+            between = segment_distance(ends[:, :1], ends[:, 1:]) - 2.0 * RADIUS
         return shapes, ends, gaps, boxes, between
 
     def cost(self, point: Tensor) -> Tensor:
@@ -257,7 +259,7 @@ class _Problem:
         cost = cost + _CONTACT * ((held - _GAP) ** 2).sum(1)
         cost = cost + _ALONG * ((place - self._support_places) ** 2).sum(1)
         # 0.1 mm inside is still finite, so that a start inside finds its way out.
-        for clearances in (gaps.flatten(1), boxes.flatten(1), between[:, None]):
+        for clearances in (gaps.flatten(1), boxes.flatten(1), between):
             cost = cost + _CLEARANCE * clamped_log(clearances + 1e-4, _BARRIER).sum(1)
         one, other = solver._apart
         touching = (
@@ -284,7 +286,7 @@ class _Problem:
         held = gaps[:, solver._support_rows, self._support_sticks]
         open_ = torch.cat([torch.where(self._touches, tip_gaps, 0.0), held], dim=1)
         clearance = torch.cat([gaps.flatten(1), boxes.flatten(1)], dim=1).amin(1)
-        lower = torch.cat([positions[:, 1], turns[:, 1]], dim=1)
+        lower = torch.cat([positions[:, -1], turns[:, -1]], dim=1)
         return Poses(
             tuple(self._hand.hinges), point[:, :-7], lower, point[:, -1], open_.amax(1), clearance,
             value, iterations,

@@ -2,7 +2,8 @@
 
 A style has an entry for each finger, from the thumb on: 0 touches nothing, 1 the upper stick, 2 the lower
 one. Of all tuples those are left whose thumb is on the upper stick, in which no fingers cross, and in which
-each stick has a finger besides the thumb.
+each stick has a finger besides the thumb. Tongs and a brush are held in one way each: of tongs the thumb is on the
+lower bar, index and middle finger on the upper one (section 5.7.4); a brush is one part, which all three are on.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 
 from understudy.errors import ConfigError
 from understudy_hand.table import FINGERS
+from understudy_hand.tools import Tool
 
 __all__ = ["Style", "read_style", "styles", "written"]
 
@@ -27,8 +29,17 @@ NAMED: dict[str, Style] = {
 }
 
 
-def styles(fingers: int) -> tuple[Style, ...]:
-    """All of a hand with so many fingers; seventeen for five."""
+#: The only ones of other tools.
+_ONLY: dict[Tool, Style] = {
+    "tongs": (LOWER, UPPER, UPPER, 0, 0),
+    "brush": (UPPER, UPPER, UPPER, 0, 0),
+}
+
+
+def styles(fingers: int, tool: Tool = "sticks") -> tuple[Style, ...]:
+    """All of a hand with so many fingers; seventeen of two sticks for five."""
+    if tool in _ONLY:
+        return (_ONLY[tool][:fingers],)
     every = itertools.product((0, UPPER, LOWER), repeat=fingers)
     return tuple(style for style in every if not _against(style))
 
@@ -38,7 +49,7 @@ def written(style: Style) -> str:
     return "".join(map(str, style))
 
 
-def read_style(text: str, fingers: int) -> Style:
+def read_style(text: str, fingers: int, tool: Tool = "sticks") -> Style:
     """The style `text`, a name or digits from the thumb on, of a hand with so many `fingers`.
 
     Raises
@@ -52,23 +63,29 @@ def read_style(text: str, fingers: int) -> Style:
             named = ", ".join(NAMED)
             raise ConfigError(
                 f"'{text}' is no gripping style: give {fingers} digits from the thumb on (0 no contact, "
-                f"1 upper stick, 2 lower stick), or a name: {named}.{_list(fingers)}"
+                f"1 upper stick, 2 lower stick), or a name: {named}.{_list(fingers, tool)}"
             )
         style = tuple(int(digit) for digit in text)
-    check_style(style, fingers)
+    check_style(style, fingers, tool)
     return style
 
 
-def check_style(style: Sequence[int], fingers: int) -> None:
+def check_style(style: Sequence[int], fingers: int, tool: Tool = "sticks") -> None:
     """Raises:
     ConfigError: a hand with so many `fingers` has no such style; the sentence says why, and which it has.
     """
     shown = written(tuple(style))
     if len(style) != fingers:
         reason = f"it has {len(style)} entries and the hand {fingers} fingers"
+    elif tool in _ONLY:
+        if tuple(style) in styles(fingers, tool):
+            return
+        reason = f"{'a brush is' if tool == 'brush' else 'tongs are'} held otherwise"
     elif not (reason := _against(style)):
         return
-    raise ConfigError(f"The gripping style {shown} is not possible: {reason}.{_list(fingers)}")
+    raise ConfigError(
+        f"The gripping style {shown} is not possible: {reason}.{_list(fingers, tool)}"
+    )
 
 
 def _against(style: Sequence[int]) -> str:
@@ -89,6 +106,6 @@ def _against(style: Sequence[int]) -> str:
     return ""
 
 
-def _list(fingers: int) -> str:
-    known = " ".join(written(style) for style in styles(fingers))
+def _list(fingers: int, tool: Tool = "sticks") -> str:
+    known = " ".join(written(style) for style in styles(fingers, tool))
     return f" A hand of {fingers} fingers has: {known}."

@@ -1,4 +1,4 @@
-"""A hand on an arm, of any number of fingers and size, with sticks or tongs, at a table. Knows no paper."""
+"""A hand on an arm, of any number of fingers and size, with sticks, tongs or a brush, at a table. Knows no paper."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("mujoco", "tensors")

@@ -1,7 +1,7 @@
-"""What a hand holds: two sticks, or tongs (thesis, sections 5.6.1, 5.7 and 5.7.4).
+"""What a hand holds: two sticks, tongs, or a brush (thesis, sections 5.6.1, 5.7 and 5.7.4).
 
-A tool's frame has its origin in the middle and x along it; the tip is at -x. As a planner sees both, they
-are a gripper of seven degrees of freedom: the lower part's pose, and an angle about its z axis.
+A tool's frame has its origin in the middle and x along it; the tip is at -x. As a planner sees sticks and
+tongs, they are a gripper of seven degrees of freedom: the lower part's pose, and an angle about its z axis.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy_tensors import rotations
 
-__all__ = ["HALF_LENGTH", "RADIUS", "STICKS", "Thing", "tips", "upper_pose"]
+__all__ = ["GRIPPERS", "HALF_LENGTH", "RADIUS", "STICKS", "Thing", "Tool", "tips", "upper_pose"]
 
-Tool = Literal["sticks", "tongs", "none"]
+Tool = Literal["sticks", "tongs", "brush", "none"]
 
 #: m: half of a stick without its caps, and its radius (thesis: 26 cm, 0.4 cm).
 HALF_LENGTH, RADIUS = 0.13, 0.004
@@ -36,12 +36,13 @@ _TOUCH = 0.015
 _DENSITY = 1000.0
 #: Of the upper and the lower part.
 _WOOD = ((0.80, 0.58, 0.30, 1.0), (0.55, 0.27, 0.15, 1.0))
-_STEEL = (0.62, 0.65, 0.70, 1.0)
+_STEEL, _HANDLE = (0.62, 0.65, 0.70, 1.0), (0.45, 0.20, 0.12, 1.0)
 _FRUIT, _LEAF = (0.85, 0.25, 0.22, 1.0), (0.36, 0.55, 0.30, 1.0)
 #: Names of the bodies, the upper one first.
 BODIES: dict[Tool, tuple[str, ...]] = {
     "sticks": ("upper_stick", "lower_stick"),
     "tongs": ("upper_bar", "lower_bar"),
+    "brush": ("brush",),
     "none": (),
 }
 
@@ -55,12 +56,16 @@ class Gripper:
     ]  #: m: about which the upper part turns, in the lower one's frame
     along: float  #: m: where that is on the upper part
     axis: tuple[float, float, float]  #: in the lower part's frame
+    zero: float = 0.0  #: rad: how far the upper part is turned where the angle is 0
 
 
 #: Sticks are parallel at 0, 35 mm apart, and their tips nearer to each other above it (the release).
 STICKS = Gripper((0.045, 0.035, 0.0), 0.045, (0.0, 0.0, 1.0))
-#: Tongs turn about their ends. At 0 they are shut, above it their tips are apart.
-TONGS = Gripper((0.13, 0.008, 0.0), 0.13, (0.0, 0.0, -1.0))
+#: Tongs turn about their ends. At 0 they are as open as the spring has them, above it their tips are nearer
+#: to each other; they are shut at the spring's rest. (The hinge ``opening`` is 0 where they are shut.)
+TONGS = Gripper((0.13, 0.008, 0.0), 0.13, (0.0, 0.0, 1.0), -REST)
+#: By tool of two parts.
+GRIPPERS: dict[Tool, Gripper] = {"sticks": STICKS, "tongs": TONGS}
 
 
 def upper_pose(
@@ -73,12 +78,13 @@ def upper_pose(
     position, rotation
         (…, 3) m and (…, 4) of the lower part, in any frame.
     angle
-        (…) rad, between the two.
+        (…) rad, by which they are closed.
     gripper
         how they hang together.
     """
     # From numbers, so that a step that is captured makes no tensors of them.
-    sine, cosine = (0.5 * angle).sin(), (0.5 * angle).cos()
+    half = 0.5 * (angle + gripper.zero)
+    sine, cosine = half.sin(), half.cos()
     turn = torch.stack([cosine, *(part * sine for part in gripper.axis)], dim=-1)
     turned = rotations.multiply(rotation, turn)
     axes, along = rotations.to_matrix(rotation), rotations.to_matrix(turned)[..., 0]
@@ -101,10 +107,15 @@ def add(spec: mujoco.MjSpec, tool: Tool, friction: float, contact: tuple[int, in
         x, y, z = TONGS.pivot
         other = body.add_body(name=upper, pos=[x - TONGS.along, y, z])
         hinge = other.add_joint(
-            name="opening", axis=TONGS.axis, pos=[TONGS.along, 0, 0], range=[0, 0.6], limited=True
+            name="opening", axis=[0, 0, -1], pos=[TONGS.along, 0, 0], range=[0, 0.6], limited=True
         )
         hinge.stiffness[0], hinge.springref, hinge.armature = STIFFNESS, REST, ARMATURE
         _shape(other, upper, mujoco.mjtGeom.mjGEOM_BOX, BAR, _STEEL)
+    elif tool == "brush":
+        (name,) = BODIES[tool]
+        body = spec.worldbody.add_body(name=name, pos=[-0.07, 0.0, 0.14])
+        body.add_freejoint(name=name).armature = ARMATURE
+        _shape(body, name, mujoco.mjtGeom.mjGEOM_CAPSULE, (RADIUS, HALF_LENGTH, 0.0), _HANDLE)
     for body in spec.bodies:
         if body.name in BODIES[tool]:
             for geom in body.geoms:

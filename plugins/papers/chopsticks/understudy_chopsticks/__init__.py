@@ -26,12 +26,14 @@ PARTS = {
     "initial_states": {
         "chopsticks/open_and_close": ("plan:OpenAndClose", "a grip, and a motion to follow"),
         "chopsticks/relocations": ("relocate:Relocations", "an object, and a plan to follow"),
+        "chopsticks/strokes": ("strokes:Strokes", "a brush, and a curve to follow"),
     },
     "fields": {
         "chopsticks/plan": ("plan:Plan", "where arm, hand and sticks shall be"),
         "chopsticks/tracking": ("tracking:Tracking", "the sticks in the palm, and errors"),
         "chopsticks/follow": ("relocate:Follow", "where everything shall be, by a plan of its own"),
         "chopsticks/object": ("relocate:Object", "the object in the palm, and errors"),
+        "chopsticks/stroke": ("strokes:Stroke", "where arm, hand and a brush shall be"),
     },
     "memory": {
         "chopsticks/again": ("again:Again", "which plan is followed; made anew where one fails"),
@@ -47,6 +49,7 @@ PARTS = {
         "chopsticks/sticks": ("tracking:sticks", "eq. 5.3: both sticks as planned"),
         "chopsticks/contact": ("tracking:contact", "eq. 5.5: fingertips at their places"),
         "chopsticks/object": ("relocate:thing", "eq. 5.4: the object as planned"),
+        "chopsticks/tip": ("strokes:tip", "eq. 5.4 of a brush: its tip as planned"),
     },
     "termination": {
         "chopsticks/dropped": ("tracking:dropped", "a stick is far from where it is planned"),
@@ -64,6 +67,7 @@ PARTS = {
 #: Tasks, ``conf/task/NAME.yaml``, and what is learned in each.
 TASKS = {
     "chopsticks/open_close": "hold two sticks, and open and close them as planned",
+    "chopsticks/brush": "hold a brush, and follow a curve with its tip",
     "chopsticks/relocate": "take an object with two sticks and put it elsewhere",
 }
 

@@ -5,6 +5,7 @@ N worlds; m, s.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -77,12 +78,15 @@ class Again(Memory):
 
     def __init__(self, options: Options, context: Context) -> None:
         made, self._bank = bank_of(context, "memory 'chopsticks/again'")
-        self._options, self._most = options, options.most if context.evaluating else 0
+        self._options = options
+        self._most: float = options.most if context.evaluating else 0
         self._onward = self._bank.one_by_one = options.onward and context.evaluating
         joint = made.scene.model.joint("object")
         self._at, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
         if (self._most or self._onward) and context.device.type != "cpu":
-            asked = f"memory.again.most={self._most}" if self._most else "memory.again.onward=true"
+            asked = (
+                f"memory.again.most={options.most}" if self._most else "memory.again.onward=true"
+            )
             raise ConfigError(
                 f"{asked} needs device=cpu simulator=mujoco: plans are made on the host, which a step "
                 "that a GPU captures does not wait for. Evaluate the run there: "
@@ -109,7 +113,7 @@ class Again(Memory):
                 "An object is led in one world on the CPU. Set num_worlds=1 device=cpu."
             )
         if self.target is None:
-            self._most = 1_000_000_000
+            self._most = math.inf
             self._bank.spare(1)
         self.target, self._new, self.refused = (x, y), True, ""
 

@@ -16,6 +16,7 @@ from understudy_hand.tools import tips
 
 #: The object as it is, and as it is planned.
 _OBJECT = ("object_state", "object_ahead")
+_STROKE = ("tip_offset",)
 
 
 class State(Encoder):
@@ -30,23 +31,32 @@ class State(Encoder):
         forces: bool = True  #: normal forces on fingertips and on the sticks' tips
         planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
         object: bool = False  #: the object as it is and as it is planned, in the palm's frame
+        stroke: bool = (
+            False  #: how far a brush's tip is from where it shall be, in the palm's frame
+        )
 
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "encoder 'chopsticks/state'")
         scene, touching = made.scene, len(made.touching)
         self._options, self._hinges = options, scene.hinges
-        places = (*(f"{finger}_distal" for finger in scene.measures.names), *tips("sticks"))
+        places = (
+            *(f"{finger}_distal" for finger in scene.measures.names),
+            *tips(scene.options.tool),
+        )
         self._touch = (
             tuple(f"recent_sensor_touch_{name}" for name in places) if options.forces else ()
         )
         self._from = tuple(f"from_{name}" for name in made.names) if made.several else ()
         self.reads = (
             "qpos", "qvel", "stick_state", "tip_distance", "plan_ahead", *self._touch, *self._from,
-            *(_OBJECT if options.object else ()),
+            *(_OBJECT if options.object else ()), *(_STROKE if options.stroke else ()),
         )  # fmt: skip
         planned = GRIPPER + (2 * scene.hinges if options.planned_hand else 0)
-        size = 2 * scene.hinges + 26 + touching + len(self._touch) + len(AHEAD) * planned
-        self.shape = (size + len(self._from) + (13 + 7 * len(AHEAD) if options.object else 0),)
+        size = (
+            2 * scene.hinges + 13 * made.parts + touching + len(self._touch) + len(AHEAD) * planned
+        )
+        size += (13 + 7 * len(AHEAD) if options.object else 0) + (3 if options.stroke else 0)
+        self.shape = (size + len(self._from),)
 
     def encode(
         self,
@@ -69,6 +79,7 @@ class State(Encoder):
                 ahead.flatten(1),
                 *(more[name][:, None] for name in self._from),
                 *(more[name].flatten(1) for name in _OBJECT if self._options.object),
+                *(more[name] for name in _STROKE if self._options.stroke),
             ],
             dim=1,
         )

@@ -1,7 +1,7 @@
 """Open-and-close motions as plans: where arm, hand and sticks shall be, now and ahead.
 
-The sticks are a gripper of seven degrees of freedom in the palm's frame: the lower one stays, the upper one
-turns by an angle φ(t) = A/2 (1 - cos 2πft). The hand's pose follows from φ by the grip's poses, and the arm
+Two sticks, or tongs, are a gripper of seven degrees of freedom in the palm's frame: the lower one stays, the upper one
+turns by an angle φ(t) = φ₀ + A/2 (1 - cos 2πft), where φ₀ is the least of the grip's. The hand's pose follows from φ by the grip's poses, and the arm
 stands still (thesis, sections 5.5.1 and 5.5.4). N worlds, U hinges of arm and hand; rad, m, s.
 """
 
@@ -24,7 +24,7 @@ from understudy_gripping.grip import Grip, Grips
 from understudy_gripping.hold import hold, placed
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
-from understudy_hand.tools import upper_pose
+from understudy_hand.tools import GRIPPERS, upper_pose
 from understudy_tensors import rotations
 from understudy_tensors.groups import Groups
 
@@ -55,6 +55,8 @@ class Gripping:
                 raise ConfigError(
                     f"grip.candidates.{name} is solved at other angles than the first one. Find both by style."
                 )
+        #: How the tool's parts hang together; None of a tool of one part.
+        self._gripper = GRIPPERS.get(scene.options.tool)
         # Pressed against the sticks a hand is not quite where it just touches them.
         settled = [
             [_settled(grip, scene, ARM_POSE, row) for row in range(len(grip.angles))]
@@ -77,8 +79,25 @@ class Gripping:
         return torch.as_tensor(rows, dtype=torch.float32).to(self.angles.device)
 
     @property
+    def parts(self) -> int:
+        """P, of the tool: two sticks, two bars, or a handle."""
+        return len(self.scene.tool_bodies)
+
+    @property
+    def least(self) -> float:
+        """rad: the angle at which motions begin."""
+        return float(self.grips[0].angles[0])
+
+    def upper(self, lower: Tensor, angle: Tensor) -> Tensor:
+        """(…, 7) of the upper part where the lower one is at `lower` (…, 7) and closed by `angle` (…); of a tool of
+        one part that one's."""
+        if self._gripper is None:
+            return lower
+        return torch.cat(upper_pose(lower[..., :3], lower[..., 3:], angle, self._gripper), dim=-1)
+
+    @property
     def touching(self) -> tuple[str, ...]:
-        """The fingers that touch a stick in any of the grips."""
+        """The fingers that touch the tool in any of the grips."""
         names = self.scene.measures.names
         return tuple(n for n in names if any(n in grip.touching for grip in self.grips))
 
@@ -108,11 +127,11 @@ def _settled(
     held = hold(scene, data, np.array([*arm, *grip.targets[row]]), _SETTLE, 0.5 * _SETTLE)
     if held.fell is not None:
         raise ConfigError(
-            f"The grip does not hold the sticks with the arm at {np.round(arm, 3).tolist()} rad at an "
-            f"angle of {grip.angles[row]:g} rad: one falls after {held.fell:.2f} s. Choose another "
+            f"The grip does not hold the {scene.options.tool} with the arm at {np.round(arm, 3).tolist()} rad at an "
+            f"angle of {grip.angles[row]:g} rad: a part falls after {held.fell:.2f} s. Choose another "
             "grip (grip.file), arm (initial_states.arms) or contact (scene.contact)."
         )
-    palm, stick = data.body("palm"), data.body(scene.tool_bodies[1])
+    palm, stick = data.body("palm"), data.body(scene.tool_bodies[-1])
     turn = torch.tensor(palm.xmat.reshape(3, 3))
     place = turn.T @ torch.tensor(stick.xpos - palm.xpos)
     rotation = rotations.multiply(
@@ -183,10 +202,11 @@ class Plan(Fields):
     ) -> dict[str, Tensor]:
         made = self._gripping
         angle, _ = angle_at(motion_amplitude, motion_rate, episode_time)
+        angle = angle + made.least
         pose, velocity, _ = self._moving(motion_amplitude, motion_rate, planned_arm, episode_time)
         targets, _ = made.at(made.targets, angle)
         lower = made.lower.expand(len(angle), 7)
-        upper = torch.cat(upper_pose(lower[:, :3], lower[:, 3:], angle), dim=1)
+        upper = made.upper(lower, angle)
         times = episode_time[:, None] + self._ahead
         later = self._moving(
             motion_amplitude[:, None].expand_as(times),
@@ -210,6 +230,7 @@ class Plan(Fields):
         """Pose and velocity (…, U) of arm and hand, and the gripper (…, 15)."""
         made = self._gripping
         angle, turning = angle_at(amplitude, rate, time)
+        angle = angle + made.least
         hand, slope = made.at(made.poses, angle)
         lower = made.lower.view(-1, *[1] * (angle.dim() - 1), 7).expand(*angle.shape, 7)
         still = torch.zeros_like(lower[..., :6])
@@ -256,10 +277,14 @@ class OpenAndClose(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         made = gripping(context, "initial_states 'chopsticks/open_and_close'")
         self._options, model = options, made.scene.model
-        most = float(made.angles[-1])
+        if made.parts < 2:
+            raise ConfigError(
+                "initial_states 'chopsticks/open_and_close' needs a tool that opens. Set scene.tool=sticks or tongs."
+            )
+        most = round(float(made.angles[-1]) - made.least, 6)
         if options.amplitude[1] > most:
             raise ConfigError(
-                f"initial_states.amplitude={list(options.amplitude)} is not possible: the grip closes to "
+                f"initial_states.amplitude={list(options.amplitude)} is not possible: the grip closes by "
                 f"{most:g} rad. Give less, or another grip."
             )
         arms = np.array(ARM_POSE) + np.array(options.arms)

@@ -71,6 +71,10 @@ class Bank:
             raise ConfigError(
                 "Relocation takes one grip. Set grip.name, grip.file or grip.style, and no grip.candidates."
             )
+        if (tool := made.scene.options.tool) != "sticks":
+            raise ConfigError(
+                f"Relocation needs two sticks, and the scene has tool={tool}. Set scene.tool=sticks."
+            )
         self._shape = objects.Shape(thing.kind, thing.sizes)
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.

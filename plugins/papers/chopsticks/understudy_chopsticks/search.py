@@ -15,7 +15,7 @@ from understudy_bayes.gp_ucb import GPUCB
 from understudy_bayes.side_by_side import CANDIDATE, reports, together
 from understudy_bayes.space import Parameter
 from understudy_bayes.surrogate import SurrogateOptions
-from understudy_gripping.pose import first_guess
+from understudy_gripping.holding import holding
 from understudy_gripping.styles import Style, read_style, styles, written
 from understudy_hand.table import FEWEST, FINGERS
 from understudy_hand.tools import HALF_LENGTH
@@ -162,7 +162,7 @@ def _search(style: Style, options: GripSearch.Options, seed: int) -> GPUCB:
         f"grip.places.{finger}": Parameter(
             max(guess - options.spread, -HALF_LENGTH), min(guess + options.spread, HALF_LENGTH)
         )
-        for finger, guess in zip(touching, first_guess(style), strict=True)
+        for finger, guess in zip(touching, holding("sticks").first_guess(style), strict=True)
     }
     own = GPUCB.Options(
         parameters, trials=options.evaluations, initial=options.initial, failed=0.0,

@@ -16,18 +16,18 @@ from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
 from understudy.task.terms import ranges
 from understudy_chopsticks.plan import gripping
-from understudy_gripping.pose import sides
-from understudy_hand.tools import RADIUS
+from understudy_gripping.holding import holding
+from understudy_hand.tools import GRIPPERS
 from understudy_tensors import rotations
 from understudy_tensors.segments import at, place_on_segment
 
 
 class Tracking(Fields):
-    """The sticks in the palm's frame, and errors.
+    """The sticks, or the P parts of another tool, in the palm's frame, and errors.
 
-    - ``stick_state`` (2, 13): position, rotation, linear and angular velocity
-    - ``stick_distance`` (2,) m, of the middles from the planned ones; ``stick_turn`` (2,) rad, between the
-      sticks' axes and the planned ones; ``stick_rotation`` (2,) rad, the same with the spin about the axis
+    - ``stick_state`` (P, 13): position, rotation, linear and angular velocity
+    - ``stick_distance`` (P,) m, of the middles from the planned ones; ``stick_turn`` (P,) rad, between the
+      sticks' axes and the planned ones; ``stick_rotation`` (P,) rad, the same with the spin about the axis
     - ``angle`` () rad, between the sticks as the plan means it: about the lower one's z axis
     - ``angle_error`` () rad, of that, without sign
     - ``tip_distance`` (F,) m, of fingertips from their places on the sticks; where several grips share the job, of
@@ -51,6 +51,7 @@ class Tracking(Fields):
     def __init__(self, options: None, context: Context) -> None:
         made = gripping(context, "fields 'chopsticks/tracking'")
         model, device = made.scene.model, context.device
+        own = holding(made.scene.options.tool)
         bodies = [model.body(name).id for name in ("palm", *made.scene.tool_bodies)]
         self._bodies = torch.tensor(bodies, device=device)
         self._roots = torch.tensor(model.body_rootid[bodies], dtype=torch.long, device=device)
@@ -63,17 +64,22 @@ class Tracking(Fields):
         for grip in made.grips:
             places = dict(zip(grip.touching, grip.places, strict=True))
             rows = [made.scene.measures.names.index(name) for name in made.touching]
-            side = [sides(grip.style)[row] for row in rows]
+            side = [own.sides(grip.style)[row] for row in rows]
             along = [(places.get(name, 0.0), 0.0, 0.0) for name in made.touching]
             sticks.append([max(grip.style[row] - 1, 0) for row in rows])
-            goals.append((np.array(along) + RADIUS * np.array(side)).tolist())
+            goals.append((np.array(along) + own.thickness * np.array(side)).tolist())
             touches.append([float(name in places) for name in made.touching])
         self._sticks = made.of_worlds(sticks).long()
         self._goals = made.of_worlds(goals)
         self._touches = made.of_worlds(touches)
         self._x = torch.tensor([1.0, 0.0, 0.0], device=device)
-        self._z = torch.tensor([0.0, 0.0, 1.0], device=device)
-        self.provides = {**self.provides, "tip_distance": (len(tips),)}
+        self._parts = parts = made.parts
+        gripper = GRIPPERS.get(made.scene.options.tool)
+        self._zero = 0.0 if gripper is None else gripper.zero
+        of_parts = {f"stick_{name}": (parts,) for name in ("distance", "turn", "rotation")}
+        self.provides = {
+            **self.provides, "stick_state": (parts, 13), **of_parts, "tip_distance": (len(tips),),
+        }  # fmt: skip
 
     def compute(
         self,
@@ -88,7 +94,7 @@ class Tracking(Fields):
         planned_angle: Tensor,
     ) -> dict[str, Tensor]:
         places, turns = xpos.index_select(1, self._bodies), xquat.index_select(1, self._bodies)
-        moving = cvel.index_select(1, self._bodies).view(len(xpos), 3, 6)
+        moving = cvel.index_select(1, self._bodies).view(len(xpos), 1 + self._parts, 6)
         spin = moving[..., :3]  # world axes; MuJoCo gives velocities at the tree's centre of mass
         arms = places - subtree_com.index_select(1, self._roots)
         speed = moving[..., 3:] + torch.linalg.cross(spin, arms, dim=-1)
@@ -102,11 +108,13 @@ class Tracking(Fields):
             rotations.inverse_rotate(palm, speed[:, 1:] - carried),
             rotations.inverse_rotate(palm, spin[:, 1:] - spin[:, :1]),
         ]
-        planned = torch.stack([planned_upper, planned_lower], dim=1)
+        planned = torch.stack([planned_upper, planned_lower][-self._parts :], dim=1)
         axes = rotations.rotate(rotation, self._x)
         wanted = rotations.rotate(planned[..., 3:], self._x)
-        upper = rotations.inverse_rotate(rotation[:, 1], axes[:, 0])
+        upper = rotations.inverse_rotate(rotation[:, -1], axes[:, 0])
         angle = torch.atan2(upper[:, 1], upper[:, 0])
+        if self._zero:
+            angle = angle - self._zero
         touched = self._sticks.expand(len(xpos), -1)[..., None]
         goals = places[:, 1:].gather(1, touched.expand(-1, -1, 3)) + rotations.rotate(
             turns[:, 1:].gather(1, touched.expand(-1, -1, 4)), self._goals
