@@ -62,6 +62,7 @@ PARTS = {
         "sitting/sit_down": ("terms:SitDown", "on the seat or nearing it, eq. 8"),
         "sitting/planted": ("manner:planted", "feet stay where they stand"),
         "sitting/unhurried": ("manner:unhurried", "the pelvis does not fall"),
+        "sitting/servos": ("manner:Servos", "servo targets are the clip's own"),
         "sitting/spent": ("manner:spent", "minus what a sum such as ways slid grew by"),
     },
     "measure": {

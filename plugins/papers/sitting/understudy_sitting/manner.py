@@ -14,6 +14,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Context, Fields, Memory, Shape
 from understudy_characters.scene import CharacterScene
+from understudy_sitting.actuation import units
 from understudy_sitting.chair import FEET, Chair, Soles
 from understudy_sitting.state import chair_of
 from understudy_tensors import rotations
@@ -171,6 +172,27 @@ def unhurried(
 ) -> Tensor:
     """exp(-scale max(0, v - most)²), v the pelvis' speed downwards."""
     return torch.exp(-scale * (pelvis_fall - most).clamp(min=0.0).square())
+
+
+class Servos:
+    """exp(-alpha m), m the mean square over the servos by which the action differs from the clip's own targets, in the
+    units of ``sitting/around_clip``: where these alone already move the figure as the clip does, they are worth having."""
+
+    @dataclass(frozen=True)
+    class Options:
+        alpha: float = 2.0  #: of an action of 1 squared
+        least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
+
+        def __post_init__(self) -> None:
+            check_range(self, "alpha", "least", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._alpha = options.alpha
+        self._middle, self._unit = units(context, options.least)
+
+    def __call__(self, action: Tensor, previous_reference_joint_targets: Tensor) -> Tensor:
+        wanted = (previous_reference_joint_targets - self._middle) / self._unit
+        return torch.exp(-self._alpha * (action - wanted).square().mean(dim=1))
 
 
 def spent(value: Tensor, before: Tensor) -> Tensor:
