@@ -71,7 +71,9 @@ def test_a_squat_is_low_and_not_on_the_seat() -> None:
     assert found["squatted"] == pytest.approx(2 * DT)
 
 
-@pytest.mark.parametrize(("share", "drops"), [(1.0, True), (0.6, True), (0.4, False), (-1.0, False)])
+@pytest.mark.parametrize(
+    ("share", "drops"), [(1.0, True), (0.6, True), (0.4, False), (-1.0, False)]
+)
 def test_who_falls_is_not_borne(share: float, drops: bool) -> None:
     """Its centre of mass accelerates downwards with a share of g, from rest."""
     falling = [frame(weight_height=2.0 - 0.5 * share * 9.81 * (k * DT) ** 2) for k in range(6)]
@@ -84,7 +86,9 @@ def test_who_moves_evenly_from_the_start_on_drops_not() -> None:
 
 def test_terms_against_dropping_and_sliding() -> None:
     speed, down = torch.tensor([[0.0, 0.1], [0.0, 0.0]]), torch.tensor([[1.0, 1.0], [0.0, 1.0]])
-    assert planted(speed, down, scale=30.0).tolist() == pytest.approx([0.5 + 0.5 * math.exp(-0.3), 0.5])
+    assert planted(speed, down, scale=30.0).tolist() == pytest.approx(
+        [0.5 + 0.5 * math.exp(-0.3), 0.5]
+    )
     fall = torch.tensor([-2.0, 0.6, 0.9])
     assert unhurried(fall).tolist() == pytest.approx([1.0, 1.0, math.exp(-0.9)])
     assert spent(torch.tensor([1.5]), torch.tensor([1.2])).tolist() == pytest.approx([-0.3])

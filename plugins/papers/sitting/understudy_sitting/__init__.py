@@ -52,6 +52,9 @@ PARTS = {
         "sitting/target_ahead": ("targets:TargetAhead", "a place to walk to, drawn anew"),
         "sitting/descent": ("manner:Descent", "how it sat down: falls, slides, squats"),
     },
+    "learner": {
+        "sitting/after_clip": ("cloning:AfterClip", "the clip's own servo targets, told"),
+    },
     "reward": {
         "sitting/pose": ("terms:pose", "joint angles are the reference's, eq. 3"),
         "sitting/velocity": ("terms:velocity", "joint velocities are the reference's, eq. 3"),

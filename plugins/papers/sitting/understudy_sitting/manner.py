@@ -89,7 +89,15 @@ class Descent(Memory):
     less than half of the weight: its centre of mass accelerates downwards by more than g/2.
     """
 
-    reads = ("weight_height", "pelvis_height", "pelvis_fall", "seat_depth", "seat_contact", "feet_speed", "feet_down")
+    reads = (
+        "weight_height",
+        "pelvis_height",
+        "pelvis_fall",
+        "seat_depth",
+        "seat_contact",
+        "feet_speed",
+        "feet_down",
+    )
     keeps: Mapping[str, Shape] = {
         "fastest_fall": (),
         "last_fall": (),
@@ -113,9 +121,7 @@ class Descent(Memory):
     def __init__(self, options: Options, context: Context) -> None:
         self._low, self._dt = options.low, context.control_dt
 
-    def begin(
-        self, pelvis_fall: Tensor, weight_height: Tensor, **now: Tensor
-    ) -> dict[str, Tensor]:
+    def begin(self, pelvis_fall: Tensor, weight_height: Tensor, **now: Tensor) -> dict[str, Tensor]:
         begun = dict.fromkeys(self.keeps, torch.zeros_like(pelvis_fall))
         # No speed of the whole is known: where it falls from the first period on, that one does not count.
         return {**begun, "last_fall": pelvis_fall, "last_height": weight_height,
