@@ -38,6 +38,7 @@ PARTS = {
         "sitting/reference": ("state:Reference", "the same of the reference"),
         "sitting/goal": ("state:Goal", "the direction to a target"),
         "sitting/seat": ("state:Seat", "the chair, and the pelvis on its seat"),
+        "sitting/manner": ("manner:Manner", "pelvis and feet by seat and floor"),
         "sitting/target_by_chair": ("targets:TargetByChair", "a chosen place, by the chair"),
     },
     "encoder": {
@@ -49,6 +50,10 @@ PARTS = {
     },
     "memory": {
         "sitting/target_ahead": ("targets:TargetAhead", "a place to walk to, drawn anew"),
+        "sitting/descent": ("manner:Descent", "how it sat down: falls, slides, squats"),
+    },
+    "learner": {
+        "sitting/after_clip": ("cloning:AfterClip", "the clip's own servo targets, told"),
     },
     "reward": {
         "sitting/pose": ("terms:pose", "joint angles are the reference's, eq. 3"),
@@ -58,6 +63,10 @@ PARTS = {
         "sitting/turning": ("terms:turning", "turns as the reference does, eq. 6"),
         "sitting/nearing": ("terms:Nearing", "the pelvis comes to the seat, eq. 7"),
         "sitting/sit_down": ("terms:SitDown", "on the seat or nearing it, eq. 8"),
+        "sitting/planted": ("manner:planted", "feet stay where they stand"),
+        "sitting/unhurried": ("manner:unhurried", "the pelvis does not fall"),
+        "sitting/servos": ("manner:Servos", "servo targets are the clip's own"),
+        "sitting/spent": ("manner:spent", "minus what a sum such as ways slid grew by"),
     },
     "measure": {
         "sitting/pose": ("terms:pose", "joint angles are the reference's, eq. 3"),

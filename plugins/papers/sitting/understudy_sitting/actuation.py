@@ -15,6 +15,14 @@ from understudy_characters.scene import CharacterScene, reference_motion
 _SAMPLES = 256
 
 
+def units(context: Context, least: float) -> tuple[Tensor, Tensor]:
+    """Of the servo targets of the clip: their mean (U,) and their spread (U,), at least `least`, rad."""
+    reference = reference_motion(context)
+    times = torch.linspace(0.0, reference.duration, _SAMPLES, device=context.device)
+    targets = reference.sample(times * (1 - 1e-6))["reference_joint_targets"]
+    return targets.mean(dim=0), targets.std(dim=0).clamp(min=least)
+
+
 class AroundClip(Actuation):
     """Servo targets: the mean of the clip's, plus the action times their spread over the clip.
 
@@ -34,11 +42,7 @@ class AroundClip(Actuation):
 
     def __init__(self, options: Options, context: Context) -> None:
         scene = context.need_scene(CharacterScene, "actuation 'sitting/around_clip'")
-        reference = reference_motion(context)
-        times = torch.linspace(0.0, reference.duration, _SAMPLES, device=context.device)
-        targets = reference.sample(times * (1 - 1e-6))["reference_joint_targets"]
-        self._middle = targets.mean(dim=0)
-        self._unit = targets.std(dim=0).clamp(min=options.least)
+        self._middle, self._unit = units(context, options.least)
         self.action_space = box(scene.layout.num_actuators)
 
     def control(self, action: Tensor) -> Tensor:

@@ -172,10 +172,10 @@ class Soles(Surroundings):
     """What senses the feet on the floor."""
 
     def __init__(self, options: SolesOptions, registry: Registry, inputs: Inputs) -> None:
-        self._options = options
+        self.options = options
 
     def add(self, spec: mujoco.MjSpec) -> None:
-        for name, foot in zip(FEET, self._options.feet, strict=True):
+        for name, foot in zip(FEET, self.options.feet, strict=True):
             sense(spec, name, foot, "floor")
 
 

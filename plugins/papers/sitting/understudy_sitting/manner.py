@@ -1,0 +1,206 @@
+"""How one sits down, beside whether: does it drop, where does it land, do its feet stay.
+
+Success counts who sits; who jumps onto the edge and pulls the feet up sits, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from understudy.options import check_range
+from understudy.task import Context, Fields, Memory, Shape
+from understudy_characters.scene import CharacterScene
+from understudy_sitting.actuation import units
+from understudy_sitting.chair import FEET, Chair, Soles
+from understudy_sitting.state import chair_of
+from understudy_tensors import rotations
+
+_GRAVITY = 9.81  #: m/s²
+
+
+class Manner(Fields):
+    """Pelvis and feet in the world, by floor and seat.
+
+    ``weight_height`` (N,) m of the figure's centre of mass. ``pelvis_height`` (N,) m, ``pelvis_fall`` (N,) m/s, downwards; ``seat_depth`` (N,) m of the pelvis behind the
+    seat's front edge, negative before it. ``feet_speed`` (N, 2) m/s of left and right ankle along the floor,
+    ``feet_down`` (N, 2) 1 where that foot touches it, ``feet_standing`` (N,) their mean.
+    """
+
+    reads = ("xpos", "cvel", "subtree_com", "seat_position", "chair_rotation",
+             *(f"sensor_{foot}" for foot in FEET))  # fmt: skip
+    provides: Mapping[str, Shape] = {
+        "pelvis_height": (),
+        "pelvis_fall": (),
+        "seat_depth": (),
+        "feet_speed": (2,),
+        "feet_down": (2,),
+        "feet_standing": (),
+        "weight_height": (),
+    }
+
+    def __init__(self, options: None, context: Context) -> None:
+        who = "fields 'sitting/manner'"
+        scene = context.need_scene(CharacterScene, who)
+        model, self._root = scene.model, scene.layout.root_body
+        chair = context.need_section("chair", Chair, who).options
+        soles = context.need_section("soles", Soles, who).options
+        self._links = [model.body(name).id for name in (chair.pelvis, *soles.feet)]
+        self._half_depth = float(model.geom_size[chair_of(model)[1], 0])
+
+    def compute(
+        self,
+        xpos: Tensor,
+        cvel: Tensor,
+        subtree_com: Tensor,
+        seat_position: Tensor,
+        chair_rotation: Tensor,
+        **touching: Tensor,
+    ) -> dict[str, Tensor]:
+        places = xpos[:, self._links]  # (N, 3, 3)
+        angular, linear = cvel[:, self._links].split(3, dim=-1)  # at the figure's centre of mass
+        lever = places - subtree_com[:, self._root, None]
+        velocities = linear + torch.linalg.cross(angular, lever)
+        ahead = rotations.to_matrix(chair_rotation)[:, :2, 0]
+        depth = self._half_depth - ((places[:, 0] - seat_position)[:, :2] * ahead).sum(1)
+        down = (torch.cat([touching[f"sensor_{foot}"] for foot in FEET], dim=1) > 0).float()
+        speed = velocities[:, 1:, :2].norm(dim=-1)
+        return {
+            "pelvis_height": places[:, 0, 2],
+            "pelvis_fall": -velocities[:, 0, 2],
+            "seat_depth": depth,
+            "feet_speed": speed,
+            "feet_down": down,
+            "feet_standing": down.mean(1),
+            "weight_height": subtree_com[:, self._root, 2],
+        }
+
+
+class Descent(Memory):
+    """What sitting down was like so far, of every control period.
+
+    ``fastest_fall`` (N,) m/s: the pelvis' fastest downwards, anywhere. ``landing_fall`` (N,) m/s and
+    ``landing_depth`` (N,) m: as it first touched the seat, the speed that of one control period before, since contact
+    has stopped it after; ``landed`` (N,) 1 from then on, before all three are 0. ``slid`` (N,) m: the way of feet
+    along the floor while they touch it, their mean. ``squatted`` (N,) s with the pelvis lower than ``low`` and not on the seat. ``dropped`` (N,) s in which floor and chair bear
+    less than half of the weight: its centre of mass accelerates downwards by more than g/2.
+    """
+
+    reads = (
+        "weight_height",
+        "pelvis_height",
+        "pelvis_fall",
+        "seat_depth",
+        "seat_contact",
+        "feet_speed",
+        "feet_down",
+    )
+    keeps: Mapping[str, Shape] = {
+        "fastest_fall": (),
+        "last_fall": (),
+        "landing_fall": (),
+        "landing_depth": (),
+        "landed": (),
+        "slid": (),
+        "squatted": (),
+        "last_height": (),
+        "last_rise": (),
+        "dropped": (),
+    }
+
+    @dataclass(frozen=True)
+    class Options:
+        low: float = 0.72  #: m of the pelvis above the floor, which stands at 0.88 m
+
+        def __post_init__(self) -> None:
+            check_range(self, "low", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._low, self._dt = options.low, context.control_dt
+
+    def begin(self, pelvis_fall: Tensor, weight_height: Tensor, **now: Tensor) -> dict[str, Tensor]:
+        begun = dict.fromkeys(self.keeps, torch.zeros_like(pelvis_fall))
+        # No speed of the whole is known: where it falls from the first period on, that one does not count.
+        return {**begun, "last_fall": pelvis_fall, "last_height": weight_height,
+                "last_rise": torch.full_like(pelvis_fall, -1e6)}  # fmt: skip
+
+    def advance(
+        self,
+        kept: Mapping[str, Tensor],
+        weight_height: Tensor,
+        pelvis_height: Tensor,
+        pelvis_fall: Tensor,
+        seat_depth: Tensor,
+        seat_contact: Tensor,
+        feet_speed: Tensor,
+        feet_down: Tensor,
+    ) -> dict[str, Tensor]:
+        touches = seat_contact != 0
+        first = touches & (kept["landed"] == 0)
+        squats = ((pelvis_height < self._low) & ~touches).float()
+        rise = (weight_height - kept["last_height"]) / self._dt
+        drops = (rise - kept["last_rise"] < -0.5 * _GRAVITY * self._dt).float()
+        return {
+            "fastest_fall": kept["fastest_fall"].maximum(pelvis_fall),
+            "last_fall": pelvis_fall,
+            "landing_fall": torch.where(first, kept["last_fall"], kept["landing_fall"]),
+            "landing_depth": torch.where(first, seat_depth, kept["landing_depth"]),
+            "landed": kept["landed"].maximum(touches.float()),
+            "slid": kept["slid"] + self._dt * (feet_speed * feet_down).mean(1),
+            "squatted": kept["squatted"] + self._dt * squats,
+            "last_height": weight_height,
+            "last_rise": rise,
+            "dropped": kept["dropped"] + self._dt * drops,
+        }
+
+
+def planted(
+    feet_speed: Tensor,
+    feet_down: Tensor,
+    *,
+    #: s²/m²
+    scale: float = 30.0,
+) -> Tensor:
+    """Mean over the feet of exp(-scale v²), v its speed along the floor in m/s; 0 of a foot that does not touch it."""
+    return (feet_down * torch.exp(-scale * feet_speed.square())).mean(1)
+
+
+def unhurried(
+    pelvis_fall: Tensor,
+    *,
+    #: m/s downwards that cost nothing
+    most: float = 0.6,
+    #: s²/m²
+    scale: float = 10.0,
+) -> Tensor:
+    """exp(-scale max(0, v - most)²), v the pelvis' speed downwards."""
+    return torch.exp(-scale * (pelvis_fall - most).clamp(min=0.0).square())
+
+
+class Servos:
+    """exp(-alpha m), m the mean square over the servos by which the action differs from the clip's own targets, in the
+    units of ``sitting/around_clip``: where these alone already move the figure as the clip does, they are worth having."""
+
+    @dataclass(frozen=True)
+    class Options:
+        alpha: float = 2.0  #: of an action of 1 squared
+        least: float = 0.15  #: rad that an action of 1 is at least, as of ``sitting/around_clip``
+
+        def __post_init__(self) -> None:
+            check_range(self, "alpha", "least", above=0)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        self._alpha = options.alpha
+        self._middle, self._unit = units(context, options.least)
+
+    def __call__(self, action: Tensor, previous_reference_joint_targets: Tensor) -> Tensor:
+        wanted = (previous_reference_joint_targets - self._middle) / self._unit
+        return torch.exp(-self._alpha * (action - wanted).square().mean(dim=1))
+
+
+def spent(value: Tensor, before: Tensor) -> Tensor:
+    """Minus what a sum that only grows, such as ``slid``, grew by in the decision; ``before`` is its ``previous_``."""
+    return before - value
