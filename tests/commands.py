@@ -12,6 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from understudy.command.cli import main
+from understudy.testing import check_plugin
+
+#: What the server has imported: of libraries whatever takes long, of plugins what trainings need.
+_PRELOADED = ["torch._dynamo", "understudy_ppo.learner", "understudy.testing", "commands"]
 
 Start = Callable[..., Any]
 
@@ -19,10 +23,28 @@ Start = Callable[..., Any]
 def begin(*arguments: str) -> Any:
     """A process that carries out the command, in silence; its exit code is the command's status."""
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["torch._dynamo", "understudy_ppo.learner", "commands"])
+    server.set_forkserver_preload(_PRELOADED)
     process = server.Process(target=_quietly, args=(arguments,))
     process.start()
     return process
+
+
+def begin_check(plugin: str, allowed: str) -> Any:
+    """A process in which no plugin but those `allowed` is installed; it ends with exit code 0 if what `plugin`
+    registers works."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_PRELOADED)
+    process = server.Process(target=_checking, args=(plugin, allowed))
+    process.start()
+    return process
+
+
+def _checking(plugin: str, allowed: str) -> None:
+    import torch
+
+    torch.set_num_threads(1)
+    os.environ["UNDERSTUDY_PLUGINS"] = allowed
+    check_plugin(plugin)
 
 
 def begin_that_stops_writing(mark: Path, *arguments: str) -> Any:
@@ -75,7 +97,7 @@ def kill(process: Any) -> None:
 def begin_reproduction(table: Path, *arguments: str) -> Any:
     """As :func:`begin`, of ``reproduce`` where the file `table` is the table ``mine/one``."""
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["torch._dynamo", "understudy_ppo.learner", "commands"])
+    server.set_forkserver_preload(_PRELOADED)
     process = server.Process(target=_offering, args=(table, arguments))
     process.start()
     return process
