@@ -3,9 +3,11 @@ they start at once."""
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +29,26 @@ def begin(*arguments: str) -> Any:
     process = server.Process(target=_quietly, args=(arguments,))
     process.start()
     return process
+
+
+def begin_on(terminal: Path, encoding: str, *arguments: str) -> Any:
+    """As :func:`begin`, with what it prints in the file `terminal`, which takes `encoding` alone."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_PRELOADED)
+    process = server.Process(target=_showing, args=(terminal, encoding, arguments))
+    process.start()
+    return process
+
+
+def _showing(terminal: Path, encoding: str, arguments: tuple[str, ...]) -> None:
+    os.dup2(os.open(terminal, os.O_WRONLY | os.O_CREAT), 1)
+    os.dup2(1, 2)
+    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), encoding)
+    sys.stderr = io.TextIOWrapper(io.FileIO(2, "w", closefd=False), encoding, "backslashreplace")
+    sys.argv = ["understudy", *arguments]
+    status = main()
+    sys.stdout.flush()
+    os._exit(status)
 
 
 def begin_check(plugin: str, allowed: str) -> Any:
