@@ -19,6 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.setup.config import Experiment
+from understudy.setup.kept import KeptOptions
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import Root
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
@@ -45,6 +46,8 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     GlobalHydra.instance().clear()
     try:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
+            loader = GlobalHydra.instance().config_loader()
+            loader.repository = KeptOptions(loader.get_search_path())
             yield
     except (HydraException, OmegaConfBaseException, ValueError, RecursionError) as error:
         text = _plain(error, plugins, overrides)
