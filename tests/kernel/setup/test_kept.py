@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
+from hydra.core.plugins import Plugins as HydrasPlugins
 
 from understudy.setup.composition import compose_raw
 from understudy.setup.kept import KeptOptions
@@ -15,6 +16,7 @@ from understudy.setup.plugins import Plugins
 @pytest.fixture
 def repository(tmp_path: Path) -> KeptOptions:
     """Of the folders ``first`` and ``second``."""
+    HydrasPlugins.instance()  # which finds what reads files
     path = ConfigSearchPathImpl()
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
