@@ -35,8 +35,9 @@ class KeptOptions(ConfigRepository):
 
     def load_config(self, config_path: str) -> ConfigResult | None:
         if config_path == "hydra/config":
-            content, group = copy.deepcopy(_settings()), {"package": "hydra"}
-            return ConfigResult("hydra", "", content, group, [], is_schema_source=True)
+            header: dict[str, str | None] = {"package": "hydra"}
+            content = copy.deepcopy(_settings())
+            return ConfigResult("hydra", "", content, header, [], is_schema_source=True)
         state = self._state(config_path)
         if state is None:
             return None
