@@ -3,15 +3,21 @@ they start at once."""
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from understudy.command.cli import main
+from understudy.testing import check_plugin
+
+#: What the server has imported: of libraries whatever takes long, of plugins what trainings need.
+_PRELOADED = ["torch._dynamo", "understudy_ppo.learner", "understudy.testing", "commands"]
 
 Start = Callable[..., Any]
 
@@ -19,10 +25,48 @@ Start = Callable[..., Any]
 def begin(*arguments: str) -> Any:
     """A process that carries out the command, in silence; its exit code is the command's status."""
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["torch._dynamo", "understudy_ppo.learner", "commands"])
+    server.set_forkserver_preload(_PRELOADED)
     process = server.Process(target=_quietly, args=(arguments,))
     process.start()
     return process
+
+
+def begin_on(terminal: Path, encoding: str, *arguments: str) -> Any:
+    """As :func:`begin`, with what it prints in the file `terminal`, which takes `encoding` alone."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_PRELOADED)
+    process = server.Process(target=_showing, args=(terminal, encoding, arguments))
+    process.start()
+    return process
+
+
+def _showing(terminal: Path, encoding: str, arguments: tuple[str, ...]) -> None:
+    os.dup2(os.open(terminal, os.O_WRONLY | os.O_CREAT), 1)
+    os.dup2(1, 2)
+    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), encoding)
+    sys.stderr = io.TextIOWrapper(io.FileIO(2, "w", closefd=False), encoding, "backslashreplace")
+    sys.argv = ["understudy", *arguments]
+    status = main()
+    sys.stdout.flush()
+    os._exit(status)
+
+
+def begin_check(plugin: str, allowed: str) -> Any:
+    """A process in which no plugin but those `allowed` is installed; it ends with exit code 0 if what `plugin`
+    registers works."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_PRELOADED)
+    process = server.Process(target=_checking, args=(plugin, allowed))
+    process.start()
+    return process
+
+
+def _checking(plugin: str, allowed: str) -> None:
+    import torch
+
+    torch.set_num_threads(1)
+    os.environ["UNDERSTUDY_PLUGINS"] = allowed
+    check_plugin(plugin)
 
 
 def begin_that_stops_writing(mark: Path, *arguments: str) -> Any:
@@ -75,7 +119,7 @@ def kill(process: Any) -> None:
 def begin_reproduction(table: Path, *arguments: str) -> Any:
     """As :func:`begin`, of ``reproduce`` where the file `table` is the table ``mine/one``."""
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["torch._dynamo", "understudy_ppo.learner", "commands"])
+    server.set_forkserver_preload(_PRELOADED)
     process = server.Process(target=_offering, args=(table, arguments))
     process.start()
     return process

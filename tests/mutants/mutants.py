@@ -676,4 +676,18 @@ MUTANTS = (
         "for name, e in parts.encoders.items()",
         "tests/plugins/imagination/test_imagination_learner.py -k critic_may",
     ),
+    Mutant(
+        "a file of options that changed is read anew",
+        f"{KERNEL}/setup/kept.py",
+        "return (file, state.st_mtime_ns, state.st_size, state.st_ino)",
+        "return (file,)",
+        "tests/kernel/setup/test_kept.py -k changes",
+    ),
+    Mutant(
+        "a composition changes no file of options that is kept",
+        f"{KERNEL}/setup/kept.py",
+        "return copy.deepcopy(_read[state])",
+        "return _read[state]",
+        "tests/kernel/setup/test_kept.py -k handed_out",
+    ),
 )  # fmt: skip

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
@@ -19,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.setup.config import Experiment
+from understudy.setup.kept import KeptOptions
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import Root
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
@@ -45,6 +47,9 @@ def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
     GlobalHydra.instance().clear()
     try:
         with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
+            loader = GlobalHydra.instance().config_loader()
+            assert isinstance(loader, ConfigLoaderImpl)
+            loader.repository = KeptOptions(loader.get_search_path())
             yield
     except (HydraException, OmegaConfBaseException, ValueError, RecursionError) as error:
         text = _plain(error, plugins, overrides)
