@@ -114,7 +114,7 @@ def on_files(files: Files, config: Any) -> Files:
 #: How much a page weighs in the site's search, by what its place begins with: what a user asks comes before what
 #: a developer reads, and that before cards of single tables.
 _WEIGHTS = (
-    ("api/", 0.3), ("decisions/", 0.3), ("benchmarks/", 0.3), ("papers/", 0.7), ("plugins/", 1.0),
+    ("api/", 0.05), ("decisions/", 0.3), ("benchmarks/", 0.3), ("papers/", 0.7), ("plugins/", 1.0),
     ("how-do-i.md", 8.0), ("", 2.0),
 )  # fmt: skip
 
