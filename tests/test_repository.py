@@ -6,6 +6,7 @@ import importlib.util
 import re
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -45,6 +46,15 @@ def test_commands_of_these_pages_are_targets_of_make() -> None:
     for name in ("CONTRIBUTING.md", ".github/pull_request_template.md", ".pre-commit-config.yaml"):
         text = (ROOT / name).read_text(encoding="utf-8")
         assert set(re.findall(r"(?:`|^|: )make ([\w-]+)", text, re.MULTILINE)) <= targets, name
+
+
+def test_a_new_plugin_is_type_checked_without_a_line() -> None:
+    checker = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pyright"]
+    assert set(checker["include"]) == {"kernel", "plugins"}
+    assert not checker.keys() & {"executionEnvironments", "exclude", "ignore"}
+    assert [rule for rule, value in checker.items() if value is False] == [
+        "reportMissingModuleSource"
+    ]
 
 
 def test_ci_runs_what_the_workflow_runs() -> None:

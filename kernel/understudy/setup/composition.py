@@ -136,6 +136,10 @@ def _is_file(value: str) -> bool:
         return False
 
 
+#: Bytes; the longest name of a file.
+_LONGEST_KEY = 255
+
+
 def _check(override: str, plugins: Plugins) -> None:
     """Raise :class:`ConfigError` for what is no single assignment."""
     if override.lstrip("+~'\" ").startswith("hydra"):  # hydra.searchpath=[pkg://x] imports x
@@ -143,6 +147,8 @@ def _check(override: str, plugins: Plugins) -> None:
     key, equals, value = override.partition("=")
     if not key.strip("+~ '\""):
         raise ConfigError(f"'{override}' sets nothing. Write KEY=VALUE, without spaces.")
+    if len(key.encode()) > _LONGEST_KEY:  # Hydra looks for a file of that name
+        raise ConfigError(f"'{key[:40]}…' is no configuration key: it has {len(key)} characters.")
     if not equals and not override.startswith("~"):
         known = options(plugins, "experiment")
         form = f"experiment={key}" if key in known else "KEY=VALUE, without spaces"

@@ -361,6 +361,21 @@ def test_a_model_with_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
         load(tmp_path / "robot.xml")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('<body name="left_shin"', '<body name="empty"><joint/></body><body name="left_shin"', "(element 'empty')"),
+        ("<mujoco", "<mujoco bogus='1'", "'bogus' (element 'mujoco')"),
+    ],
+)  # fmt: skip
+def test_what_mujoco_refuses_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in robot_xml()
+    (tmp_path / "robot.xml").write_text(robot_xml().replace(old, new, 1))
+    with pytest.raises(FileError, match=re.escape(said)) as caught:
+        load(tmp_path / "robot.xml")
+    assert "\n" not in str(caught.value)
+
+
 def test_a_urdf_reads_nothing_outside(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "m.obj").write_text(TETRAHEDRON)

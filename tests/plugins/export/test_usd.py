@@ -14,7 +14,7 @@ import torch
 from hypothesis import given, settings
 from motion_files import walker
 from moving_figures import angle_error, boxes, clips, position_error
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
@@ -117,8 +117,8 @@ def test_the_surface_follows_the_joints(
         vertices = torch.from_numpy(shape.vertices)
         expected = positions[frame, row] + rotations.rotate(turns[frame, row], vertices)
         skinned = np.concatenate(ours[row])
-        assert cKDTree(expected.numpy()).query(skinned)[0].max() < 1e-4
-        assert cKDTree(skinned).query(expected.numpy())[0].max() < 1e-4
+        assert KDTree(expected.numpy()).query(skinned)[0].max() < 1e-4
+        assert KDTree(skinned).query(expected.numpy())[0].max() < 1e-4
 
 
 def test_even_frames_have_whole_time_codes(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ MISTAKES = {
     f"train {WALK} learner.lr=1e-3": "weight_decay.",
     f"train {WALK} learner=PPO": "There is no learner=PPO. Did you mean 'ppo'?",
     f"train {WALK} learner/gamma=0.9": "A part's option has dots: learner.gamma=VALUE.",
+    f"train {WALK} {'a' * 300}=3": "it has 300 characters.",
     f"train {WALK} =3": "'=3' sets nothing. Write KEY=VALUE, without spaces.",
     f"train --dry-run {WALK}": "There is no option --dry-run. Write KEY=VALUE.",
     "export spacetime/walk walk.fbx": "no format is written to '.fbx' files. Known: .bvh, ",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from understudy.task import Context
 from understudy_hand.scene import HandScene
 from understudy_hand.tools import Thing
 from understudy_mujoco.distances import Distances, Pair
+from understudy_mujoco.scene import MjcfFile
 
 FINGERS = tuple(f"{n}_distal" for n in ("thumb", "index", "middle", "ring", "little"))
 STICKS = ("upper_stick", "lower_stick")
@@ -47,6 +50,24 @@ def test_they_are_mujocos_nearest_of_the_group() -> None:
     assert set(found) == {"distance_grip", "distance_object"} == set(fields.provides)
     np.testing.assert_allclose(found["distance_grip"], np.array(expected)[:, 0], atol=2e-5)
     np.testing.assert_allclose(found["distance_object"], np.array(expected)[:, 1], atol=2e-5)
+
+
+def test_a_model_from_a_file_has_distances_too(tmp_path: Path) -> None:
+    file = tmp_path / "two.xml"
+    file.write_text(
+        "<mujoco><worldbody><geom name='low' size='.1'/>"
+        "<geom name='high' size='.1' pos='0 0 1'/></worldbody></mujoco>"
+    )
+    context = Context(0, torch.device("cpu"), 1, control_dt=0.01, substeps=2)
+    context.scene = scene = MjcfFile(MjcfFile.Options(str(file)))
+    fields = Distances(Distances.Options({"gap": Pair(("low",), ("high",))}), context)
+    data = mujoco.MjData(scene.model)
+    mujoco.mj_forward(scene.model, data)
+    found = fields.compute(
+        geom_xpos=torch.tensor(data.geom_xpos[None], dtype=torch.float32),
+        geom_xmat=torch.tensor(data.geom_xmat[None], dtype=torch.float32),
+    )
+    assert found["distance_gap"].item() == pytest.approx(0.8, abs=1e-6)
 
 
 @pytest.mark.parametrize(

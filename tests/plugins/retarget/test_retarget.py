@@ -14,6 +14,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion_files import walker
+from robots import robot_xml
 from worlds import all_plugins
 
 from understudy.errors import ConfigError, FileError
@@ -404,6 +405,14 @@ def test_joints_that_do_not_exist(
 def test_a_figure_without_arms_is_refused_by_name() -> None:
     with pytest.raises(ConfigError, match=r"recognised as the .*--map"):
         retarget(walker(), load_character("humanoid", REGISTRY))
+
+
+def test_of_legs_in_part_recognised_the_missing_is_named(walk: Clip, tmp_path: Path) -> None:
+    text = robot_xml()
+    (tmp_path / "robot.xml").write_text(text.replace('name="left_foot"', 'name="b7"', 1))
+    character = load_character(str(tmp_path / "robot.xml"), REGISTRY)
+    with pytest.raises(ConfigError, match=r"legs are not recognised \(missing: left_ankle\)"):
+        retarget(walk, character, Options())
 
 
 def test_a_clip_without_a_skeleton(walk: Clip, humanoid: Character) -> None:

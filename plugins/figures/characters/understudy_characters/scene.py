@@ -126,7 +126,7 @@ class CharacterScene(MujocoScene):
     def shown(self) -> mujoco.MjSpec:
         return self._spec.copy()
 
-    @property
+    @cached_property
     def model(self) -> mujoco.MjModel:
         return self.character.model
 

@@ -106,10 +106,6 @@ class HandScene(MujocoScene):
         return spec
 
     @cached_property
-    def model(self) -> mujoco.MjModel:
-        return self.spec().compile()
-
-    @cached_property
     def links(self) -> tuple[str, ...]:
         """Names of the bodies of arm and hand, parents first."""
         return tuple(link.name for link in links(self.measures))

@@ -281,9 +281,9 @@ class _Solver:
 
     def _postures(
         self, near: Sequence[tuple[np.ndarray, float]], share: float = 1.0
-    ) -> list[mink.BaseTask]:
+    ) -> list[mink.Task]:
         """What draws the joints to the poses `near`, each with its weight."""
-        tasks: list[mink.BaseTask] = []
+        tasks: list[mink.Task] = []
         for pose, weight in near:
             task = mink.PostureTask(self._model, share * weight * self._cost)
             task.set_target(pose)

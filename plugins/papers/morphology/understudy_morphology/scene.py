@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -38,10 +37,6 @@ class WalkerScene(MujocoScene):
         add_sun(spec, ROOT)
         spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
         return spec
-
-    @cached_property
-    def model(self) -> mujoco.MjModel:
-        return self.spec().compile()
 
     @property
     def joints(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from understudy.errors import FileError, UnderstudyError
 from understudy.folders import read
@@ -264,7 +264,7 @@ def _check_size(positions: np.ndarray, faces: np.ndarray, what: str) -> None:
             f"{what} is {across:.3g} m across, and garments are {SMALLEST:g} to {LARGEST:g} m; {guess}, say "
             f"unit: {unit} in the file that names its loops."
         )
-    tree = cKDTree(positions)
+    tree = KDTree(positions)
     # how many, and not which: those of a mesh all in one place take gigabytes
     near = tree.query_ball_point(positions, _SAME, return_length=True)
     if (near > 1).any():

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay, KDTree
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
@@ -93,7 +93,7 @@ def _sewn(name: str, shirt: Shirt) -> Garment:
     behind = np.where(back.faces < seams, back.faces, back.faces - seams + len(front.points))
     faces = np.concatenate([front.faces, behind[:, ::-1]])
     rest = flat[faces]
-    far = cKDTree(flat[:seams]).query(flat)[0]
+    far = KDTree(flat[:seams]).query(flat)[0]
     x = np.minimum(_RISE * far, _DEPTH)
     x[len(front.points) :] *= -1
     lines = {
@@ -207,9 +207,9 @@ def _cut(shirt: Shirt, depth: float) -> _Piece:
     grid = _grid(outline, edge)
     grid = grid[_inside(grid, outline)]
     # nor near the middle between two neighbours on a line, or it would part them
-    i, j = cKDTree(fixed).query_pairs(1.6 * edge, output_type="ndarray").T
+    i, j = KDTree(fixed).query_pairs(1.6 * edge, output_type="ndarray").T
     taken = np.concatenate([fixed, 0.5 * (fixed[i] + fixed[j])])
-    grid = grid[cKDTree(taken).query(grid)[0] > _CLEAR * edge]
+    grid = grid[KDTree(taken).query(grid)[0] > _CLEAR * edge]
     cloud = np.concatenate([fixed, grid])
     faces = Delaunay(cloud).simplices
     faces = faces[_inside(cloud[faces].mean(axis=1), outline)]
@@ -217,10 +217,10 @@ def _cut(shirt: Shirt, depth: float) -> _Piece:
     double = (b - a)[:, 0] * (d - a)[:, 1] - (b - a)[:, 1] * (d - a)[:, 0]
     faces[double < 0] = faces[double < 0][:, ::-1]
     faces = faces[np.abs(double) > 1e-3 * edge**2]  # slivers along straight borders
-    tree = cKDTree(cloud)
+    tree = KDTree(cloud)
 
     def numbers(line: np.ndarray) -> np.ndarray:
-        return tree.query(line)[1]
+        return np.asarray(tree.query(line)[1])
 
     lines = {}
     for (side, part), line in inner.items():

@@ -7,6 +7,7 @@ import json
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,11 @@ class MujocoScene(Scene):
         """The same with what is only there to be seen."""
         return self.spec()
 
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """What :meth:`spec` compiles to, to be looked at."""
+        return self.spec().compile()
+
     def compiled(
         self,
         context: Context,
@@ -77,7 +83,7 @@ class MujocoScene(Scene):
             raise FileError(f"The scene's model does not compile: {reason}") from error
 
     def describe(self) -> dict[str, Any]:
-        model = self.spec().compile()
+        model = self.model
         return {
             "nq": model.nq,
             "nv": model.nv,
@@ -87,7 +93,7 @@ class MujocoScene(Scene):
 
     def identity(self) -> Mapping[str, str]:
         """The bodies' that move: their joints in order, where these are and which way they go, to 1 µm."""
-        model = self.spec().compile()
+        model = self.model
         joints = []
         for i in range(model.njnt):
             body, free = model.jnt_bodyid[i], model.jnt_type[i] == mujoco.mjtJoint.mjJNT_FREE

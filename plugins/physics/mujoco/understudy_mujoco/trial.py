@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -85,13 +86,23 @@ def attempt(path: Path) -> str:
         doing = "compile"
         compiled = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError, MemoryError) as error:
-        said = str(error).strip().partition("\n")[0]
-        if not said or said == "Caught an unknown exception!":
-            said = "MuJoCo gives no reason, which may be that it needs more memory."
+        said = reason_of(error)
         raise FileError(f"The model {path} does not {doing}: {said}") from error
     if damaged := not_finite(compiled):
         raise FileError(f"The model {path} does not compile: its {damaged} is no finite number.")
     return ""
+
+
+def reason_of(error: Exception) -> str:
+    """What MuJoCo says of a model, and of which element; its lines are not the file's, where that includes others."""
+    said, _, more = str(error).strip().partition("\n")
+    if not said or said == "Caught an unknown exception!":
+        return "MuJoCo gives no reason, which may be that it needs more memory."
+    said = said.removeprefix("Error: ").removesuffix(":")
+    element = re.match(r"Element (?:name )?'([^']*)'(?:, id (\d+))?", more)
+    if element is None or not any(element.groups()):
+        return said
+    return f"{said} (element {repr(element[1]) if element[1] else element[2]})"
 
 
 def not_finite(model: mujoco.MjModel) -> str:

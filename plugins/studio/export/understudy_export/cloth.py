@@ -123,11 +123,15 @@ def _document(
         if not shapes:
             continue  # nothing to be seen
         node = len(document["nodes"])
-        mesh = trimesh.util.concatenate([_mesh(shape) for shape in shapes])
-        vertices = np.asarray(mesh.vertices)[:, UP_Y_FACING_Z].astype(np.float32)
+        meshes = [_mesh(shape) for shape in shapes]
+        vertices, faces = trimesh.util.append_faces(
+            [np.asarray(mesh.vertices) for mesh in meshes],
+            [np.asarray(mesh.faces) for mesh in meshes],
+        )
+        vertices = vertices[:, UP_Y_FACING_Z].astype(np.float32)
         document["scenes"][0]["nodes"].append(node)
         document["nodes"].append({"name": f"body {number}", "mesh": len(document["meshes"])})
-        primitive = _primitive(vertices, np.asarray(mesh.faces), 1, buffer)
+        primitive = _primitive(vertices, faces, 1, buffer)
         document["meshes"].append({"primitives": [primitive]})
         moved = place[:, UP_Y_FACING_Z].astype(np.float32)
         turned = turn[:, [2, 3, 1, 0]].astype(np.float32)  # wxyz as xyzw, turned as vectors are

@@ -186,10 +186,12 @@ def _given(
 
 
 def _check(source: Figure, target: Figure, clip: Clip, character: Character) -> None:
-    if any(part not in target.points for part in NEEDED if part.endswith(("hip", "knee", "ankle"))):
+    legs = [part for part in NEEDED if part.endswith(("hip", "knee", "ankle"))]
+    if unknown := [part for part in legs if part not in target.points]:
+        only = "" if unknown == legs else f" (missing: {', '.join(unknown)})"
         raise ConfigError(
-            f"Character {character.name}: its legs are not recognised; name its joints "
-            "left_hip, left_knee, left_ankle and so on."
+            f"Character {character.name}: its legs are not recognised{only}; name the bodies that their "
+            "joints move left_thigh, left_shin, left_foot and so on."
         )
     missing = [
         part

@@ -1,0 +1,5 @@
+"""MuJoCo's names are made by compiled modules, or at import: the type checker takes any."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
