@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,8 +14,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy.running.environment import Environment
-from understudy.task import Context, Shape, Simulator
+from understudy.task import Context, Shape
 from understudy_cloth.checking import check_mesh
 from understudy_cloth.mesh import (
     SHARED_VERTICES,
@@ -30,9 +29,9 @@ from understudy_cloth.mesh import (
 )
 from understudy_cloth.scene import ClothModel, ClothScene
 from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
-from understudy_tensors.captured import Captured
 from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.shapes import build_tools
+from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState
 
 __all__ = ["ClothSimulator"]
@@ -48,7 +47,7 @@ _BENDING_SECONDS, _SOFT = 0.002, 0.25
 _THREADS = (128, 512)
 
 
-class ClothSimulator(Simulator):
+class ClothSimulator(WarpSimulator):
     """A garment by extended position-based dynamics in small steps (Macklin et al. 2019): a control
     period is so many sub-steps, each one sweep over constraints in colours, then layers, then bodies.
 
@@ -158,7 +157,7 @@ class ClothSimulator(Simulator):
             if self.control_size
             else torch.zeros(self._n, 0, device=self._device)
         )
-        self._left_out = wp.to_torch(c.left_out)
+        self._counted = ("candidates_left_out", wp.to_torch(c.left_out))
         self._worlds = WorldState(
             "cloth",
             views={name: state[name] for name in views},
@@ -349,40 +348,6 @@ class ClothSimulator(Simulator):
             wp.launch(kernels.finish, dim=vertices, inputs=[c])
             wp.launch(kernels.count, dim=n, inputs=[c])
         wp.launch(kernels.judge, dim=vertices, inputs=[c])
-
-    # ------------------------------------------------------------------ Simulator
-
-    def vary(self, names: Sequence[str]) -> None:
-        self.fields = {**self.fields, **self._worlds.vary(names)}
-
-    def read(self, name: str) -> Tensor:
-        return self._worlds.views[name]
-
-    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        self._worlds.set(worlds, state)
-
-    def step(self, control: Tensor, substeps: int | None = None) -> None:
-        count = self._substeps if substeps is None else substeps
-        self._worlds.begin_step()
-        self._control.copy_(control)
-        changed = (*self._worlds.state.values(), self._left_out)
-        self._warp.run(count, lambda: self._advance(count), changed)
-
-    def replayed(self, work: Callable[[Tensor], Any], environment: Environment) -> Captured[Any]:
-        return Captured(work, environment)
-
-    def failed(self) -> Tensor:
-        return self._worlds.failed()
-
-    def snapshot(self) -> dict[str, Tensor]:
-        return self._worlds.snapshot()
-
-    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        self._worlds.restore(snapshot, worlds)
-
-    def report(self) -> dict[str, int]:
-        count = int(self._left_out.sum())
-        return {"candidates_left_out": count} if count else {}
 
 
 def _indices(vertices: Any, count: int, name: str) -> np.ndarray:

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import torch
 import warp as wp
-from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy.options import check_range
-from understudy.running.environment import Environment
-from understudy.task import Context, Shape, Simulator
+from understudy.task import Context, Shape
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
-from understudy_tensors.captured import Captured
 from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.shapes import build_tools
+from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState
 
 #: Beyond these a position (m) or a velocity (m/s) is one of a simulation that diverged: tables are a
@@ -31,7 +29,7 @@ _EXTENT, _SPEED = 1e3, 1e3
 _OPEN = 1e9
 
 
-class ParticleSimulator(Simulator):
+class ParticleSimulator(WarpSimulator):
     """Position-based dynamics (Macklin et al. 2014): a control period is so many sub-steps, each one
     prediction and `iterations` of Jacobi.
 
@@ -146,7 +144,7 @@ class ParticleSimulator(Simulator):
         self._control = (
             wp.to_torch(system.control) if t else torch.zeros(self._n, 0, device=self._device)
         )
-        self._overflow = wp.to_torch(system.overflow)
+        self._counted = ("neighbour_overflows", wp.to_torch(system.overflow))
         self._worlds = WorldState(
             "pbd",
             views=read,
@@ -314,40 +312,6 @@ class ParticleSimulator(Simulator):
             wp.launch(kernels.finish, dim=everyone, inputs=[s, source])
             if features.fluids:
                 wp.launch(kernels.viscosity, dim=everyone, inputs=[s, source])
-
-    # ------------------------------------------------------------------ Simulator
-
-    def vary(self, names: Sequence[str]) -> None:
-        self.fields = {**self.fields, **self._worlds.vary(names)}
-
-    def read(self, name: str) -> Tensor:
-        return self._worlds.views[name]
-
-    def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        self._worlds.set(worlds, state)
-
-    def step(self, control: Tensor, substeps: int | None = None) -> None:
-        count = self._substeps if substeps is None else substeps
-        self._worlds.begin_step()
-        self._control.copy_(control)
-        changed = (*self._worlds.state.values(), self._overflow)
-        self._warp.run(count, lambda: self._advance(count), changed)
-
-    def replayed(self, work: Callable[[Tensor], Any], environment: Environment) -> Captured[Any]:
-        return Captured(work, environment)
-
-    def failed(self) -> Tensor:
-        return self._worlds.failed()
-
-    def snapshot(self) -> dict[str, Tensor]:
-        return self._worlds.snapshot()
-
-    def restore(self, snapshot: Mapping[str, Tensor], worlds: Tensor | None = None) -> None:
-        self._worlds.restore(snapshot, worlds)
-
-    def report(self) -> dict[str, int]:
-        count = int(self._overflow.sum())
-        return {"neighbour_overflows": count} if count else {}
 
 
 def _each(value: Any, count: int, name: str) -> np.ndarray:
