@@ -21,6 +21,7 @@ from understudy_gripping.grip import (
     _kept,
     brush,
     find_grip,
+    large,
     load_grip,
     long,
     search_grip,
@@ -242,7 +243,8 @@ def test_grips_of_other_tools_hold_for_ten_seconds(path: Path, tool: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("path", "hand"), [(long(), {"finger_length": 2.0}), (tri_finger(), {"fingers": 3})]
+    ("path", "hand"),
+    [(long(), {"finger_length": 2.0}), (large(), {"size": 2.0}), (tri_finger(), {"fingers": 3})],
 )
 def test_grips_of_other_hands_hold(path: Path, hand: dict[str, Any]) -> None:
     """Three seconds at both ends of their angles, on both sticks; of other hands they are refused."""

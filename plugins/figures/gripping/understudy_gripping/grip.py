@@ -514,4 +514,4 @@ def standard() -> Path:
 #: Other tools in the human hand.
 tongs, brush = (partial(_packaged, name) for name in ("tongs", "brush"))
 #: Sticks in other hands (section 5.7.3).
-long, tri_finger = (partial(_packaged, name) for name in ("long", "tri_finger"))
+long, large, tri_finger = (partial(_packaged, name) for name in ("long", "large", "tri_finger"))
