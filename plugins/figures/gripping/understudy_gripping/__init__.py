@@ -9,6 +9,9 @@ PARTS = {
         "standard": ("grip:standard", "the style 11120"),
         "tongs": ("grip:tongs", "tongs, by thumb, index and middle finger"),
         "brush": ("grip:brush", "a brush, by thumb, index and middle finger"),
+        "long": ("grip:long", "the style 11120, of a hand with long fingers"),
+        "large": ("grip:large", "the style 11200, of a hand twice as large"),
+        "tri_finger": ("grip:tri_finger", "the style 112, of a hand with three fingers"),
     },
     "command": {
         "grip": ("command:FindGrip", "find how a hand holds a tool"),

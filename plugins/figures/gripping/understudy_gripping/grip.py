@@ -143,7 +143,12 @@ def find_grip(
 
 
 def search_grip(
-    scene: HandScene, style: Style, places: Sequence[float], tries: int, seed: int = 0
+    scene: HandScene,
+    style: Style,
+    places: Sequence[float],
+    tries: int,
+    seed: int = 0,
+    iterations: int = 200,
 ) -> Grip:
     """Of `tries` places and starts, drawn about `places` and the tool's own, the grip that slips least in ten
     seconds at any of its angles.
@@ -174,7 +179,7 @@ def search_grip(
         candidates.append(Candidate(style, tuple(along[: len(places)]), supports))
     first = solver.solve(
         candidates,
-        200,
+        iterations,
         angles=own.angles[-1:] * tries,
         nominal=torch.tensor(nominal, dtype=torch.float64),
     )
@@ -189,7 +194,7 @@ def search_grip(
         :MOST_HELD
     ]:
         try:
-            grip = _find(solver, candidates[row], 200, _rows(first, row))
+            grip = _find(solver, candidates[row], iterations, _rows(first, row))
         except ConfigError as error:
             said = str(error)
             continue
@@ -506,5 +511,7 @@ def standard() -> Path:
     return _packaged("standard")
 
 
-#: Grips of other tools in the human hand, and of sticks in other hands, searched for.
+#: Other tools in the human hand.
 tongs, brush = (partial(_packaged, name) for name in ("tongs", "brush"))
+#: Sticks in other hands (section 5.7.3).
+long, large, tri_finger = (partial(_packaged, name) for name in ("long", "large", "tri_finger"))

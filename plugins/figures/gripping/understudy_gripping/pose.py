@@ -28,8 +28,6 @@ from understudy_tensors.segments import (
     segment_distance,
 )
 
-__all__ = ["Candidate", "PoseSolver", "Poses"]
-
 #: rad: the range of the angle of the upper part.
 ANGLES = (-0.2, 0.2)
 #: m: z0 of eq. 5.6, and how far apart what touches shall be.
