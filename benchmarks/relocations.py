@@ -108,16 +108,25 @@ def episodes(
 
 
 def summary(episodes: list[dict[str, Any]], relocations: int) -> dict[str, Any]:
-    """By k, how many placed the first k relocations, and the interval; how the others ended."""
-    count, curve, why = len(episodes), [], {}
+    """By k, how many placed the first k relocations, their share and its interval; how the others ended."""
+    count, why = len(episodes), {}
+    curve, shares = list[list[int]](), list[tuple[float, list[float]]]()
     for k in range(1, relocations + 1):
         good = sum(e["placed"].startswith("1" * k) for e in episodes)
-        curve.append([k, good, *(round(x, 3) for x in wilson_interval(good / count, count))])
+        curve.append([k, good])
+        interval = [round(x, 3) for x in wilson_interval(good / count, count)]
+        shares.append((good / count, interval))
     for episode in episodes:
         if episode["placed"] != "1" * relocations:
             name = f"{episode['ended']}, from the {episode['began'] or 'end'}"
             why[name] = why.get(name, 0) + 1
-    return {"in_a_row": curve, "failures": dict(sorted(why.items()))}
+    return {
+        "tasks": count,
+        "in_a_row": curve,
+        "shares": [round(share, 4) for share, _ in shares],
+        "shares_95": [interval for _, interval in shares],
+        "failures": dict(sorted(why.items())),
+    }
 
 
 def main() -> None:
