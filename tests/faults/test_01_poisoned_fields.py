@@ -35,7 +35,8 @@ PLUGINS = parts_and_tasks.bundled()
 #: Less the fragments (`_NAME`), which others build on.
 EXPERIMENTS = [name for name in parts_and_tasks.options(PLUGINS, "experiment") if "/_" not in name]
 FAMILIES = sorted({name.partition("/")[0] for name in EXPERIMENTS})
-N, BAD, STEPS = 6, 2, 4
+#: The second decision's numbers are wrong; the third is there to spread them.
+N, BAD, STEPS = 6, 2, 3
 OTHERS = torch.arange(N) != BAD
 VALUES = {"nan": float("nan"), "inf": float("inf"), "1e12": 1e12}
 #: Of what stands for the simulator's own memory.
@@ -67,11 +68,16 @@ def experiment_of(name: str, runs: Path | None) -> Experiment:
     if found.one("simulator") is None:
         raise ConfigError("It has no environment of its own.")
     if found.need("simulator").component.name == "mujoco_warp":
-        found = load_experiment([*overrides, "simulator=mujoco"], PLUGINS)
+        overrides.append("simulator=mujoco")
+        found = load_experiment(overrides, PLUGINS)
     members = [m.name for m in found.many("simulators") if m.component.name == "mujoco_warp"]
-    if members:  # of a composite; its cloth in as few steps as a small one's
-        coarse = [f"simulators.{name}={{name: mujoco}}" for name in members]
-        found = load_experiment([*overrides, *coarse, "scene.steps.cloth=3"], PLUGINS)
+    if members:  # of a composite; its cloth takes nearly all of the time
+        overrides += [f"simulators.{name}={{name: mujoco}}" for name in members]
+        overrides += ["scene.steps.cloth=1", "control.decision=2"]
+        found = load_experiment(overrides, PLUGINS)
+    begins = found.one("initial_states")
+    if begins and getattr(begins.options, "plans", 0) > N:  # as many as worlds; each takes its time
+        found = load_experiment([*overrides, f"initial_states.plans={N}"], PLUGINS)
     return found
 
 

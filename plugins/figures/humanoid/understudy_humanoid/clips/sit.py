@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import root_scalar
@@ -107,6 +108,7 @@ def generated_stand(
     return _clip("stand", seat_height, seconds, frame_rate, _RISING, backwards=True)
 
 
+@lru_cache(maxsize=8)  # takes long, and each part of a run asks for it anew
 def _clip(
     name: str,
     seat_height: float,
