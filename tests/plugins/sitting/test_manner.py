@@ -98,6 +98,7 @@ def test_what_is_seen_in_the_simulator(sit: Built) -> None:
     """Standing: both feet down and still, the pelvis before the seat; the clip's end: 8 cm behind its front edge."""
     environment = sit.environment
     environment.reset()
+    follow_clip(environment, 5)  # contacts exist once the simulator has stepped
     table = environment.table
     assert table["feet_down"].tolist() == [[1.0, 1.0]] * 4
     assert float(table["feet_speed"].max()) < 0.05
