@@ -126,4 +126,4 @@ def test_it_learns_gently_by_a_word() -> None:
     gentle = build("experiment=sitting/sit_gently", "num_worlds=2").environment
     gentle.reset()
     gentle.step(gentle.action * 0.0)
-    assert {"pose", "velocity", "nearing", "planted", "unhurried"} == set(gentle.rewarded)
+    assert {"pose", "velocity", "nearing", "planted", "unhurried", "servos"} == set(gentle.rewarded)
