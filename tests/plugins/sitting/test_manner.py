@@ -98,6 +98,7 @@ def test_what_is_seen_in_the_simulator(sit: Built) -> None:
     """Standing: both feet down and still, the pelvis before the seat; the clip's end: 8 cm behind its front edge."""
     environment = sit.environment
     environment.reset()
+    follow_clip(environment, 5)  # contacts exist once the simulator has stepped
     table = environment.table
     assert table["feet_down"].tolist() == [[1.0, 1.0]] * 4
     assert float(table["feet_speed"].max()) < 0.05
@@ -125,4 +126,4 @@ def test_it_learns_gently_by_a_word() -> None:
     gentle = build("experiment=sitting/sit_gently", "num_worlds=2").environment
     gentle.reset()
     gentle.step(gentle.action * 0.0)
-    assert {"pose", "velocity", "nearing", "planted", "unhurried"} == set(gentle.rewarded)
+    assert {"pose", "velocity", "nearing", "planted", "unhurried", "servos"} == set(gentle.rewarded)

@@ -17,7 +17,18 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy_tensors import rotations
 
-__all__ = ["GRIPPERS", "HALF_LENGTH", "RADIUS", "STICKS", "Thing", "Tool", "tips", "upper_pose"]
+__all__ = [
+    "BAR",
+    "GRIPPERS",
+    "HALF_LENGTH",
+    "RADIUS",
+    "STICKS",
+    "TIP",
+    "Thing",
+    "Tool",
+    "tips",
+    "upper_pose",
+]
 
 Tool = Literal["sticks", "tongs", "brush", "none"]
 

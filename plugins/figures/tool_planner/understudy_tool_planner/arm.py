@@ -15,6 +15,8 @@ from torch import Tensor
 
 from understudy_hand.table import ARM
 
+__all__ = ["Solved", "forward", "solve", "swivel_of"]
+
 #: m: the shoulder in the world; of each half of the arm; from the wrist to the palm.
 SHOULDER, HALF, PALM = (0.0, -0.45, 0.4), 0.3, 0.034
 #: The base's turn: -90° about x.
