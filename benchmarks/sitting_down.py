@@ -2,8 +2,9 @@
 
 ``python benchmarks/sitting_down.py SITTER …`` judges skills, packed ones and runs of `sitting/sit` or `sitting/meta`, on the same unseen
 starts, by the measures that the task has now, also those that were trained before it had them; ``targets`` is no skill but the
-clip's own servo targets, played blindly. ``--note sit`` gives the rows a name and adds them to
-``docs/benchmarks/sitting/manner.jsonl``.
+clip's own servo targets, played blindly, ``nothing`` the mode of a policy that has learned nothing: the middle of the clip's poses. ``--note sit`` gives the rows a name and adds them to
+``docs/benchmarks/sitting/manner.jsonl``. Those there have ``--words initial_states.span=[0,0] initial_states.metres=0.05
+initial_states.degrees=15``: the clip's first frame, the chair up to 5 cm along each axis and 15° off.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from understudy_skills.skill import open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "sitting" / "manner.jsonl"
 TARGETS = "targets"
+NOTHING = "nothing"
+MACHINE = "MuJoCo on a CPU core"
 DRAW = "sitting down"  # of the starts, which no training uses
 
 
@@ -43,31 +46,36 @@ def _flow(value: Any) -> str:
 
 
 class _Blindly:
-    """A policy that gives the servos the clip's targets."""
+    """A policy that gives the servos the clip's targets, or with `told` false does nothing."""
 
-    def __init__(self, evaluator: Evaluator) -> None:
+    def __init__(self, evaluator: Evaluator, told: bool) -> None:
+        self._told = told
         self._environment = evaluator.built.environment
         actuation: Any = self._environment.parts.actuation.part
-        nothing = self._environment.action * 0.0
-        self._middle = actuation.control(nothing)
-        self._unit = actuation.control(nothing + 1.0) - self._middle
+        self._nothing = self._environment.action * 0.0
+        self._middle = actuation.control(self._nothing)
+        self._unit = actuation.control(self._nothing + 1.0) - self._middle
 
     def distribution(self, observations: Mapping[str, Tensor]) -> _Blindly:
         return self
 
     def mode(self) -> Tensor:
+        if not self._told:
+            return self._nothing
         return (self._environment.table["reference_joint_targets"] - self._middle) / self._unit
 
 
-def row(sitter: str, episodes: int, note: str, words: list[str]) -> dict[str, Any]:
-    """`sitter` on so many unseen starts; `words` are overrides besides."""
+def row(sitter: str, episodes: int, note: str, words: list[str], machine: str) -> dict[str, Any]:
+    """`sitter` on so many unseen starts; `words` are overrides besides, `machine` is named with it."""
     words = [*words, f"evaluation.episodes={episodes}"]
-    if sitter == TARGETS:
+    seed = None
+    if sitter in (TARGETS, NOTHING):
         experiment, samples = load_experiment(["experiment=sitting/sit", *words]), 0
         evaluator = Evaluator(experiment)
-        policy: Any = _Blindly(evaluator)
+        policy: Any = _Blindly(evaluator, sitter == TARGETS)
     else:
-        task = str(open_skill(sitter).card["config"]["task"])
+        config = open_skill(sitter).card["config"]
+        task, seed = str(config["task"]), config["seed"]
         skill = open_skill(sitter, [*manner(task), *words])
         samples, evaluator = skill.samples, Evaluator(skill.experiment)
         policy = build_policy(skill.experiment, evaluator.built.context)
@@ -77,8 +85,10 @@ def row(sitter: str, episodes: int, note: str, words: list[str]) -> dict[str, An
     return {
         "sitter": note or sitter,
         "when": datetime.date.today().isoformat(),
+        "machine": machine,
         "episodes": episodes,
         "samples": samples,
+        "seed": seed,
         "success_rate": found.success_rate,
         "measures": {name: measured.mean for name, measured in found.measures.items()},
     }
@@ -86,13 +96,14 @@ def row(sitter: str, episodes: int, note: str, words: list[str]) -> dict[str, An
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("sitters", nargs="+", help=f"skills, files, runs, or {TARGETS}")
+    parser.add_argument("sitters", nargs="+", help=f"skills, files, runs, {TARGETS} or {NOTHING}")
     parser.add_argument("--episodes", type=int, default=128)
     parser.add_argument("--note", default="", help="keep the rows, under this name")
     parser.add_argument("--words", nargs="*", default=[], help="overrides: KEY=VALUE")
+    parser.add_argument("--machine", default=MACHINE, help="which trained and judged")
     given = parser.parse_args()
     for sitter in given.sitters:
-        found = row(sitter, given.episodes, given.note, given.words)
+        found = row(sitter, given.episodes, given.note, given.words, given.machine)
         print(json.dumps(found), flush=True)
         if given.note:
             with RESULTS.open("a", encoding="utf-8") as file:
