@@ -64,7 +64,7 @@ def options_of(factory: Any) -> dict[str, Option]:
         return result
     if inspect.isclass(factory):
         return {}
-    hints = typing.get_type_hints(function)
+    hints = typing.get_type_hints(getattr(function, "func", function))  # of a functools.partial
     return {
         name: Option(name, hints.get(name, Any), parameter.default)
         for name, parameter in inspect.signature(function).parameters.items()

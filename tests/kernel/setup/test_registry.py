@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -119,6 +120,14 @@ def test_options_of_classes_and_functions() -> None:
     assert options_of(term)["scale"].default == 2.0
     assert options_of(term)["limit"].default is REQUIRED
     assert options_of(type("Plain", (), {})) == {}
+
+
+def test_options_of_a_function_partly_filled_in() -> None:
+    def term(number: int, *, scale: float = 2.0) -> float:
+        return number * scale
+
+    found = options_of(functools.partial(term, 3))
+    assert {name: (o.annotation, o.default) for name, o in found.items()} == {"scale": (float, 2.0)}
 
 
 def test_make_options() -> None:
