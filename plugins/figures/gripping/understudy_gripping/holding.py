@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from understudy.errors import ConfigError
 from understudy_gripping.styles import LOWER, UPPER, Style
-from understudy_hand.tools import BAR, RADIUS
+from understudy_hand.tools import BAR, RADIUS, Tool
 
 __all__ = ["Holding", "holding"]
 
@@ -87,7 +87,7 @@ _HOLDINGS: dict[str, Holding] = {
 }
 
 
-def holding(tool: str) -> Holding:
+def holding(tool: Tool) -> Holding:
     """How the `tool` is held.
 
     Raises

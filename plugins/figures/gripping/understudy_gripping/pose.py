@@ -19,7 +19,7 @@ from understudy_gripping.kinematics import HandKinematics, Placed, stick_ends
 from understudy_gripping.styles import Style, check_style
 from understudy_hand.scene import HandScene
 from understudy_hand.table import FINGERS
-from understudy_hand.tools import GRIPPERS, HALF_LENGTH, RADIUS, upper_pose
+from understudy_hand.tools import GRIPPERS, HALF_LENGTH, RADIUS, Tool, upper_pose
 from understudy_tensors import rotations
 from understudy_tensors.segments import (
     at,
@@ -80,7 +80,8 @@ class PoseSolver:
     """
 
     def __init__(self, scene: HandScene) -> None:
-        self.scene, self.tool = scene, scene.options.tool
+        self.scene = scene
+        self.tool: Tool = scene.options.tool
         self.holding = holding(self.tool)
         self.kinematics = hand = HandKinematics(scene)
         self.fingers = scene.measures.names
