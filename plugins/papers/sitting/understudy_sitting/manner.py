@@ -48,7 +48,8 @@ class Manner(Fields):
         model, self._root = scene.model, scene.layout.root_body
         chair = context.need_section("chair", Chair, who).options
         soles = context.need_section("soles", Soles, who).options
-        self._links = [model.body(name).id for name in (chair.pelvis, *soles.feet)]
+        links = [model.body(name).id for name in (chair.pelvis, *soles.feet)]
+        self._links = torch.tensor(links, device=context.device)
         self._half_depth = float(model.geom_size[chair_of(model)[1], 0])
 
     def compute(
