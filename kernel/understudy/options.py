@@ -14,7 +14,7 @@ import textwrap
 import tokenize
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,9 +23,11 @@ from understudy.errors import ConfigError, suggestion
 __all__ = [
     "REQUIRED",
     "Option",
+    "as_yaml",
     "check_range",
     "checked_options",
     "in_words",
+    "known_option",
     "make_options",
     "options_of",
     "schema_of",
@@ -139,7 +141,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
         if value in arguments:
             return value
         raise ConfigError(
-            f"{where}={value!r} is not possible.{suggestion(str(value), map(str, arguments))}"
+            f"{where}={as_yaml(value)} is not possible.{suggestion(str(value), map(str, arguments))}"
         )
     if annotation in (bool, int, str) and type(value) is annotation:
         return value
@@ -174,7 +176,18 @@ def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
     expected = " or ".join(dict.fromkeys(in_words(kind) for kind in kinds))
     text = str in kinds and isinstance(value, (int, float))
     hint = f" As text it is quoted twice: {where}=\"'{value}'\"." if text else ""
-    return ConfigError(f"{where}={value!r} is not possible: it takes {expected}.{hint}")
+    return ConfigError(f"{where}={as_yaml(value)} is not possible: it takes {expected}.{hint}")
+
+
+def as_yaml(value: Any) -> str:
+    """`value` as one writes it into a configuration: ``null``, ``true``, ``[1, 2]``, ``{a: 'b'}``."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {as_yaml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(as_yaml, value)) + "]"
+    return repr(value)
 
 
 _WORDS = {
@@ -220,7 +233,9 @@ def make_options(schema: type, values: Any, where: str) -> Any:
         return values
     if not isinstance(values, Mapping):
         known = ", ".join(options_of(schema))
-        raise ConfigError(f"{where}={values!r} is not possible: it takes a mapping of {known}.")
+        raise ConfigError(
+            f"{where}={as_yaml(values)} is not possible: it takes a mapping of {known}."
+        )
     arguments = checked_options(options_of(schema), values, where)
     try:
         return schema(**arguments)
@@ -252,7 +267,7 @@ def check_range(
             ):
                 if not holds:
                     raise ValueError(
-                        f"{name}={given!r} is not possible: it must be {how} {limit:g}."
+                        f"{name}={as_yaml(given)} is not possible: it must be {how} {limit:g}."
                     )
 
 
@@ -264,15 +279,20 @@ def _below(where: str) -> str:
     return f"{where}." if where else ""
 
 
+def known_option(key: Any, known: Collection[str], where: str) -> None:
+    """Raise :class:`ConfigError` unless what stands at `where` takes the option `key`."""
+    if key not in known:
+        owner = where or "The configuration"
+        raise ConfigError(f"{owner} has no option '{key}'.{suggestion(str(key), known)}")
+
+
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
     """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are
     errors."""
     for key in values:
-        if key not in options:
-            owner = where or "The configuration"
-            raise ConfigError(f"{owner} has no option '{key}'.{suggestion(str(key), options)}")
+        known_option(key, options, where)
     result = {}
     for name, option in options.items():
         if name in values:

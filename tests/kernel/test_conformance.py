@@ -313,7 +313,7 @@ def odd_default(
         ({"encoder": Undocumented}, "encoder 'mine/more' has no docstring"),
         ({"task": TASK.replace("mine/near", "mine/nearer")}, "There is no reward 'mine/nearer'"),
         ({"task": TASK.replace("fake/force", "fake/farce")}, "There is no actuation 'fake/farce'"),
-        ({"near": odd_default}, "reward.terms.near.scale=None is not possible"),
+        ({"near": odd_default}, "reward.terms.near.scale=null is not possible"),
     ],
 )
 def test_check_plugin_refuses(tmp_path: Path, changes: dict[str, Any], message: str) -> None:

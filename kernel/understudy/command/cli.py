@@ -14,6 +14,7 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from understudy import __version__
@@ -57,6 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     parser = _parser(arguments)
+    for word in arguments:
+        held = re.fullmatch(r"(?:.*=)?(<[^<>=]+>)", word)
+        if held and not Path(held[1]).exists():
+            raise ConfigError(
+                f"{held[1]} in '{word}' stands for your own: write that in its place."
+            )
     options, overrides = parser.parse_known_args(arguments)
     _check(overrides, options.overrides_allowed, arguments[0])
     if overrides:

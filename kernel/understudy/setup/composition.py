@@ -168,12 +168,20 @@ def _check(override: str, plugins: Plugins) -> None:
             raise ConfigError(
                 f"{override} names no option: those are files in the folders of options."
             )
+        name = _as_typed(chosen) if isinstance(chosen, str) else chosen
+        if name != chosen and name in options(plugins, group):
+            raise ConfigError(f"There is no {group}={chosen}. Write {group}={name}.")
     if several:
         form = (
             f" A list is written [{value}], a text with commas {key}=\"'{value}'\"; runs and seeds are "
             "compared by `understudy sweep`."
         )
         raise ConfigError(f"{override} has several values and a run takes one.{form}")
+
+
+def _as_typed(name: str) -> str:
+    """The option's `name` where it was given as a file's: without a suffix, ``./`` and doubled slashes."""
+    return Path(re.sub(r"\.ya?ml$", "", name)).as_posix()
 
 
 def _leads_out(name: Any) -> bool:

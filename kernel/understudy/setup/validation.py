@@ -12,7 +12,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import Option, checked_options, make_options, options_of
+from understudy.options import (
+    Option,
+    as_yaml,
+    checked_options,
+    known_option,
+    make_options,
+    options_of,
+)
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry, Slot
 from understudy.setup.root import Root
@@ -119,9 +126,15 @@ def _chosen(slot: Slot, value: Any, registry: Registry) -> Iterator[Chosen]:
         return
     if not isinstance(value, Mapping):
         raise ConfigError(
-            f"{slot.name} must be {{NAME: {{name: COMPONENT, …}}, …}}, not {value!r}."
+            f"{slot.name} must be {{NAME: {{name: COMPONENT, …}}, …}}, not {as_yaml(value)}."
         )
+    there = [name for name, item in value.items() if _named_part(item)]
     for name, item in value.items():
+        if isinstance(item, Mapping) and "name" not in item and there:
+            raise ConfigError(
+                f"{slot.name} has no '{name}'.{suggestion(str(name), there)} A new one is written "
+                f"'{slot.name}.{name}={{name: COMPONENT, …}}'."
+            )
         if item is not None:
             yield _choice(slot, str(name), item, f"{slot.name}.{name}", registry)
 
@@ -134,6 +147,9 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     extras = checked_options(extra, given, where)
     own = {k: v for k, v in options.items() if k not in extra}
     schema = getattr(component.factory, "Options", None)
+    takes = {*(component.options if schema is None else options_of(schema)), *extra}
+    for key in own:
+        known_option(key, takes, where)
     checked: Any
     if schema is not None:
         checked = make_options(schema, own, where)
@@ -142,11 +158,18 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     return Chosen(name, component, checked, where, extras)
 
 
+def _named_part(value: Any) -> bool:
+    """Whether `value` says which component it is."""
+    return isinstance(value, str) or (isinstance(value, Mapping) and "name" in value)
+
+
 def _named(value: Any, where: str) -> tuple[str, dict[str, Any]]:
     if isinstance(value, str):
         return value, {}
     if not isinstance(value, Mapping) or not isinstance(value.get("name"), str):
-        raise ConfigError(f"{where} must be {{name: COMPONENT, option: value, …}}, not {value!r}.")
+        raise ConfigError(
+            f"{where} must be {{name: COMPONENT, option: value, …}}, not {as_yaml(value)}."
+        )
     options = dict(value)
     return options.pop("name"), options
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -265,3 +266,36 @@ def test_names_that_are_no_text_are_shown(tmp_path: Path) -> None:
     command = [sys.executable, "-c", code, "motion", "check", os.fsencode(tmp_path) + b"/\xff.bvh"]
     done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONUTF8": "1"})
     assert (done.returncode, done.stderr.count(b"there is no such file")) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("train", "experiment=spacetime/walk", "scene.character=<model file>"),
+        ("evaluate", "<run folder>"),
+        ("motion", "retarget", "walk", "<model file>", "out.npz"),
+        ("evaluate", "runs/walk", "checkpoint=<N>"),
+    ],
+)
+def test_what_stands_for_ones_own_is_to_be_written(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As pages and messages have it; a file of such a name is taken."""
+    line = complaint(capsys, *words)
+    assert re.search(r"<[^>]+> in '.*' stands for your own: write that in its place\.$", line)
+
+
+@pytest.mark.parametrize(
+    "chosen", ["spacetime/walk.yaml", "spacetime/walk.yml", "./spacetime/walk", "spacetime//walk"]
+)
+def test_an_option_named_as_its_file_is_told_its_name(
+    chosen: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = f"There is no experiment={chosen}. Write experiment=spacetime/walk."
+    assert said in complaint(capsys, "config", f"experiment={chosen}")
+
+
+@pytest.mark.parametrize("choice", ["learner=ppo.yaml", "learner=./ppo"])
+def test_other_choices_too(choice: str, capsys: pytest.CaptureFixture[str]) -> None:
+    line = complaint(capsys, "config", "experiment=spacetime/walk", choice)
+    assert line.endswith("Write learner=ppo.")

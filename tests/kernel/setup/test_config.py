@@ -172,7 +172,7 @@ def test_the_command_shows_defaults(
     ("override", "message"),
     [
         ("seed=x", r"^seed='x' is not possible: it takes a whole number\.$"),
-        ("termination.terms=null", r"^termination\.terms=None is not possible"),
+        ("termination.terms=null", r"^termination\.terms=null is not possible"),
         ("evaluation.success=3", r"^evaluation\.success=3 is not possible"),
         ("evaluation.success={measure: at}", r"^evaluation\.success.*at_least and at_most are both unset: give one of them\.$"),
         ("evaluation.success={mesure: at, at_least: 1}", r"^evaluation\.success has no option 'mesure'\. Did you mean 'measure'\?$"),
@@ -186,6 +186,11 @@ def test_the_command_shows_defaults(
         ("+reward.terms.near.reads=qpos", r"^reward\.terms\.near\.reads='qpos' is not possible"),
         ("+reward.terms.near.reads={qpos: 3}", r"^reward\.terms\.near\.reads\.qpos=3 is not possible"),
         ("+initial_states.reads={a: b}", r"^initial_states has no option 'reads'"),
+        ("+reward.terms.near.wieght=2", r"^reward\.terms\.near has no option 'wieght'\. Did you mean 'weight'\?$"),
+        ("+termination.terms.far.outcom=success", r"^termination\.terms\.far has no option 'outcom'\. Did you mean 'outcome'\?$"),
+        ("+reward.terms.naer.weight=2", r"^reward\.terms has no 'naer'\. Did you mean 'near'\? A new one is written"),
+        ("seed=[1, null, true]", r"^seed=\[1, null, true\] is not possible"),
+        ("difficulty={a: null}", r"^difficulty=\{a: null\} is not possible"),
         ("numworlds=3", r"^There is no configuration key 'numworlds'\. Did you mean 'num_worlds'\?$"),
     ],
 )  # fmt: skip

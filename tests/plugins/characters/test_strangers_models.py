@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -385,3 +386,26 @@ def test_a_urdf_reads_nothing_outside(tmp_path: Path) -> None:
         path.write_text(URDF.format(mesh=mesh))
         with pytest.raises(FileError, match=r"refers to other files|there is no file"):
             load(path)
+
+
+ARM = """<body name="arm" pos="2 0 1"><joint name="lift" type="slide"/><geom size=".1"/><body name="hand">
+    <joint name="grip"/><geom size=".1"/></body></body>"""
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [(CART, r"'cart' \(1 joint\)"), (ARM, r"'arm' \(2 joints\)"), (ARM + CART, "'arm'.*'cart'")],
+    ids=["on a free body", "on the world", "both"],
+)
+@pytest.mark.parametrize("first", [True, False])
+def test_another_robot_is_said(tmp_path: Path, other: str, said: str, first: bool) -> None:
+    """It is simulated, and no action moves it."""
+    before = '<body name="pelvis"' if first else "</worldbody>"
+    with pytest.warns(UserWarning, match=rf"than the character 'pelvis': {said}"):
+        scene(tmp_path, added(before, other))
+
+
+def test_things_beside_a_robot_are_not_spoken_of(tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not scene(tmp_path, added("</worldbody>", BALL)).character.company

@@ -240,6 +240,16 @@ class Character:
         self.carrier = row
         return found
 
+    @cached_property
+    def company(self) -> dict[str, int]:
+        """By the first body of what else moves on joints in the model, another robot: how many it has."""
+        model, found = self.model, dict[str, int]()
+        for joint in range(model.njnt):
+            first = int(model.body_rootid[model.jnt_bodyid[joint]])
+            if model.jnt_type[joint] != _FREE and first != model.body_rootid[self.root]:
+                found[self._body_name(first)] = found.get(self._body_name(first), 0) + 1
+        return found
+
     def _body_name(self, body: int) -> str:
         return self.model.body(body).name or f"body{body}"
 

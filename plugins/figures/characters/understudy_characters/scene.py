@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -79,6 +80,15 @@ class CharacterScene(MujocoScene):
             raise ConfigError(
                 f"Model '{name}' is no character: nothing hangs on its free body "
                 f"'{character.joint_names[0]}' by a joint."
+            )
+        if character.company:
+            others = ", ".join(
+                f"'{first}' ({n} joint{'s' * (n > 1)})" for first, n in character.company.items()
+            )
+            warnings.warn(
+                f"Model '{name}' has more on joints than the character '{character.joint_names[0]}': {others}. "
+                "It stays in the scene and nothing steers it; take it out of the file if it should not be there.",
+                stacklevel=2,
             )
         servos = options.servos
         own = (context and context.own_substeps) or 0  # of the task; a training may begin coarser
