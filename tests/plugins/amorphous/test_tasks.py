@@ -19,11 +19,13 @@ from understudy.running.environment import Environment
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, load_experiment
+from understudy.setup.plugins import installed
 from understudy.testing import check_plugin
 from understudy_amorphous import flipping
 from understudy_amorphous.maps import in_tool_frame
 from understudy_amorphous.report import MapsSection, png
 from understudy_amorphous.tool import euler_angles, orientation
+from understudy_reproduce.tables import load_table
 
 TASKS = ("gather", "spread", "flip")
 TINY = (
@@ -272,6 +274,19 @@ def test_cells_are_rewarded_in_the_frame_that_is_chosen(frame: str) -> None:
         assert gained == float(env.table["occupied_cells"] - start[1])
     else:
         assert gained < -20.0
+
+
+def test_figure_11_changes_what_is_seen_and_not_what_is_rewarded() -> None:
+    """Section 4.5 compares observations."""
+    table = load_table("amorphous/figure_11", installed())
+    for row in ("gather", "spread"):
+        relative, absolute = (
+            compose_raw([*table.overrides, *table.variants()[f"{row}/{column}"]])
+            for column in ("relative", "absolute")
+        )
+        assert absolute["encoder"]["image"].pop("frame") == "world"
+        assert relative["encoder"]["image"].pop("frame", "tool") == "tool"
+        assert absolute == relative
 
 
 def test_a_toss_turns_the_disk_over() -> None:

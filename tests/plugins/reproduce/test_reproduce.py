@@ -12,6 +12,7 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_report.markup import check_markup
 from understudy_reproduce import card as card_module
@@ -208,8 +209,18 @@ def test_a_variant_that_cannot_be_composed_stops_it_before_anything_runs(
     assert not (tmp_path / "out" / "calm%2Fsmall%2Fseed0").exists()
 
 
-def test_every_bundled_table_can_be_composed() -> None:
-    """Their first cells; all are when a sweep begins."""
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(table_files(installed())))
+def test_every_cell_of_a_bundled_table_can_be_composed(name: str) -> None:
+    """A sweep composes all before anything runs, which is when a GPU is waiting."""
+    table = load_table(name, installed())
+    if table.searches or table.command:  # searches are composed in test_comparison.py
+        return
+    for cell in table.variants().values():
+        load_experiment([*table.overrides, *cell])
+
+
+def test_every_bundled_table_can_be_listed() -> None:
     names = list(tables.table_files(installed()))
     assert "spacetime/table_3_1" in names
     for name in names:

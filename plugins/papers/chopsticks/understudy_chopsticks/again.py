@@ -32,7 +32,7 @@ class Again(Memory):
     anew, as in the thesis: nothing leaves the device in them. With `onward` each relocation after the first is planned as the one before is over,
     from where the object then lies.
 
-    Somebody who watches leads one world (:meth:`send`, section 5.7.6): its relocation is ended first, the next goal is theirs, and where no plan
+    Somebody who watches leads one world (:meth:`send`; not in the thesis): its relocation is ended first, the next goal is theirs, and where no plan
     reaches it the hand waits for another.
 
     - ``followed`` () number in the bank; ``plan_since`` () s of the episode

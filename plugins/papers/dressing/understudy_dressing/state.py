@@ -70,7 +70,7 @@ class SleeveState(Fields):
     field                      shape
     =========================  ==================================================================
     ``sensor_force``           (S, 3) N, world frame, equation 4: each contact goes to the nearest sensor
-    ``sensor_sign``            (S,) equation 6: 1 touched from inside, −1 from outside, 0 not
+    ``sensor_sign``            (S,) equation 5: 1 touched from inside, −1 from outside, 0 not
     ``fingertip``              (3,) m
     ``fingertip_offset``       (3,) m, from the shoulder
     ``feature``                (3,) m, the centroid of the sleeve's middle loop

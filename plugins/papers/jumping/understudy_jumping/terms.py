@@ -29,7 +29,7 @@ def spin(
 def safety(
     head_first: Tensor,
     *,
-    #: the reward of a landing on the head, in [0, 1] (section 4.5)
+    #: the reward of a landing on the head, in [0, 1] (section 4.6.1)
     unsafe: float = 0.7,
 ) -> Tensor:
     """r_safety (eq. 4.15): `unsafe` of a landing on the head, else 1."""
