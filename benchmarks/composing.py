@@ -1,4 +1,4 @@
-"""What composing an experiment costs with files of options kept and with Hydra's own repository, in one process::
+"""What composing an experiment again costs with and without Hydra's own settings, in one process::
 
 python benchmarks/composing.py
 """
@@ -8,21 +8,32 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import date
+from pathlib import Path
 from typing import Any
 
-from hydra._internal.config_repository import ConfigRepository
+import hydra
+from omegaconf import DictConfig
 
 from understudy.errors import ConfigError
-from understudy.setup import composition
-from understudy.setup.kept import KeptOptions
+from understudy.setup import composition, option_files
 from understudy.setup.plugins import installed
 
 
-def seconds(overrides: Sequence[str], repository: type) -> tuple[float, dict[str, Any]]:
+def hydras(folders: Iterable[Path], overrides: Sequence[str]) -> DictConfig:
+    """What Hydra's public interface composes."""
+    first, *others = folders
+    path = ",".join(f"'file://{folder}'" for folder in others)
+    with hydra.initialize_config_dir(str(first), version_base="1.3", job_name="understudy"):
+        return hydra.compose("config", overrides=[f"hydra.searchpath=[{path}]", *overrides])
+
+
+def seconds(
+    overrides: Sequence[str], compose: Callable[..., DictConfig]
+) -> tuple[float, dict[str, Any]]:
     """Processor time of composing again what was composed just before, and the result."""
-    composition.KeptOptions = repository  # type: ignore[misc]
+    composition.compose = compose  # type: ignore[attr-defined]
     composition.compose_raw(overrides)
     began = time.process_time()
     result = composition.compose_raw(overrides)
@@ -35,8 +46,8 @@ def main() -> None:
         for name in sorted(composition.options(installed(), "experiment"))[::9]:
             overrides = [f"experiment={name}", *more]
             try:
-                own, expected = seconds(overrides, ConfigRepository)
-                kept, found = seconds(overrides, KeptOptions)
+                own, expected = seconds(overrides, hydras)
+                kept, found = seconds(overrides, option_files.compose)
             except ConfigError:  # it needs runs of others
                 continue
             assert found == expected

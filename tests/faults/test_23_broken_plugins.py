@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from worlds import SMALL
@@ -196,6 +196,11 @@ def test_config_directories(tmp_path: Path) -> None:
     assert_isolated(loaded(missing), "nowhere does not exist")
 
 
+class Distribution(NamedTuple):
+    name: str
+    version: str = "1.0"
+
+
 class Entry(SimpleNamespace):
     """An entry point of a distribution ``strange`` 1.0."""
 
@@ -216,9 +221,7 @@ def with_entry(monkeypatch: pytest.MonkeyPatch, *entries: Entry) -> None:
 
 
 def entry(what: Any, value: str = "stranger", dist: str = "strange") -> Entry:
-    return Entry(
-        name="stranger", value=value, what=what, dist=SimpleNamespace(name=dist, version="1.0")
-    )
+    return Entry(name="stranger", value=value, what=what, dist=Distribution(dist))
 
 
 @pytest.mark.parametrize(

@@ -678,16 +678,16 @@ MUTANTS = (
     ),
     Mutant(
         "a file of options that changed is read anew",
-        f"{KERNEL}/setup/kept.py",
+        f"{KERNEL}/setup/option_files.py",
         "return (file, state.st_mtime_ns, state.st_size, state.st_ino)",
         "return (file,)",
-        "tests/kernel/setup/test_kept.py -k changes",
+        "tests/kernel/setup/test_option_files.py -k changes",
     ),
     Mutant(
         "a composition changes no file of options that is kept",
-        f"{KERNEL}/setup/kept.py",
-        "return copy.deepcopy(_read[state])",
-        "return _read[state]",
-        "tests/kernel/setup/test_kept.py -k handed_out",
+        f"{KERNEL}/setup/option_files.py",
+        "copy.deepcopy(kept)",
+        "kept",
+        "tests/kernel/setup/test_option_files.py -k handed_out",
     ),
 )  # fmt: skip

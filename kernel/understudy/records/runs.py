@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import json
 import os
 import platform
@@ -60,8 +61,9 @@ def threads() -> int:
     return torch.get_num_threads()
 
 
+@functools.cache
 def versions() -> dict[str, str]:
-    """Versions of Python and of the libraries that decide results."""
+    """Versions of Python and of the libraries that decide results, as they were when first asked for."""
     found = {"python": platform.python_version()}
     for name in VERSIONED:
         try:

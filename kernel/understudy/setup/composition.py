@@ -9,10 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 from omegaconf import OmegaConf, open_dict
@@ -20,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from understudy.errors import ConfigError, suggestion
 from understudy.setup.config import Experiment
-from understudy.setup.kept import KeptOptions
+from understudy.setup.option_files import compose, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.root import Root
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
@@ -40,22 +36,15 @@ __all__ = [
 
 @contextlib.contextmanager
 def hydra_session(plugins: Plugins, overrides: Sequence[str]) -> Iterator[None]:
-    """Inside, Hydra composes from the options of the kernel and of `plugins`; its errors become ours."""
+    """Inside, Hydra's errors about `overrides` become ours."""
     _check_length("".join(overrides), 10)
     for override in overrides:
         _check(override, plugins)
-    GlobalHydra.instance().clear()
     try:
-        with initialize_config_dir(str(kernel_conf()), version_base="1.3", job_name="understudy"):
-            loader = GlobalHydra.instance().config_loader()
-            assert isinstance(loader, ConfigLoaderImpl)
-            loader.repository = KeptOptions(loader.get_search_path())
-            yield
+        yield
     except (HydraException, OmegaConfBaseException, ValueError, RecursionError) as error:
         text = _plain(error, plugins, overrides)
         raise ConfigError(text + plugins.registry.absent()) from error
-    finally:
-        GlobalHydra.instance().clear()
 
 
 #: ``[1] walk.bvh``: more than a list, a mapping or a quotation.
@@ -79,11 +68,10 @@ def readable(override: str) -> str:
     if not equals or _PLAIN.fullmatch(override) or key != key.strip():
         return override
     _check_length(override)
-    parser = OverridesParser.create()
 
     def reads(text: str) -> bool:
         try:
-            return not parser.parse_override(f"{key}={text}").is_sweep_override()
+            return not parsed(f"{key}={text}").is_sweep_override()
         except (HydraException, RecursionError):
             return False
 
@@ -156,12 +144,12 @@ def _check(override: str, plugins: Plugins) -> None:
     if key != key.strip():
         raise ConfigError(f"'{override}' has blanks around its key. Write {key.strip()}={value}.")
     try:
-        parsed = OverridesParser.create().parse_override(override)
-        several = parsed.is_sweep_override()
-        chosen = parsed.value() if equals and not several and not parsed.is_delete() else None
+        read = parsed(override)
+        several = read.is_sweep_override()
+        chosen = read.value() if equals and not several and not read.is_delete() else None
     except (HydraException, RecursionError) as error:
         raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
-    group = parsed.key_or_group
+    group = read.key_or_group
     if group not in _VALUES and ("/" in group or "." not in group):  # its value names a file
         names = chosen if isinstance(chosen, list) else [chosen]
         if any(map(_leads_out, (group, *names))):
@@ -262,11 +250,10 @@ def options(plugins: Plugins, group: str) -> dict[str, Path]:
 _VALUES = frozenset(f.name for f in dataclasses.fields(Root)) - {"task", "reward", "termination"}
 
 
-def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
-    """`overrides` for Hydra, which is to search the directories of all plugins and to let
-    ``a.b=value`` set an option that no file mentions; validation knows which ones exist."""
-    quoted = [str(path).replace("'", "\\'") for _, path in plugins.config_directories()]
-    result = ["hydra.searchpath=[" + ",".join(f"'file://{path}'" for path in quoted) + "]"]
+def for_hydra(overrides: Sequence[str]) -> list[str]:
+    """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions; validation
+    knows which ones exist."""
+    result = []
     for override in overrides:
         key, equals, value = override.partition("=")
         plain = bool(equals and key) and key[0] not in "+~"
@@ -310,7 +297,7 @@ def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """`raw` less the options that a component chosen by an override (``policy={name: …}``) would
     inherit from the one that a file chose: Hydra merges the two mappings."""
     given: dict[str, set[str]] = {}
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
+    for override in map(parsed, overrides):
         key = override.key_or_group
         value = None if override.is_delete() else override.value()
         if isinstance(value, Mapping) and "name" in value:
@@ -341,10 +328,11 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     overrides = [readable(override) for override in overrides]
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
-        config = compose("config", overrides=for_hydra(kept, plugins))
+        folders = option_directories(plugins)
+        config = compose(folders, for_hydra(kept))
         if chosen:  # what task and experiment say of other choices does not hold for these
             own = [o for o in kept if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in chosen]
-            alone = compose("config", overrides=for_hydra(own, plugins))
+            alone = compose(folders, for_hydra(own))
             with open_dict(config):
                 for key in chosen:
                     config[key] = alone[key]

@@ -111,9 +111,10 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     manager = pluggy.PluginManager(GROUP)
     manager.add_hookspecs(Hooks)
     result = Plugins(manager, Registry())
+    about = functools.cache(_about)  # many plugins are of one distribution
     found = sorted(
         metadata.entry_points(group=GROUP),
-        key=lambda e: (_distribution(e) != "understudy", e.name, _distribution(e)),
+        key=lambda e: (about(e.dist)[0] != "understudy", e.name, about(e.dist)[0]),
     )
     there = {entry.name for entry in found}
     allowed = (_names("UNDERSTUDY_PLUGINS", there) or None) if only is None else set(only)
@@ -122,11 +123,10 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     for entry in found:
         if (allowed is not None and entry.name not in allowed) or entry.name in disabled:
             continue
-        distribution = _distribution(entry)
-        version = entry.dist.version if entry.dist else ""
+        distribution, version = about(entry.dist)
         first = seen.setdefault(entry.name, entry)
         if first.value != entry.value:
-            other = _distribution(first) or "another distribution"
+            other = about(first.dist)[0] or "another distribution"
             error = PluginError(
                 f"{other} provides a plugin named '{entry.name}' already. Uninstall {distribution or entry.value}, "
                 "or rename its plugin."
@@ -154,8 +154,9 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     return result
 
 
-def _distribution(entry: metadata.EntryPoint) -> str:
-    return (entry.dist.name if entry.dist else "") or ""  # None where its metadata are damaged
+def _about(distribution: metadata.Distribution | None) -> tuple[str, str]:
+    """Name and version, empty where its metadata are damaged."""
+    return (distribution.name or "", distribution.version or "") if distribution else ("", "")
 
 
 def _names(variable: str, there: set[str]) -> set[str]:

@@ -6,15 +6,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import yaml
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.types import RunMode
 
 from understudy.errors import UnderstudyError
 from understudy.records.observer import RunObserver
 from understudy.records.runs import Run
-from understudy.setup.composition import for_hydra, hydra_session, split_overrides
+from understudy.setup.composition import (
+    for_hydra,
+    hydra_session,
+    option_directories,
+    split_overrides,
+)
 from understudy.setup.config import Experiment
+from understudy.setup.option_files import OptionFiles, choices, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
 from understudy.setup.validation import validate
 
@@ -60,15 +63,10 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
     origin: dict[str, str] = {}
     overrides, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
-        loader = GlobalHydra.instance().config_loader()
-        defaults = loader.compute_defaults_list(
-            "config", for_hydra(overrides, plugins), RunMode.RUN
-        )
         sources = [("understudy", kernel_conf()), *plugins.config_directories()]
-        for item in defaults.defaults:
-            path = item.config_path
-            if path is None or path.startswith("hydra/"):
-                continue
+        files = OptionFiles(option_directories(plugins))
+        for item in choices(files, for_hydra(overrides)).defaults:
+            path = item.config_path or ""
             for owner, source in sources:
                 file = source / f"{path}.yaml"
                 if file.is_file():
@@ -79,7 +77,7 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
                         group = key.partition(".")[0]
                         if group not in chosen or path.startswith(f"{group}/"):
                             origin[key] = f"{path}.yaml [{owner}]"
-        for override in OverridesParser.create().parse_overrides(list(overrides)):
+        for override in map(parsed, overrides):
             value = None if override.is_delete() else override.value()
             for key in paths(value, override.key_or_group):
                 if not any(k.startswith(f"{key}.") for k in origin):  # else it chose a file

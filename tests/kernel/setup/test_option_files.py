@@ -1,0 +1,76 @@
+"""Files of options are read once, unless they change; what is composed of them is what Hydra composes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from understudy.setup.composition import compose_raw, option_directories
+from understudy.setup.option_files import OptionFiles, compose, parsed
+from understudy.setup.plugins import Plugins
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+
+from composing import hydras
+
+
+@pytest.fixture
+def x(tmp_path: Path) -> Callable[[], object]:
+    """What a new composition finds for ``x`` in ``a.yaml`` of the folders ``first`` and ``second``."""
+    folders = [tmp_path / "first", tmp_path / "second"]
+    for folder in folders:
+        folder.mkdir()
+
+    def x() -> object:
+        found = OptionFiles(folders).load_config("a")
+        return found and found.config.x  # type: ignore[union-attr]
+
+    return x
+
+
+def test_what_changes_is_read_anew(x: Callable[[], object], tmp_path: Path) -> None:
+    assert x() is None
+    (tmp_path / "second" / "a.yaml").write_text("x: 1\n")
+    assert x() == 1
+    (tmp_path / "second" / "a.yaml").write_text("x: 22\n")
+    assert x() == 22
+    (tmp_path / "first" / "a.yaml").write_text("x: 3\n")
+    assert x() == 3
+    (tmp_path / "first" / "a.yaml").unlink()
+    assert x() == 22
+
+
+def test_what_is_kept_is_not_what_is_handed_out(x: Callable[[], object], tmp_path: Path) -> None:
+    (tmp_path / "first" / "a.yaml").write_text("x: 1\n")
+    found = OptionFiles([tmp_path / "first"]).load_config("a")
+    assert found is not None
+    found.config.x = 2  # type: ignore[union-attr]
+    assert x() == 1
+    value = parsed("a=[1,{b: [2]}]").value()
+    assert isinstance(value, list)
+    value[1]["b"].append(3)  # type: ignore[index, union-attr]
+    assert parsed("a=[1,{b: [2]}]").value() == [1, {"b": [2]}]
+
+
+def test_one_composition_leaves_nothing_to_the_next(plugins: Plugins) -> None:
+    plain = ["experiment=spacetime/walk"]
+    before = compose_raw(plain, plugins)
+    for more in ("learner.gamma=0.5", "policy=mlp", "episode.seconds=3", "+learner.clip=0.1"):
+        assert compose_raw([*plain, more], plugins) != before
+    assert compose_raw(plain, plugins) == before
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["experiment=spacetime/walk", "learner=ppo", "++learner.gamma=0.5"],
+        ["experiment=miniature/go", "+reward.terms.more={name: a, b: [1, 2]}", "~simulator"],
+        ["experiment=dressing/sleeve", "num_worlds=7"],
+    ],
+)
+def test_it_is_what_hydra_composes(overrides: list[str], plugins: Plugins) -> None:
+    folders = option_directories(plugins)
+    assert compose(folders, overrides) == hydras(folders, overrides)
