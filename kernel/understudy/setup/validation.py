@@ -130,9 +130,10 @@ def _chosen(slot: Slot, value: Any, registry: Registry) -> Iterator[Chosen]:
         )
     there = [name for name, item in value.items() if _named_part(item)]
     for name, item in value.items():
-        if isinstance(item, Mapping) and "name" not in item and there:
+        near = "" if _named_part(item) else suggestion(str(name), there)
+        if isinstance(item, Mapping) and "Did you mean" in near:
             raise ConfigError(
-                f"{slot.name} has no '{name}'.{suggestion(str(name), there)} A new one is written "
+                f"{slot.name} has no '{name}'.{near} A new one is written "
                 f"'{slot.name}.{name}={{name: COMPONENT, …}}'."
             )
         if item is not None:
