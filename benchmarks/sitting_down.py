@@ -75,7 +75,7 @@ def row(sitter: str, episodes: int, note: str, words: list[str], machine: str) -
         policy: Any = _Blindly(evaluator, sitter == TARGETS)
     else:
         config = open_skill(sitter).card["config"]
-        task, seed = str(config["task"]), config["seed"]
+        task, seed = str(config["task"]), config.get("seed")
         skill = open_skill(sitter, [*manner(task), *words])
         samples, evaluator = skill.samples, Evaluator(skill.experiment)
         policy = build_policy(skill.experiment, evaluator.built.context)

@@ -194,6 +194,8 @@ class PersonScene(MujocoScene):
         spec = mujoco.MjSpec()
         spec.option.gravity = [0, 0, 0]
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        # limits of joints are all that is solved for; on a GPU all worlds wait for the one that needs most
+        spec.option.iterations, spec.option.ls_iterations = 6, 8
         spec.compiler.degree = False
         spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
         bodies = {}
