@@ -151,11 +151,12 @@ class CsvReader(ClipReader):
         if options.unit:
             places = places * metres_of(options.unit)
         turns = [rows[:, at] for at in joints.values()]
+        stated = any(line.startswith("# units:") for line in lines[:start])  # as the writer does
         vectors = [values for values in turns if values.shape[1] == 3]
         check_sizes(
             path,
             np.stack(vectors, axis=1) if vectors else np.zeros((len(rows), 1, 3)),
-            None if options.unit else places[:, 2],
+            None if options.unit or stated else places[:, 2],
         )
         fields = provenance(path, content)
         if "licence" in said:
@@ -198,7 +199,8 @@ def _cells(header: str, delimiter: str) -> list[str]:
 
 
 def _raw(header: str, delimiter: str) -> list[str]:
-    names = [name.strip().strip("\"'").strip() for name in header.split(delimiter)]
+    names = [name.strip().strip('"').strip() for name in header.split(delimiter)]
+    names = [n[1:-1] if len(n) > 2 and n[0] == n[-1] == "'" else n for n in names]
     names[0] = names[0].lstrip("# ")
     return names
 
