@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from worlds import SMALL, assert_same_state, make_training, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
+from understudy.records.runs import open_run
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
@@ -101,6 +103,36 @@ def test_all_damaged(plugins: Plugins, tmp_path: Path) -> None:
         RunError, match=r"no usable checkpoint\. The newest: .*00000001\.json is damaged"
     ):
         resumed(plugins, run)
+
+
+@pytest.mark.parametrize("folder_too", [True, False])
+def test_checkpoints_that_are_gone_do_not_begin_a_training_anew(
+    plugins: Plugins, tmp_path: Path, folder_too: bool
+) -> None:
+    """As of a run that was copied without them; what it left stays."""
+    run = tmp_path / "run"
+    training = make_training(plugins, [*FAKE_TASK, *SMALL], run)
+    assert training.run is not None
+    training.run.append_metrics(training.iterate())
+    training.run.unlock()
+    shutil.rmtree(run / "checkpoints")
+    if not folder_too:
+        (run / "checkpoints").mkdir()
+    before = {path: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    with pytest.raises(
+        RunError, match=r"checkpoints has none, .* metrics\.jsonl tells, cannot go on"
+    ):
+        resumed(plugins, run)
+    assert {path: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
+
+
+@pytest.mark.parametrize("content", ["[]", "null", "3", '{"config": {}}', '{"layout": 1}'])
+def test_a_record_of_something_else(tmp_path: Path, content: str) -> None:
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(
+        RunError, match=r"run\.json is damaged: it does not say what was trained\.$"
+    ):
+        open_run(tmp_path)
 
 
 def test_an_untrained_policy_is_not_judged_as_the_trained_one(

@@ -105,6 +105,16 @@ THOROUGH = {
     "licence runs/a --for research": (),
     "compare runs/a runs/b --no-film": ("comparison.html",),
     "compare runs/a runs/b --no-film --overwrite --page old.html": ("old.html",),
+    "new plugin glide": tuple(
+        f"understudy-glide/{file}"
+        for file in (
+            "README.md",
+            "pyproject.toml",
+            "src/understudy_glide/__init__.py",
+            "src/understudy_glide/terms.py",
+            "tests/test_glide.py",
+        )
+    ),
     "export walk walk.glb --seconds 0.5": ("walk.glb",),
     "export walk old.glb --seconds 0.5 --overwrite": ("old.glb",),
     "export walk walk.bvh --seconds 0.5": ("walk.bvh",),

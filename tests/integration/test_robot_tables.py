@@ -72,6 +72,25 @@ def test_blank_lines_and_delimiters_at_the_end(tmp_path: Path, character: Charac
     assert read(path).num_frames == FRAMES
 
 
+def test_decimal_commas_a_stated_rate_and_another_unit(
+    tmp_path: Path, character: Character
+) -> None:
+    qpos = moving(character)
+    path = tmp_path / "x.csv"
+    for mark in ";|":
+        rows = (mark.join(f"{v:.9g}" for v in row).replace(".", ",") for row in qpos)
+        path.write_text("# fps: 60\n" + "\n".join(rows))
+        clip = read(path)
+        assert clip.frame_rate == pytest.approx(60.0)
+        torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+    qpos[:, :3] *= 1000.0
+    path.write_text("\n".join(",".join(f"{v:.9g}" for v in row) for row in qpos))
+    with pytest.raises(FileError, match=r"from the floor; .* motion\.unit \(--unit\), as mm"):
+        read(path)
+    millimetres = read_clip(path, REGISTRY, ReadOptions(unit="mm"))
+    torch.testing.assert_close(millimetres.root_position, clip.root_position, atol=1e-6, rtol=0)
+
+
 def test_names_above_and_times_before(tmp_path: Path, character: Character) -> None:
     qpos = moving(character)
     columns = qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]]

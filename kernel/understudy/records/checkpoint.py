@@ -8,6 +8,7 @@ mebibyte or more that become much smaller by it (worlds' lists with unused place
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import hashlib
@@ -73,7 +74,8 @@ def write_atomically(path: Path, data: bytes) -> None:
             f"{path} could not be written: {error.strerror}. What was there is untouched."
         ) from error
     finally:
-        temporary.unlink(missing_ok=True)  # nothing is there unless that failed or was interrupted
+        with contextlib.suppress(OSError):  # nothing is there unless that failed or was interrupted
+            temporary.unlink()
 
 
 def save(path: Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> None:

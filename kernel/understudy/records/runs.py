@@ -329,6 +329,8 @@ def open_run(path: str | Path) -> Run:
     check_within(path)
     try:
         info = json.loads(read(file))
+        if not (isinstance(info, dict) and {"layout", "config"} <= info.keys()):
+            raise ValueError("it does not say what was trained")
         layout = info["layout"]
         config = info["config"]
         refuse_code(config)

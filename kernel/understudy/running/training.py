@@ -130,15 +130,21 @@ class Training:
         return path
 
     def resume(self) -> None:
-        """Load the newest intact checkpoint of the run; a run without any starts from the beginning.
+        """Load the newest intact checkpoint of the run; one that was stopped before the first starts from the
+        beginning.
 
         Raises
         ------
         RunError
-            if the checkpoint is not of a training, or does not fit.
+            if the checkpoint is not of a training, or does not fit; or if none is left of one that was under way.
         """
         assert self.run is not None
         if not checkpoint.newest(self.run.checkpoints):
+            if self.run.metrics():
+                raise RunError(
+                    f"{self.run.checkpoints} has none, so the training, of which {self.run.metrics_file.name} tells, "
+                    "cannot go on. Bring them back from a copy, or train anew in another folder."
+                )
             self.run.keep_metrics_until(0)
             return
         state, meta, _ = checkpoint.load_newest(self.run.checkpoints, self.reporter.message)

@@ -136,6 +136,18 @@ def test_write_atomically(tmp_path: Path) -> None:
         checkpoint.write_atomically(tmp_path / "nowhere/x", b"")
 
 
+@pytest.mark.parametrize("kind", ["missing", "a file", "a link to itself"])
+def test_what_is_no_folder_is_one_sentence(tmp_path: Path, kind: str) -> None:
+    parent = tmp_path / "parent"
+    if kind == "a file":
+        parent.write_text("theirs")
+    elif kind == "a link to itself":
+        parent.symlink_to(parent)
+    with pytest.raises(RunError, match="00000001 could not be written: "):
+        checkpoint.write_atomically(parent / "00000001", b"1")
+    assert kind != "a file" or parent.read_text() == "theirs"
+
+
 @pytest.mark.parametrize("code", [errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP])
 def test_a_file_system_that_cannot_be_asked_to_write_at_once(
     code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -303,6 +303,13 @@ URDF = """<?xml version="1.0"?><robot name="biped">
         ("meshes/m.obj", "/robot.urdf"),
         ("package://description/m.obj", "/robot.urdf"),
         ("elsewhere/m.obj", "/robot.urdf"),
+        ("model://description/meshes/m.obj", "//urdf/robot.urdf"),
+        ("file://$(find description)/meshes/m.obj", "//urdf/robot.urdf"),
+        ("package://named_otherwise/meshes/m.obj", "//urdf/robot.urdf"),
+        ("meshes/m.obj", "//urdf/robot.urdf"),
+        ("..\\meshes\\m.obj", "//urdf/robot.urdf"),
+        ("file://{folder}/meshes/m.obj", "//urdf/robot.urdf"),
+        ("{folder}/meshes/m.obj", "//urdf/robot.urdf"),
     ],
 )
 def test_a_urdf_is_a_character_with_a_free_first_link(
@@ -314,13 +321,87 @@ def test_a_urdf_is_a_character_with_a_free_first_link(
     for where in ("m.obj", "meshes/m.obj"):
         (folder / where).write_text(TETRAHEDRON)
     for where in ("robot.urdf", "urdf/robot.urdf"):
-        (folder / where).write_text(URDF.format(mesh=mesh))
+        (folder / where).write_text(URDF.format(mesh=mesh.format(folder=folder)))
     character = load(f"{folder}{place}")
     assert character.joint_names == ("pelvis", "thigh")
     model = CharacterScene(CharacterScene.Options(f"{folder}{place}")).model
     assert (model.nmesh, model.nu) == (1, 1)
     np.testing.assert_allclose(model.actuator_forcerange[0], [-33, 33])
     np.testing.assert_allclose(model.jnt_range[1], [-1, 1])
+
+
+def urdf(folder: Path, *changes: tuple[str, str]) -> Path:
+    """A file of a URDF without meshes."""
+    text = URDF.format(mesh="")
+    for old, new in (
+        ('<collision><geometry><mesh filename=""/></geometry></collision>', ""),
+        *changes,
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "robot.urdf"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ('<link name="camera"/>', '<xacro:leg side="left"/><link name="camera"/>'),
+        ('radius=".05"', 'radius="${r}"'),
+        ('radius=".05"', 'radius="$(arg r)"'),
+    ],
+)
+@pytest.mark.parametrize("bound", [True, False])
+def test_a_template_of_a_urdf_says_so(tmp_path: Path, change: tuple[str, str], bound: bool) -> None:
+    space = ' xmlns:xacro="http://www.ros.org/wiki/xacro"' if bound else ""
+    path = urdf(tmp_path, change, ('name="biped"', f'name="biped"{space}'))
+    with pytest.raises(
+        FileError, match=r"a template: expand it first, by xacro FILE > robot\.urdf"
+    ):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "nu", "ranges"),
+    [
+        (('name="biped"', 'name="biped" xmlns:xacro="http://www.ros.org/wiki/xacro"'), 1, [-1, 1]),
+        (('"revolute"', '"continuous"'), 1, [0, 0]),
+        (('<link name="pelvis">', '<link name="world"/><joint name="root" type="floating"><parent link="world"/>'
+          '<child link="pelvis"/></joint><link name="pelvis">'), 1, [-1, 1]),
+        (('<link name="pelvis">', '<material name="m"><texture filename="none.png"/></material><link name="pelvis">'),
+         1, [-1, 1]),
+        (('</robot>', '<gazebo/><transmission name="t"/><ros2_control/></robot>'), 1, [-1, 1]),
+    ],
+    ids=["namespace", "continuous", "floating", "texture", "gazebo"],
+)  # fmt: skip
+def test_urdf_as_programs_write_it(
+    tmp_path: Path, change: tuple[str, str], nu: int, ranges: list[float]
+) -> None:
+    model = CharacterScene(CharacterScene.Options(str(urdf(tmp_path, change)))).model
+    assert (model.nu, model.nv) == (nu, 6 + nu)
+    np.testing.assert_allclose(model.jnt_range[1], ranges)
+
+
+def test_a_joint_that_follows_another_is_said(tmp_path: Path) -> None:
+    path = urdf(tmp_path, ("</joint>", '<mimic joint="knee"/></joint>'))
+    with pytest.warns(
+        UserWarning, match=r"follow others \(mimic\); here each moves by itself: hip"
+    ):
+        load(path)
+
+
+def test_an_effort_below_zero(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="joint 'hip' has an effort of -33"):
+        load(urdf(tmp_path, ('effort="33"', 'effort="-33"')))
+
+
+def test_a_mesh_as_written_on_windows(tmp_path: Path) -> None:
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "m.obj").write_text(TETRAHEDRON)
+    text = with_mesh().replace('file="m.obj"', 'file="assets\\m.obj"')
+    (tmp_path / "robot.xml").write_text(text)
+    assert load(tmp_path / "robot.xml").model.nmesh == 1
 
 
 def test_a_urdf_with_a_range_upside_down(tmp_path: Path) -> None:

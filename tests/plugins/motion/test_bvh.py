@@ -382,6 +382,18 @@ CHANNELS 3 -> CHANNEL 3
 Zrotation -> Zrot
 JOINT Head -> JOINT "Head"
 Yposition -> Y_POSITION
+Xposition Yposition Zposition -> Xtranslation Ytranslation Ztranslation
+Xposition Yposition Zposition -> tx ty tz
+Zrotation Xrotation Yrotation -> rotateZ rotateX rotateY
+Zrotation Xrotation Yrotation -> rotationZ rotationX rotationY
+CHANNELS 3 -> CHANNELS 3,
+HIERARCHY -> HIERARCHY:
+HIERARCHY -> \u200bHIERARCHY
+Frame Time: 0.025 -> Frame Time: 0.025 # 30 fps?
+Frame Time: 0.025 -> Frame Time: 0.025\nFPS: 40
+Frame Time: 0.025 -> Frame Time: 0.025\nInterpolation: linear
+Frames: 2 -> Take: 1\nFrames: 2
+MOTION -> MOTION\n\nMOTION
 """
 
 

@@ -6,10 +6,13 @@ import bz2
 import gzip
 import lzma
 import os
+import pickle
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from motion_files import WRITE
@@ -20,7 +23,13 @@ from understudy.errors import FileError
 from understudy.setup.registry import Registrar, Registry
 from understudy_motion import library, reading
 from understudy_motion.kinematics import forward_kinematics
-from understudy_motion.reading import HEAD_BYTES, UnknownFormatError, read_clip, readers
+from understudy_motion.reading import (
+    HEAD_BYTES,
+    ReadOptions,
+    UnknownFormatError,
+    read_clip,
+    readers,
+)
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +91,38 @@ def test_a_packed_file_says_so(
             archive.write(clip, "walker.bvh")
     with pytest.raises(UnknownFormatError, match=f"packed by {name}. Unpack it"):
         read_clip(path, registry)
+
+
+def test_what_could_run_code_or_has_no_names_says_so(tmp_path: Path, registry: Registry) -> None:
+    path = tmp_path / "clip"
+    for write in (pickle.dump, torch.save):
+        with path.open("wb") as file:
+            write({"poses": [0.0] * 66}, file)
+        with pytest.raises(UnknownFormatError, match="a pickle, which could run any code"):
+            read_clip(path, registry)
+    with path.open("wb") as file:
+        np.save(file, np.zeros((6, 66)))
+    with pytest.raises(UnknownFormatError, match="one array without names"):
+        read_clip(path, registry)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("npz", {"unit": "cm"}, r"unit of length, m; leave motion\.unit=cm \(--unit\) out"),
+        ("npz", {"rate": 30.0}, r"their times; leave motion\.rate=30\.0 \(--source-rate\) out"),
+        ("csv", {"up": "y"}, r"which axis is vertical, z; leave motion\.up=y \(--up\) out"),
+        ("deepmimic", {"up": "z"}, "which axis is vertical, y; leave"),
+        ("bvh", {"skeleton": Path("x.asf")}, r"their skeleton.*\(--skeleton\) out"),
+    ],
+)
+def test_what_a_file_says_itself_is_not_given(
+    tmp_path: Path, registry: Registry, name: str, options: dict[str, Any], said: str
+) -> None:
+    path = WRITE[name](tmp_path)
+    with pytest.raises(FileError, match=said):
+        read_clip(path, registry, ReadOptions(**options))
+    assert read_clip(path, registry, ReadOptions(**readers(registry)[name].fixed)).num_frames > 1
 
 
 def test_a_skeleton_alone(tmp_path: Path, registry: Registry) -> None:

@@ -215,6 +215,33 @@ def test_other_shapes_and_names_of_the_arrays(tmp_path: Path) -> None:
         assert clip.frame_rate == pytest.approx(120.0)
 
 
+def test_parts_as_body_models_name_them(tmp_path: Path) -> None:
+    """A side each, of which coefficients of hands and a face without hands are left out."""
+    whole = smpl_arrays(joints=55)
+    whole["poses"] = np.random.default_rng(2).normal(size=(6, 165))
+    rest = {key: value for key, value in whole.items() if key != "poses"}
+    names = {
+        "global_orient": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
+        "left_hand_pose": 45, "right_hand_pose": 45,
+    }  # fmt: skip
+    ends = np.cumsum(list(names.values()))[:-1]
+    parts = dict(zip(names, np.split(whole["poses"], ends, axis=1), strict=True))
+    expected = read(tmp_path, whole)
+    for changed in ({}, {"transl": whole["trans"], "trans": None}):
+        arrays = {k: v for k, v in {**rest, **parts, **changed}.items() if v is not None}
+        assert torch.equal(read(tmp_path, arrays).rotations, expected.rotations)
+    body = expected.rotations[:, :22]
+    few = {side: np.zeros((6, 12)) for side in ("left_hand_pose", "right_hand_pose")}
+    for others in (few, dict.fromkeys(few, np.zeros((6, 0))), {"pose_hand": np.zeros((6, 0))}):
+        kept = {k: v for k, v in parts.items() if "hand" not in k}
+        assert torch.equal(read(tmp_path, {**rest, **kept, **others}).rotations, body)
+    faceless = {k: v for k, v in parts.items() if "eye" not in k and "jaw" not in k}
+    assert read(tmp_path, {**rest, **faceless}).rotations.shape[1] == 52
+    short = {**parts, "left_hand_pose": parts["left_hand_pose"][:5]}
+    with pytest.raises(FileError, match="differ in their number of frames"):
+        read(tmp_path, {**rest, **short})
+
+
 def archive(folder: Path, poses: bytes, compression: int = zipfile.ZIP_DEFLATED) -> Path:
     """The arrays of a valid file, `poses` replaced by these bytes."""
     path = folder / "clip.npz"

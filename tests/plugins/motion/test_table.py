@@ -245,6 +245,11 @@ def test_tables_of_spreadsheets_and_pandas(tmp_path: Path) -> None:
         ("root.px,root.py,root.pz", "root_px,root_py,root_pz"),
         ("root.px,root.py,root.pz", "root.px [m],root.py (m),root.pz [m]"),
         ("knee.rx,knee.ry", "knee.RX,knee.ry [rad]"),
+        ("root.px,root.py,root.pz", "root.x,root.y,root.z"),
+        ("root.px,root.py,root.pz", "root_pos_x,root_pos_y,root_pos_z"),
+        ("root.px,root.py,root.pz", "root/tx,root/ty,root/tz"),
+        ("root.px", "'root.px'"),
+        ("# rate: 50\n# loop", "// rate: 50\n% loop"),
         (",0\n", ",0,\n"),
         ("0.7,0\n", "0.7,0\n,,,,,,,,,\n,,,,,,,,,\n"),
         ("0.5,0\n", "0.5,0\n# second\n"),
@@ -262,6 +267,51 @@ def test_as_people_write(tmp_path: Path, old: str, new: str) -> None:
     assert clip.frame_rate == pytest.approx(50.0)
     assert torch.equal(clip.rotations, expected.rotations)
     assert torch.equal(clip.root_position, expected.root_position)
+
+
+@pytest.mark.parametrize(
+    ("changes", "options"),
+    [
+        ({"root.px,root.py,root.pz": "root.px [cm],root.py [cm],root.pz (cm)", "0.1,0,": "10,0,", "0.9": "90"}, {}),
+        ({"root.px,root.py": "root.px [mm],root.py [mm]", "0.1,0,": "100,0,"}, {}),
+        ({"0.1,0,": "10,0,", "0.9": "90"}, {"unit": "cm"}),
+        ({"knee.ry": "knee.ry [deg]", "0,0.5,": "0,28.64788975654116,", "0.7": "40.107045659157625"}, {}),
+        ({"knee.ry": "knee.ry (°)", "0,0.5,": "0,28.64788975654116,", "0.7": "40.107045659157625"}, {}),
+        ({"# rate: 50": "#", "root.px": "time_ms,root.px", "\n0,0,": "\n0,0,0,", "\n0.1,": "\n20,0.1,"}, {}),
+        ({"root.px": "Time [s],root.px", "\n0,0,": "\n7,0,0,", "\n0.1,": "\n7.02,0.1,"}, {}),
+        ({"root.px": "t,root.px", "\n0,0,": "\n7,0,0,", "\n0.1,": "\n9,0.1,"}, {"rate": 50.0}),
+        ({",": "|"}, {}),
+    ],
+)  # fmt: skip
+def test_units_of_columns(tmp_path: Path, changes: dict[str, str], options: dict[str, Any]) -> None:
+    text = CSV
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    clip, expected = read_csv(tmp_path, text, ReadOptions(**options)), read_csv(tmp_path, CSV)
+    assert clip.joint_names == expected.joint_names
+    for field in ("times", "root_position", "rotations"):
+        torch.testing.assert_close(getattr(clip, field), getattr(expected, field))
+
+
+def test_other_units_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="40 rad long, so they seem to be in degrees"):
+        read_csv(tmp_path, CSV.replace("0,0.7,0", "0,40,0"))
+    with pytest.raises(
+        FileError, match=r"90 m from the floor; give motion\.unit \(--unit\), as cm"
+    ):
+        read_csv(tmp_path, CSV.replace("0.9", "90"))
+
+
+def test_columns_of_joints_are_never_a_robots(tmp_path: Path) -> None:
+    """A name that is not read is said, where the rest would pass for angles of a robot."""
+    path = tmp_path / "clip.csv"
+    path.write_text(CSV.replace("root.px,root.py,root.pz", "hips x,hips y,hips z"))
+    head = path.read_bytes()
+    assert not AnglesReader().recognises(head, path)
+    assert CsvReader().recognises(head, path)
+    with pytest.raises(FileError, match=r"column 'root\.px' is missing"):
+        CsvReader().read(path)
 
 
 def test_columns_in_any_order(tmp_path: Path) -> None:

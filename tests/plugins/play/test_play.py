@@ -18,6 +18,7 @@ from page_requests import check_page
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
 from understudy.records import checkpoint
+from understudy.records.runs import open_run
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
@@ -411,6 +412,17 @@ def test_an_unpacked_skill_is_a_run_that_acts_as_the_skill_does(
     said = capsys.readouterr().err
     assert f"start.run={run}" in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_skill_of_a_gpu_is_unpacked_without_one(tmp_path: Path) -> None:
+    """The run says where it was trained; nothing is tried."""
+    run = tmp_path / "sit"
+    assert main(["play", "sitting/sit", "device=cuda", "--unpack", str(run)]) == 0
+    assert open_run(run).config["device"] == "cuda"
+    skill, again = open_skill("sitting/sit"), open_skill(str(run))
+    for name, value in skill.policy.items():
+        torch.testing.assert_close(again.policy[name], value)
 
 
 def test_a_skill_packed_without_its_overrides_is_not_unpacked(

@@ -82,6 +82,14 @@ PACKED = {
 }  # fmt: skip
 """How packed files begin."""
 
+_FIXED = {
+    "unit": ("unit", "their unit of length"),
+    "up": ("up", "which axis is vertical"),
+    "rate": ("source-rate", "their times"),
+    "skeleton": ("skeleton", "their skeleton, or have none"),
+}
+"""Flag and words for what files may say."""
+
 UNSAID = ReadOptions()
 """Options of a file that says everything."""
 
@@ -93,6 +101,8 @@ class UnknownFormatError(FileError):
 class ClipReader(ABC):
     """Reads one format."""
 
+    #: What every file of the format says itself, by its name in :class:`ReadOptions`; another is refused.
+    fixed: Mapping[str, Any] = {"skeleton": None}
     #: Usual endings of such files, for lists of clips; they decide nothing.
     suffixes: tuple[str, ...] = ()
 
@@ -143,7 +153,16 @@ def read_clip(path: Path, registry: Registry, options: ReadOptions = UNSAID) -> 
     FileError
         as :meth:`ClipReader.read`.
     """
-    return reader_of(path, registry).read(path, options)
+    reader = reader_of(path, registry)
+    for name, own in reader.fixed.items():
+        given = getattr(options, name)
+        if given not in (None, own):
+            flag, what = _FIXED[name]
+            said = f"{what}, {own}" if own else what
+            raise FileError(
+                f"Clip {path}: files of this kind say {said}; leave motion.{name}={given} (--{flag}) out."
+            )
+    return reader.read(path, options)
 
 
 def reader_of(path: Path, registry: Registry) -> ClipReader:
@@ -153,11 +172,16 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
     for reader in known.values():
         if reader.recognises(head, path):
             return reader
-    if head.startswith(b"\x80"):
+    torch_s = head.startswith(b"PK") and b"/data.pkl" in head  # a zip with a pickle
+    if head.startswith(b"\x80") or torch_s:
         raise UnknownFormatError(
             f"Clip {path}: a pickle, which could run any code when it is read, and is not. Save what it "
             "holds as a table or an NPZ where it was made (docs/motion.md): of a robot, its root's "
             "position, its quaternion as xyzw and its angles as the columns of a CSV."
+        )
+    if head.startswith(b"\x93NUMPY"):
+        raise UnknownFormatError(
+            f"Clip {path}: one array without names. Save what it holds as a table or an NPZ (docs/motion.md)."
         )
     packed = next((name for sign, name in PACKED.items() if head.startswith(sign)), None)
     if packed and (packed != "zip" or path.suffix.lower() == ".zip"):  # NPZ are zip, too

@@ -76,9 +76,13 @@ class Skill:
         RunError
             as :meth:`give`.
         """
-        built = build_environment(self.experiment, num_worlds=1)
+        root = replace(
+            self.experiment.root, device="cpu"
+        )  # only sizes are asked, whatever it was trained on
+        experiment = replace(self.experiment, root=root)
+        built = build_environment(experiment, num_worlds=1)
         try:
-            policy = build_policy(self.experiment, built.context)
+            policy = build_policy(experiment, built.context)
             self.give(policy)
         finally:
             built.environment.close()

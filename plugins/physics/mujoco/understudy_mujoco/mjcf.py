@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import os
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +35,9 @@ _MARKS = {
     codecs.BOM_UTF16_BE: "utf-16",
 }
 _DECLARED = re.compile(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.:-]+)")
-_PACKAGE = "package://"
+_PACKAGE = re.compile(r"(?:(?:package|model)://|(?:file://)?\$\(find )([^/)]+)\)?/(.*)")
+"""How a URDF names a file of a package, which :data:`_TEMPLATE` is not."""
+_TEMPLATE = re.compile(r"<xacro:|\$\{|\$\((?!find )")
 #: How the small files begin that a checkout without Git LFS has in place of large ones.
 _POINTER = b"version https://git-lfs.github.com/spec/"
 
@@ -94,12 +97,16 @@ class _Reader:
                 f"The model {self._path} does not load: <{root.tag}> is neither MJCF (<mujoco>) nor URDF (<robot>)."
             )
         if urdf:
-            if any("xacro}" in element.tag for element in root.iter()):
-                raise FileError(
-                    f"The model {self._path} is a template: expand it first, by xacro FILE > robot.urdf."
-                )
             _without_visuals(root)
             self._check_limits(root)
+            if followers := [
+                j.get("name", "") for j in root.iter("joint") if j.find("mimic") is not None
+            ]:
+                warnings.warn(
+                    f"The model {self._path} has joints that follow others (mimic); here each moves by itself: "
+                    f"{', '.join(followers)}.",
+                    stacklevel=2,
+                )
         elements = list(root.iter())
         for element in elements:
             if element.tag in _REFUSED:
@@ -123,18 +130,25 @@ class _Reader:
         return Mjcf(text, self._assets, urdf)
 
     def _check_limits(self, robot: ElementTree.Element) -> None:
-        """Refuse a joint whose range is upside down, which MuJoCo takes for one without."""
+        """Refuse a joint whose range is upside down, which MuJoCo takes for one without, or its effort below 0."""
         for joint in robot.iter("joint"):
             limit = joint.find("limit")
-            ends = [limit.get(end, "0") for end in ("lower", "upper")] if limit is not None else []
+            if limit is None:
+                continue
+            lower, upper, effort = (limit.get(end, "0") for end in ("lower", "upper", "effort"))
             try:
-                wrong = bool(ends) and float(ends[0]) > float(ends[1])
+                wrong = (
+                    f"the lower limit {lower}, above its upper one of {upper}"
+                    if float(lower) > float(upper)
+                    else f"an effort of {effort}"
+                    if float(effort) < 0.0
+                    else None
+                )
             except ValueError:  # MuJoCo says it
                 continue
             if wrong:
                 raise FileError(
-                    f"The model {self._path} does not load: joint '{joint.get('name', '')}' has the lower limit "
-                    f"{ends[0]}, above its upper one of {ends[1]}."
+                    f"The model {self._path} does not load: joint '{joint.get('name', '')}' has {wrong}."
                 )
 
     def _parse(self, path: Path) -> ElementTree.Element:
@@ -145,6 +159,10 @@ class _Reader:
             raise FileError(f"The model {path} does not load: it is no plain XML.")
         # MuJoCo's parser takes "--" in comments and blanks before the declaration, Python's does not.
         text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL).strip()
+        if "<robot" in text and _TEMPLATE.search(text):
+            raise FileError(
+                f"The model {path} is a template: expand it first, by xacro FILE > robot.urdf."
+            )
         try:
             return ElementTree.fromstring(text)
         except (ElementTree.ParseError, ValueError) as error:
@@ -197,28 +215,40 @@ class _Reader:
 
     def _of_package(self, name: str, directories: dict[str, str]) -> str:
         """The path, from the model's folder, that a URDF's ``package://NAME/PATH`` means: NAME is a folder
-        around the model's, or beside one of these. Other names are looked for as they are, then, as
-        MuJoCo does it, without their folders."""
+        around the model's, or beside one of these; if neither has the file, one around it that the model may
+        read may have another name. Other names are looked for as they are, then in the folders around, then,
+        as MuJoCo does it, without their folders."""
         directories.pop("strippath", None)
-        if name.startswith(_PACKAGE):
-            package, _, rest = name.removeprefix(_PACKAGE).partition("/")
-            around = (self._folder, *self._folder.parents)
-            found = [f for f in around if f.name == package] or [f / package for f in around]
-            there = next((f for f in found if (f / rest).is_file()), found[0])
-            directories["meshdir"] = directories["assetdir"] = ""
-            return os.path.relpath(there / rest, self._folder)
-        if not (self._folder / directories["meshdir"] / name).is_file():
-            return name.rpartition("/")[2]
-        return name
+        name = name.replace("\\", "/")
+        around = (self._folder, *self._folder.parents)
+        own = [f for f in around if f.is_relative_to(self._root)]
+        if found := _PACKAGE.fullmatch(name):
+            package, rest = found.groups()
+            named = [f for f in around if f.name == package] or [f / package for f in around]
+            missing = named[0]
+        else:
+            rest = name.removeprefix("file://")
+            if (
+                not Path(rest).is_absolute()
+                and (self._folder / directories["meshdir"] / rest).is_file()
+            ):
+                return rest
+            named, missing = [self._root] if Path(rest).is_absolute() else [], None
+        there = next((f for f in (*named, *own) if (f / rest).is_file()), missing)
+        if there is None:
+            return rest.rpartition("/")[2]
+        directories["meshdir"] = directories["assetdir"] = ""
+        return os.path.relpath(there / rest, self._folder)
 
     def _inside(self, name: str, folder: Path | None = None) -> Path:
         """The file that the model calls `name`, as seen from a `folder`, or else its own; it must be
         below the folder that the model may refer to."""
+        name = name.replace("\\", "/")  # as written on Windows
         try:
             path = ((folder or self._folder) / name).resolve()
         except (OSError, ValueError, RuntimeError):
             self._refuse(name)
-        if Path(name).is_absolute() or "\\" in name:
+        if Path(name).is_absolute():
             self._refuse(name)
         if not path.is_relative_to(self._root):
             self._refuse(name, path)
@@ -286,8 +316,11 @@ def _decoded(path: Path, content: bytes) -> str:
 
 
 def _without_visuals(robot: ElementTree.Element) -> None:
-    """Take what a URDF only shows out of it, if it also has what collides: MuJoCo does not read most of
-    the formats of such meshes, and leaves them out by default."""
+    """Take what a URDF only shows out of it: textures, and if it also has what collides, its visuals; MuJoCo does
+    not read most of the formats of such meshes, and leaves them out by default."""
+    for material in list(robot.iter("material")):
+        for texture in material.findall("texture"):
+            material.remove(texture)
     if robot.find("link/collision") is not None:
         for link in robot.iter("link"):
             for visual in link.findall("visual"):

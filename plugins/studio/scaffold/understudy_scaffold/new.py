@@ -78,7 +78,7 @@ def checked_name(name: str) -> str:
 def _write(folder: Path, name: str, templates: tuple[str, ...]) -> None:
     """All files, or none."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent) as unfinished:
+    with tempfile.TemporaryDirectory(prefix=".", dir=folder.parent) as unfinished:
         for place, text in _files(name, templates):
             file = Path(unfinished) / "all" / place
             file.parent.mkdir(parents=True, exist_ok=True)

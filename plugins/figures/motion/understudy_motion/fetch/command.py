@@ -36,8 +36,8 @@ from understudy_motion.reading import (
     ReadOptions,
     UnknownFormatError,
     read_bytes,
-    read_clip,
     read_record,
+    reader_of,
     record_path,
 )
 
@@ -314,7 +314,7 @@ def _check(path: Path, registry: Registry) -> bool:
     if path.suffix == SKELETON:
         return True
     try:
-        read_clip(path, registry, ANY_OPTIONS)
+        reader_of(path, registry).read(path, ANY_OPTIONS)
     except UnknownFormatError:
         return False
     return True

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import NoReturn
 
 import numpy as np
@@ -86,6 +87,7 @@ class Figure:
 class AmcReader(ClipReader):
     """Reads AMC, with the ASF that belongs to it."""
 
+    fixed = MappingProxyType({})
     suffixes = (".amc",)
 
     def recognises(self, head: bytes, path: Path) -> bool:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -25,8 +26,11 @@ from understudy_motion.clip import ANGLE, Clip
 from understudy_motion.readers.text import (
     decoded,
     is_number,
+    names_joints,
     number_rows,
     plain_name,
+    rate_of,
+    said_of,
     without_comments,
 )
 from understudy_motion.reading import (
@@ -34,6 +38,7 @@ from understudy_motion.reading import (
     ClipReader,
     ReadOptions,
     check_size,
+    metres_of,
     provenance,
     read_bytes,
 )
@@ -52,6 +57,7 @@ _UPRIGHT = 0.5
 class AnglesReader(ClipReader):
     """Reads robots' tables of angles."""
 
+    fixed = MappingProxyType({"up": "z", "skeleton": None})
     suffixes = (".csv", ".txt")
 
     def recognises(self, head: bytes, path: Path) -> bool:
@@ -61,7 +67,9 @@ class AnglesReader(ClipReader):
         words = _words(lines[0], _delimiter(lines[0]))
         if [word.lower() for word in words[:7]] == _PROTOMOTIONS:
             return True
-        if "root.px" in map(plain_name, words):  # of named joints' rotations: has its own reader
+        plain = [plain_name(word) for word in words]
+        whole = "root.px" in plain and any(word.endswith(".qw") for word in plain)
+        if whole or names_joints(words):  # of named joints' rotations: has its own reader
             return False
         if _names(lines):
             words = _words(lines[1], _delimiter(lines[0]))
@@ -72,7 +80,8 @@ class AnglesReader(ClipReader):
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
-        lines = without_comments(decoded(content).splitlines())
+        raw = decoded(content).splitlines()
+        lines = without_comments(raw)
         at = next((n for n, line in enumerate(lines) if line), 0)
         delimiter = _delimiter(lines[at])
         lines = [line.rstrip(delimiter) for line in lines]
@@ -80,12 +89,16 @@ class AnglesReader(ClipReader):
         degrees = [word.lower() for word in words[:7]] == _PROTOMOTIONS
         named = degrees or _names([lines[at], ""])
         body = lines[at + named :]
+        if delimiter != ",":  # which are decimal then
+            body = [line.replace(",", ".") for line in body]
         check_size(path, sum(1 for line in body if line), words)
         rows = number_rows(path, body, at + named + 1, len(words), delimiter)
-        rate, timed = RATE, not degrees and _timed(rows)
+        said = dict(filter(None, map(said_of, raw[:at])))
+        rate = rate_of(path, said["rate"]) if "rate" in said else RATE
+        timed = not degrees and _timed(rows)
         if timed:  # by a column of times, s, or of frames' numbers
             step = float(np.median(np.diff(rows[:, 0])))
-            rate = RATE if step == 1.0 else 1.0 / step
+            rate = rate if step == 1.0 else 1.0 / step
             rows, words = rows[:, 1:], words[1:]
         names = [re.sub("_(dof|joint)$", "", word) for word in words[7:]] if named else [
             str(n + 1) for n in range(len(words) - 7)
@@ -93,7 +106,8 @@ class AnglesReader(ClipReader):
         joints = ("root", *(f"{ANGLE}{name}" for name in names))
         if len(set(joints)) != len(joints):
             raise FileError(f"Clip {path}: two of its columns have the same name.")
-        position, turn, angles = _protomotions(rows) if degrees else _plain(path, rows)
+        unit = options.unit and metres_of(options.unit)
+        position, turn, angles = (_protomotions if degrees else _plain)(path, rows, unit)
         axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
         hinges = rotations.from_axis_angle(axis, torch.from_numpy(angles))
         return Clip(
@@ -127,14 +141,18 @@ def _timed(rows: np.ndarray) -> bool:
 
 
 def _delimiter(line: str) -> str | None:
-    return next((mark for mark in ",;\t" if mark in line), None)
+    return next((mark for mark in ";\t|," if mark in line), None)
 
 
 def _words(line: str, delimiter: str | None) -> list[str]:
-    return [word.strip().strip('"') for word in line.strip().rstrip(delimiter).split(delimiter)]
+    """Of a `line`, with decimal commas, where others stand between its numbers, as points."""
+    words = line.strip().rstrip(delimiter).split(delimiter)
+    return [word.strip().strip('"').replace(",", ".") for word in words]
 
 
-def _plain(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _plain(
+    path: Path, rows: np.ndarray, unit: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position (F, 3) m, rotation (F, 4) and angles (F, H) rad of a table without a header."""
     norms = np.linalg.norm(rows[:, 3:7], axis=1)
     if len(rows) and np.abs(norms - 1.0).max() > 0.02:
@@ -149,9 +167,10 @@ def _plain(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
             f"Clip {path}: half of its angles go beyond {swing:.0f} rad, so they seem to be in degrees; write them in "
             "radians."
         )
-    if len(rows) and (high := float(np.median(np.abs(rows[:, 2])))) > _FAR:
+    if unit is None and len(rows) and (high := float(np.median(np.abs(rows[:, 2])))) > _FAR:
         raise FileError(
-            f"Clip {path}: its root is {high:.0f} m from the floor; write it in metres."
+            f"Clip {path}: its root is {high:.0f} m from the floor; write it in metres, or give motion.unit "
+            "(--unit), as mm."
         )
     last, first = rows[:, [6, 3, 4, 5]], rows[:, 3:7]  # what is read as wxyz
 
@@ -160,9 +179,11 @@ def _plain(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
         return bool(up.mean() > _UPRIGHT)
 
     scalar_first = len(rows) > 0 and not upright(last) and upright(first)
-    return rows[:, :3], first.copy() if scalar_first else last, rows[:, 7:]
+    return rows[:, :3] * (unit or 1.0), first.copy() if scalar_first else last, rows[:, 7:]
 
 
-def _protomotions(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _protomotions(
+    path: Path, rows: np.ndarray, unit: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     turn = Rotation.from_euler("xyz", rows[:, 4:7], degrees=True).as_quat(scalar_first=True)
-    return rows[:, 1:4] / 100.0, turn, np.radians(rows[:, 7:])
+    return rows[:, 1:4] * (unit or 0.01), turn, np.radians(rows[:, 7:])

@@ -76,10 +76,15 @@ COLLAPSED = 0.1
 """Positions whose bones are together so much of the OFFSETs' length are displacements from these."""
 
 CHANNELS = {
-    f"{axis}{word}": (kind, k)
-    for kind in ("position", "rotation", "scale")
+    name: (kind, k)
+    for kind, words in {
+        "position": ("position", "pos", "translation", "translate", "t"),
+        "rotation": ("rotation", "rot", "rotate", "r"),
+        "scale": ("scale", "sca"),
+    }.items()
     for k, axis in enumerate(("x", "y", "z"))
-    for word in (kind, kind[:3])
+    for word in words
+    for name in (f"{axis}{word}", f"{word}{axis}")
 }
 """Kind and axis of a channel by its name in lower case."""
 
@@ -184,7 +189,7 @@ class _Hierarchy:
         joints: list[Joint] = []
         names: set[str] = set()
         open_joints: list[int] = []
-        if self._next().upper() != "HIERARCHY":
+        if self._next().upper().rstrip(":") != "HIERARCHY":
             self._fail("'HIERARCHY' is expected")
         while (word := self._next().upper().rstrip(":")) != "MOTION":
             if word in ("ROOT", "JOINT"):
@@ -283,7 +288,7 @@ class _Hierarchy:
         return tuple(numbers)
 
     def _channels(self) -> tuple[tuple[str, int], ...]:
-        count = self._next()
+        count = self._next().rstrip(",:")
         if not re.fullmatch("0?[0-9]", count):
             self._fail(f"a joint has from 0 to 9 CHANNELS, not {shown(count)}")
         names = [self._next().lower().rstrip(",").replace("_", "") for _ in range(int(count))]
@@ -304,14 +309,20 @@ def _motion(
     Where the `rate` is given the file need not say it, and what it says does not matter.
     """
     count = interval = None
-    last = start - 1
-    head = [(i, line) for i, line in enumerate(lines[start : start + 100], start) if line][:2]
+    head = [
+        (i, _REMARK.sub("", line))
+        for i, line in itertools.takewhile(
+            lambda said: not said[1] or _is_word(said[1].split()[0]),
+            enumerate(lines[start : start + 100], start),
+        )
+        if line
+    ]
     for i, word, said in [(i, *said) for i, line in head for said in _SAID.findall(line)]:
         if word.lower() != "frames":
             interval = (i, said.replace(",", "."), word.lower().endswith("time"))
         elif re.fullmatch(r"[0-9]{1,9}(\.0*)?", said):
             count = (i, int(float(said)))
-        last = i
+    last = head[-1][0] if head else start - 1
     unsaid = count is None and any(
         w.lower() == "frames" for _, line in head for w, _ in _SAID.findall(line)
     )
@@ -360,6 +371,11 @@ def _motion(
     values = number_rows(path, body, last + 2, columns)
     ends = np.cumsum([len(joint.channels) for joint in joints])
     return seconds, np.split(values, ends[:-1], axis=1)
+
+
+def _is_word(word: str) -> bool:
+    """Whether a line that begins with it has no numbers of a frame."""
+    return word[0].isalpha() and word.lower() not in ("nan", "inf", "infinity")
 
 
 def _rejoined(body: Sequence[str], frames: int, columns: int) -> Sequence[str]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -80,6 +81,7 @@ LOOPS = {"wrap": True, "none": False}
 class DeepMimicReader(ClipReader):
     """Reads DeepMimic's JSON."""
 
+    fixed = MappingProxyType({"unit": "m", "up": "y", "rate": None, "skeleton": None})
     suffixes = (".txt", ".json")
 
     def recognises(self, head: bytes, path: Path) -> bool:

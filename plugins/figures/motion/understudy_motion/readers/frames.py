@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.errors import FileError
 from understudy_motion.reading import Axis
 from understudy_tensors import rotations
+
+_TURN, _FAR, _DAMAGED = 4.0 * np.pi, 50.0, 1e5
+"""rad of a rotation vector, and m of the pelvis above the floor, beyond which the unit is another; and m that no
+unit explains."""
 
 
 def to_world(vectors: np.ndarray, up: Axis) -> np.ndarray:
@@ -39,3 +45,20 @@ def product_of_turns(axes: np.ndarray, angles: np.ndarray) -> Tensor:
     turns = rotations.from_axis_angle(torch.tensor(axes), torch.tensor(angles))
     identity = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64).expand(len(angles), 4)
     return reduce(rotations.multiply, turns.unbind(dim=1)) if len(axes) else identity
+
+
+def check_sizes(path: Path, vectors: np.ndarray, heights: np.ndarray | None) -> None:
+    """Raise FileError where rotation vectors are no radians, or `heights` (F,), if they are to be m, are none."""
+    with np.errstate(over="ignore"):  # of numbers that are damaged the length is infinite
+        longest = float(np.linalg.norm(vectors, axis=2).max(initial=0.0))
+    if longest > _TURN:
+        raise FileError(
+            f"Clip {path}: its rotation vectors are up to {longest:.0f} rad long, so they seem to be in degrees; "
+            "write them in radians."
+        )
+    high = 0.0 if heights is None or not len(heights) else abs(float(np.median(heights)))
+    if _FAR < high < _DAMAGED:
+        raise FileError(
+            f"Clip {path}: its pelvis is {high:.0f} m from the floor; give motion.unit (--unit), as "
+            f"{'cm' if high < 300.0 else 'mm'}."
+        )

@@ -2,7 +2,7 @@
 
 ``poses`` (F, 3 J) holds a rotation vector per joint, the root's first: 22 joints of the body, then
 those of SMPL (24), SMPL-H (52) or SMPL-X (55); or the parts stand apart as ``root_orient``,
-``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``. Joints may have an axis of their own, and be
+``pose_body``, ``pose_jaw``, ``pose_eye`` and ``pose_hand``, of which the body is enough. Joints may have an axis of their own, and be
 rotation matrices: (F, J, 3) or (F, J, 3, 3). ``trans`` (F, 3) is in metres. An axis of a batch of one
 clip, or of one person, is left out. The rate is ``mocap_framerate``, ``mocap_frame_rate``, ``mocap_fps``, ``frame_rate``, ``framerate`` or ``fps``. The body model's own
 names of these arrays (``global_orient``, ``body_pose``, ``transl``, …) are read as well.
@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
-from understudy_motion.readers.frames import to_world
+from understudy_motion.readers.frames import check_sizes, to_world
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.reading import (
     UNSAID,
@@ -67,6 +67,12 @@ JOINTS: Mapping[int, tuple[str, ...]] = {
 PARTS: Mapping[str, int] = {"root_orient": 1, "pose_body": 21, "pose_jaw": 1, "pose_eye": 2, "pose_hand": 30}  # fmt: skip
 """Joints of the arrays that may stand for ``poses``, in its order."""
 
+HALVES: Mapping[str, tuple[str, str]] = {
+    "pose_eye": ("leye_pose", "reye_pose"),
+    "pose_hand": ("left_hand_pose", "right_hand_pose"),
+}
+"""Arrays that may stand for a part, a side each."""
+
 _SMPL = 23
 """Joints of ``body_pose`` where it is SMPL's own, which has hands."""
 RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps", "mocap_fps")
@@ -75,14 +81,12 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "root_orient": ("global_orient",),
     "pose_body": ("body_pose",),
     "pose_jaw": ("jaw_pose",),
-    "trans": ("transl", "translation", "smpl_trans"),
+    "trans": ("transl", "translation", "smpl_trans", "root_trans", "root_translation"),
 }
 """Other names of the arrays."""
 _SCALE = "smpl_scaling"
 """What AIST++ has ``smpl_trans`` multiplied by, so that it is not in metres."""
-_TURN, _FAR, _DAMAGED = 4.0 * np.pi, 50.0, 1e5
-"""rad of a rotation vector, and m of the pelvis above the floor, beyond which the unit is another; and m that no
-unit explains."""
+
 
 OFFSETS: Mapping[str, tuple[str, tuple[float, float, float]]] = {
     "hip": ("pelvis", (0.06, -0.08, 0.0)),
@@ -155,7 +159,7 @@ class SmplReader(ClipReader):
             )
         translation = places.reshape(num_frames, 3) * metres_of(options.unit or "m") / scale
         high = None if options.unit else translation[:, 1 if options.up == "y" else 2]
-        _check_sizes(path, vectors, high)
+        check_sizes(path, vectors, high)
         rate = options.rate or _rate(path, archive)
         up = options.up or "z"
         joint_names = JOINTS[num_joints]
@@ -176,24 +180,8 @@ class SmplReader(ClipReader):
 
 def _poses(path: Path, archive: Archive) -> np.ndarray:
     """(F, J, 3) rotation vectors in the body's frames."""
-    if whole := _named("poses", archive.names):
-        poses = _vectors(archive, whole)
-    else:
-        parts = []
-        for part, joints in PARTS.items():
-            name = _named(part, archive.names)
-            if name or part in ("root_orient", "pose_body"):
-                parts.append(_vectors(archive, name or part))
-                if part == "pose_body" and parts[-1].shape[1] == 3 * _SMPL:
-                    joints = _SMPL  # with its hands
-                if parts[-1].shape[1] != 3 * joints:
-                    raise FileError(
-                        f"Clip {path}: array '{name}': {parts[-1].shape[1]} values per frame, and it "
-                        f"should have {3 * joints}."
-                    )
-        if len({len(part) for part in parts}) != 1:
-            raise FileError(f"Clip {path}: its arrays of poses differ in their number of frames.")
-        poses = np.concatenate(parts, axis=1)
+    whole = _named("poses", archive.names)
+    poses = _vectors(archive, whole) if whole else _of_parts(path, archive)
     joints, rest = divmod(poses.shape[1], 3)
     if rest or joints not in JOINTS:
         known = ", ".join(str(3 * known) for known in JOINTS)
@@ -202,6 +190,34 @@ def _poses(path: Path, archive: Archive) -> np.ndarray:
             f"({known})."
         )
     return poses.reshape(len(poses), joints, 3)
+
+
+def _of_parts(path: Path, archive: Archive) -> np.ndarray:
+    """(F, 3 J) of :data:`PARTS`: the body, with its hands where they are there, and with both a face too."""
+    found: dict[str, list[np.ndarray]] = {}
+    for part, joints in PARTS.items():
+        name = _named(part, archive.names)
+        if name or part in ("root_orient", "pose_body"):
+            values = _vectors(archive, name or part)
+            if part == "pose_body" and values.shape[1] == 3 * _SMPL:
+                joints = _SMPL  # with its hands
+            if values.shape[1] not in (3 * joints, 0):
+                raise FileError(
+                    f"Clip {path}: array '{name}': {values.shape[1]} values per frame, and it "
+                    f"should have {3 * joints}."
+                )
+            found[part] = [values] if values.shape[1] else []
+        elif set(HALVES.get(part, ("",))) <= archive.names:
+            sides = [_vectors(archive, side) for side in HALVES[part]]
+            # Others are coefficients of the model's own hands, which are not here.
+            found[part] = sides if all(2 * v.shape[1] == 3 * joints for v in sides) else []
+    body = found["root_orient"] + found["pose_body"]
+    hands = found.get("pose_hand", []) if body[-1].shape[1] != 3 * _SMPL else []
+    jaw, eyes = (found.get(part, []) for part in ("pose_jaw", "pose_eye"))
+    kept = [*body, *(jaw + eyes if hands and jaw and eyes else []), *hands]
+    if len({len(values) for values in kept}) != 1:
+        raise FileError(f"Clip {path}: its arrays of poses differ in their number of frames.")
+    return np.concatenate(kept, axis=1)
 
 
 def _named(name: str, names: Collection[str]) -> str | None:
@@ -241,22 +257,6 @@ def _rate(path: Path, archive: Archive) -> float:
     if not 0.0 < rate <= 1e6:
         raise FileError(f"Clip {path}: '{name}' is {rate:g}, no number of frames per second.")
     return rate
-
-
-def _check_sizes(path: Path, vectors: np.ndarray, heights: np.ndarray | None) -> None:
-    """Raise FileError where rotation vectors are no radians, or `heights` (F,), if they are to be m, are none."""
-    with np.errstate(over="ignore"):  # of numbers that are damaged the length is infinite
-        longest = float(np.linalg.norm(vectors, axis=2).max(initial=0.0))
-    if longest > _TURN:
-        raise FileError(
-            f"Clip {path}: its rotation vectors are up to {longest:.0f} rad long, so they seem to be in degrees; "
-            "write them in radians."
-        )
-    high = 0.0 if heights is None or not len(heights) else abs(float(np.median(heights)))
-    if _FAR < high < _DAMAGED:
-        raise FileError(
-            f"Clip {path}: its pelvis is {high:.0f} m from the floor; give motion.unit (--unit), as mm."
-        )
 
 
 def _into_z_up(vectors: np.ndarray) -> torch.Tensor:

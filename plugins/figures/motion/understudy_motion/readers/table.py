@@ -11,8 +11,10 @@ SI units, z up, x forward, quaternions wxyz: nothing is converted.
 ``root.py``, ``root.pz`` (m); and for each joint, the root first, ``NAME.qw``, ``.qx``, ``.qy``,
 ``.qz`` or its rotation vector ``NAME.rx``, ``.ry``, ``.rz`` (rad). Lines before it that begin with
 ``#`` may say ``# rate: 60`` (frames/s, instead of ``time``), ``# loop: true`` and
-``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons or tabs may stand between the columns, decimal commas
-in numbers; columns without a name, and those of row numbers, are left out.
+``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons, tabs or bars may stand
+between the columns, decimal commas in numbers; columns without a name, and those of row numbers, are left out.
+A column's name may say another unit, ``root.px [cm]``, ``knee.rx [deg]``, ``time [ms]``; times begin at the first
+frame's.
 """
 
 from __future__ import annotations
@@ -22,14 +24,25 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
 
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.readers.frames import check_sizes
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
-from understudy_motion.readers.text import decoded, is_number, number_rows, plain_name, shown
+from understudy_motion.readers.text import (
+    decoded,
+    names_joints,
+    number_rows,
+    plain_name,
+    rate_of,
+    said_of,
+    scale_of,
+    shown,
+)
 from understudy_motion.reading import (
     MAX_RECORD_LINE,
     UNSAID,
@@ -37,6 +50,7 @@ from understudy_motion.reading import (
     ReadOptions,
     check_size,
     checked_skeleton,
+    metres_of,
     provenance,
     read_bytes,
 )
@@ -52,18 +66,14 @@ VECTOR = ("rx", "ry", "rz")
 ROOT_POSITION = ("root.px", "root.py", "root.pz")
 UNREAD = re.compile(r"(index|idx|id|row|level_[0-9]+|frames?|unnamed: [0-9]+|)", re.IGNORECASE)
 """Columns of row numbers, and empty ones, as spreadsheets and pandas write them."""
-TIME = re.compile(r"(time|times|t|timestamp)([_ ]*[\[(]?(s|sec|seconds)[\])]?)?", re.IGNORECASE)
-"""The column of times, s."""
-DELIMITERS = ",;\t"
-SAID = re.compile(
-    r'\s*"?#\s*(?:(rate|frame[ _]?rate|fps)|(loop)|(licen[cs]e))\s*[:=](.*)', re.IGNORECASE
-)
-"""A line before the table that says something of it; spreadsheets quote it, or end it with delimiters."""
+DELIMITERS = ",;\t|"
+REMARKS = ("#", "%", "//")
 
 
 class NpzReader(ClipReader):
     """Reads this product's NPZ."""
 
+    fixed = MappingProxyType({"unit": "m", "up": "z", "rate": None, "skeleton": None})
     suffixes = (".npz",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
@@ -111,6 +121,7 @@ def _skeleton(path: Path, archive: Archive, joint_names: tuple[str, ...]) -> Ske
 class CsvReader(ClipReader):
     """Reads a table of named columns."""
 
+    fixed = MappingProxyType({"up": "z", "skeleton": None})
     suffixes = (".csv",)
 
     def recognises(self, head: bytes, path: Path) -> bool:
@@ -118,7 +129,8 @@ class CsvReader(ClipReader):
         _, start = _comments(lines)
         if start == len(lines) or not (delimiter := _delimiter(lines[start])):
             return False
-        return ROOT_POSITION[0] in _cells(lines[start], delimiter)
+        columns = _cells(lines[start], delimiter)
+        return ROOT_POSITION[0] in columns or names_joints(columns)
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
@@ -133,14 +145,27 @@ class CsvReader(ClipReader):
         num_frames = sum(1 for line in body if line.strip())
         check_size(path, num_frames, tuple(joints))
         rows = number_rows(path, body, start + 2, len(columns), delimiter)
+        scales = {plain_name(name): scale_of(name) for name in _raw(header, delimiter)}
+        rows = rows * [scales[name] for name in columns]
+        places = rows[:, [columns.index(c) for c in ROOT_POSITION]]
+        if options.unit:
+            places = places * metres_of(options.unit)
+        turns = [rows[:, at] for at in joints.values()]
+        stated = any(line.startswith("# units:") for line in lines[:start])  # as the writer does
+        vectors = [values for values in turns if values.shape[1] == 3]
+        check_sizes(
+            path,
+            np.stack(vectors, axis=1) if vectors else np.zeros((len(rows), 1, 3)),
+            None if options.unit or stated else places[:, 2],
+        )
         fields = provenance(path, content)
         if "licence" in said:
             fields["licence"] = said["licence"][:MAX_RECORD_LINE]
         return Clip(
             name=path.stem,
             times=_times(path, rows, columns, said, options),
-            root_position=torch.from_numpy(rows[:, [columns.index(c) for c in ROOT_POSITION]]),
-            rotations=torch.stack([_rotation(rows[:, at]) for at in joints.values()], dim=1),
+            root_position=torch.from_numpy(places),
+            rotations=torch.stack([_rotation(values) for values in turns], dim=1),
             joint_names=tuple(joints),
             loop=_loop(path, said) if options.loop is None else options.loop,
             **fields,
@@ -151,13 +176,12 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
     """What the comments before the table say, and the index of the line of column names."""
     said: dict[str, str] = {}
     for index, line in enumerate(lines):
-        if comment := SAID.match(line):
-            name = "rate" if comment[1] else "loop" if comment[2] else "licence"
-            said[name] = comment[4].strip(f'{DELIMITERS} "')
+        if comment := said_of(line):
+            said[comment[0]] = comment[1]
         elif (
             line.strip()
             and not line.lower().startswith("sep=")
-            and (not line.lstrip(' "').startswith("#") or ROOT_POSITION[0] in line)
+            and (not line.lstrip(' "').startswith(REMARKS) or ROOT_POSITION[0] in line)
         ):
             return said, index
     return said, len(lines)
@@ -171,15 +195,20 @@ def _delimiter(header: str) -> str:
 
 
 def _cells(header: str, delimiter: str) -> list[str]:
+    return [plain_name(name) for name in _raw(header, delimiter)]
+
+
+def _raw(header: str, delimiter: str) -> list[str]:
     names = [name.strip().strip('"').strip() for name in header.split(delimiter)]
+    names = [n[1:-1] if len(n) > 2 and n[0] == n[-1] == "'" else n for n in names]
     names[0] = names[0].lstrip("# ")
-    return ["time" if TIME.fullmatch(name) else plain_name(name) for name in names]
+    return names
 
 
 def _row(line: str, count: int, delimiter: str) -> str:
     """`line` of a table of `count` columns, empty where it is a comment or delimiters alone, and without one at its
     end that no column's name has."""
-    if line.lstrip().startswith("#") or not line.strip(f"{delimiter} "):
+    if line.lstrip().startswith(REMARKS) or not line.strip(f"{delimiter} "):
         return ""
     more = line.count(delimiter) == count and line.rstrip(" ").endswith(delimiter)
     return line.rstrip(" ")[:-1] if more else line
@@ -244,21 +273,17 @@ def _times(
     said: dict[str, str],
     options: ReadOptions,
 ) -> torch.Tensor:
-    if "time" in columns:
-        return torch.from_numpy(rows[:, columns.index("time")])
     rate = options.rate
+    if "time" in columns and rate is None:
+        times = rows[:, columns.index("time")]
+        return torch.from_numpy(times - times[:1])
     if rate is None:
         if "rate" not in said:
             raise FileError(
                 f"Clip {path}: there is neither a column 'time' nor a line '# rate: 60'; give "
                 "motion.rate (--source-rate)."
             )
-        word = re.sub(r"\s*(hz|fps)$", "", said["rate"], flags=re.IGNORECASE).replace(",", ".")
-        if not is_number(word) or not 0.0 < float(word) <= 1e6:
-            raise FileError(
-                f"Clip {path}: the rate {shown(said['rate'])} is no number of frames per second."
-            )
-        rate = float(word)
+        rate = rate_of(path, said["rate"])
     return torch.arange(len(rows), dtype=torch.float64) / rate
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import codecs
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ def decoded(content: bytes) -> str:
     except UnicodeDecodeError:
         text = content.decode("cp1252", errors="replace")
     text = text.replace("\u2212", "-")  # the minus of typographers
-    text = text.replace("\ufeff", "")  # a second mark, as where files were put together
+    text = re.sub("[\ufeff\u200b]", "", text)  # a second mark, as where files were put together
     return text.rstrip("\0\x1a")  # with which old programs end a file
 
 
@@ -60,17 +61,69 @@ def shown(text: str) -> str:
     return repr(text if len(text) <= 40 else text[:40] + "…")
 
 
-_COLUMN = re.compile(
-    r"(?:(root)[._](p[xyz])|(.*)\.(q[wxyz]|r[xyz]))(\s*[\[(](m|rad)?[\])])?", re.IGNORECASE
+_SAID = re.compile(
+    r'\s*"?(?:#|%|//)\s*(?:(rate|frame[ _]?rate|fps)|(loop)|(licen[cs]e))\s*[:=](.*)', re.IGNORECASE
 )
+"""A line before a table that says something of it; spreadsheets quote it, or end it with delimiters."""
+
+
+def said_of(line: str) -> tuple[str, str] | None:
+    """What a remark before a table says of it, None if nothing: "rate", "loop" or "licence", and its value."""
+    if not (found := _SAID.match(line)):
+        return None
+    name = "rate" if found[1] else "loop" if found[2] else "licence"
+    return name, found[4].strip(',;\t| "')
+
+
+def rate_of(path: Path, word: str) -> float:
+    """Frames per second, of what :func:`said_of` gives of a rate."""
+    number = re.sub(r"\s*(hz|fps)$", "", word, flags=re.IGNORECASE).replace(",", ".")
+    if not is_number(number) or not 0.0 < float(number) <= 1e6:
+        raise FileError(f"Clip {path}: the rate {shown(word)} is no number of frames per second.")
+    return float(number)
+
+
+_COLUMN = re.compile(
+    r"(?:(root)[._/ -](?:p|t|pos[._]?|position[._]?|trans[._]?)?([xyz])|(.*)\.(q[wxyz]|r[xyz]))"
+    r"(?:\s*[\[(]\s*(m|cm|mm|rad|deg|degrees?|°)?\s*[\])])?",
+    re.IGNORECASE,
+)
+_TIME = re.compile(
+    r"(?:time|times|t|timestamp|seconds)(?:[_ ]*[\[(]?(s|sec|seconds|ms|milliseconds)[\])]?)?",
+    re.IGNORECASE,
+)
+_SCALES = {
+    "c": 0.01,
+    "mm": 0.001,
+    "d": math.pi / 180.0,
+    "°": math.pi / 180.0,
+    "ms": 0.001,
+    "mi": 0.001,
+}
+"""m, rad or s in a unit that begins so."""
 
 
 def plain_name(column: str) -> str:
     """The name of a table's `column` as it is written here: without a unit, its part in small letters."""
+    if _TIME.fullmatch(column):
+        return "time"
     if found := _COLUMN.fullmatch(column):
         root, position, joint, rotation = found.groups()[:4]
-        return f"{root.lower()}.{position.lower()}" if root else f"{joint}.{rotation.lower()}"
+        return f"root.p{position.lower()}" if root else f"{joint}.{rotation.lower()}"
     return column
+
+
+def names_joints(columns: Iterable[str]) -> bool:
+    """Whether `columns` have rotations of a joint beside the root, NAME.qw or NAME.rx, as no robot's table has."""
+    found = (_COLUMN.fullmatch(column) for column in columns)
+    return any(f and f[3] and f[3].lower() not in ("root", "base", "pelvis") for f in found)
+
+
+def scale_of(column: str) -> float:
+    """m, rad or s in the unit that the name of a table's `column` says, 1 if none."""
+    found = _TIME.fullmatch(column) or _COLUMN.fullmatch(column)
+    unit = (found[found.re.groups] or "").lower() if found else ""
+    return next((scale for start, scale in _SCALES.items() if unit.startswith(start)), 1.0)
 
 
 def number_rows(
