@@ -39,6 +39,7 @@ class Holder:
 
     jaws: Jaws
     least: float  #: rad, by which the gripper is closed when it is open
+    most: float  #: rad, by which it closes at most
     place: Tensor  #: (3,) m, of the lower part in the palm's frame
     turn: Tensor  #: (3, 3)
     points: Tensor  #: (P, 3) m, of the hand's shapes, in the palm's frame
@@ -121,11 +122,14 @@ def choose(
     closed, _, _ = _around(holder, shape, matrix, least)
     closed, wide, ways = _around(holder, shape, matrix, closed)
     off = torch.acos(normal(shape, ways).clamp(-1.0, 1.0))
-    narrow = jaws.room(holder.least) - ROOM - width(shape, ways)
+    wide_as = width(shape, ways)
+    narrow = jaws.room(holder.least) - ROOM - wide_as
+    thin = wide_as - jaws.room(holder.most)
     first = rotations.multiply(rotations.from_heading(heading), local)
     far = rotations.angle_between(first, now)
     score = torch.exp(-_ALIGNED * off - _CONTINUOUS * far)
-    _some(narrow, "taking", "the object is wider than the sticks open")
+    _some(narrow, "taking", "the object is wider than the gripper opens")
+    _some(thin, "taking", "the object is thinner than the gripper closes")
     heads = (heading, heading, goal_heading, goal_heading)
     angles, middles = (wide, closed, closed, least), (start, start, goal, goal)
     table = [
@@ -133,8 +137,9 @@ def choose(
         for h, a, m in zip(heads, angles, middles, strict=True)
     ]
     low = torch.stack(table).amin(0)
-    _some(torch.where(narrow >= 0, low, -1.0), "taking", "the sticks are in the table")
-    score = torch.where((narrow >= 0) & (low >= 0), score, -1.0)
+    fits = (narrow >= 0) & (thin >= 0)
+    _some(torch.where(fits, low, -1.0), "taking", "the gripper is in the table")
+    score = torch.where(fits & (low >= 0), score, -1.0)
     kept = score.topk(min(BEST, int((score > 0).sum()))).indices
     # Of those, what the arm reaches and nothing is in the way of.
     turns = torch.stack([upright(h) @ matrix[kept] for h in heads], 1)  # (C, 4, 3, 3)
@@ -163,7 +168,7 @@ def choose(
         free = away.flatten(2).amin(-1)
         for rows, phase in ((slice(0, 2), "taking"), (slice(2, 4), "releasing")):
             clear = free[:, rows].amin(1)
-            _some(torch.where(ok, clear, -1.0), phase, "other objects are in the sticks' way")
+            _some(torch.where(ok, clear, -1.0), phase, "other objects are in the gripper's way")
             ok &= clear >= 0
     rows = kept[ok]
     ends = rotations.multiply(rotations.from_heading(goal_heading), local[rows])

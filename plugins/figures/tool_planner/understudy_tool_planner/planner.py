@@ -130,6 +130,7 @@ class Planner:
         self._holder = Holder(
             self._jaws,
             self._least,
+            float(grip.angles[-1]),
             lower[:3],
             rotations.to_matrix(rotations.normalize(lower[3:])),
             torch.cat([shapes.ends[0].flatten(0, 1), boxes.flatten(0, 1)]),
@@ -278,7 +279,7 @@ class Planner:
         clear.append(float(self._holder.clearance(palm, hand).amin()))
         if min(clear) < 0.0:
             raise NoPlan(
-                f"No plan reaches the goal: on the way the hand or a stick is {-1e3 * min(clear):.1f} mm in the "
+                f"No plan reaches the goal: on the way the hand or the gripper is {-1e3 * min(clear):.1f} mm in the "
                 "table or an object. Choose another goal, or move what is in the way."
             )
         if error is not None and error.any():  # from where they are, evenly
@@ -351,7 +352,7 @@ class Planner:
 
     def _opened(self, angle: Tensor, share: Tensor) -> Tensor:
         """(n,) rad: by the shares `share` (n,) of the way open from `angle`."""
-        return angle - share * (angle - self._least)
+        return self._least + (angle - self._least) * (1.0 - share)
 
     def _away(self, now: Moment) -> Frames:
         """From `now`: at rest, then open and up."""
