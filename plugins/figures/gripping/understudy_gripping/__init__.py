@@ -10,7 +10,7 @@ PARTS = {
         "tongs": ("grip:tongs", "tongs, by thumb, index and middle finger"),
         "tongs_wide": (
             "grip:tongs_wide",
-            "tongs, closed far enough to take what is 1 to 2 cm wide",
+            "tongs, closed upon what is 1 to 2 cm wide",
         ),
         "brush": ("grip:brush", "a brush, by thumb, index and middle finger"),
         "long": ("grip:long", "the style 11120, of a hand with long fingers"),
