@@ -4,6 +4,7 @@ Eight objects of table 5.2 (thesis, section 5.6) lie on a table and are moved on
 the last one ended; then eight others. Prints one line and appends it to ``docs/benchmarks/planner.jsonl``.
 
     python benchmarks/planner.py --tasks 500
+    python benchmarks/planner.py --grip long --tasks 100
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import numpy as np
 import torch
 
 from understudy.records.runs import versions
-from understudy_gripping.grip import load_grip, standard
+from understudy.setup.plugins import installed
+from understudy_gripping.grip import load_grip
 from understudy_hand.scene import HandScene
 from understudy_tool_planner.configuration import NoPlan
 from understudy_tool_planner.planner import Planner
@@ -34,11 +36,19 @@ def main() -> None:
     )
     parser.add_argument("--tasks", type=int, default=500)
     parser.add_argument("--objects", type=int, default=8)
+    parser.add_argument(
+        "--grip",
+        default="standard",
+        help="that comes with a plugin, of any hand, of sticks or tongs",
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    planner = Planner(load_grip(standard()), HandScene(HandScene.Options()))
+    grip = load_grip(installed().registry.find("grip", options.grip).factory())
+    hand = grip.measures
+    scene = HandScene(HandScene.Options(hand.fingers, hand.finger_length, hand.size, grip.tool))
+    planner = Planner(grip, scene)
     generator = torch.Generator().manual_seed(options.seed)
     now, taken, clear, lengths = planner.begin(), [], [], []
     wall, reasons = [], Counter[str]()
@@ -65,6 +75,7 @@ def main() -> None:
         "when": time.strftime("%Y-%m-%d"),
         "cpu": platform.processor() or platform.machine(),
         "versions": versions(),
+        "grip": options.grip,
         "tasks": options.tasks,
         "objects": options.objects,
         "planned": len(clear) / options.tasks,

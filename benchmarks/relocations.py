@@ -4,6 +4,8 @@
 skill of relocation in MuJoCo on one core, each episode by a plan of its own that no training followed, and writes a row into
 ``docs/benchmarks/relocations.jsonl``. The row is written after every episode, and the same command goes on with it: what was under way
 when it was cut is begun anew, so that quick failures would be counted too often if cuts were many.
+
+``--untrained EXPERIMENT`` follows the plans of an experiment without a policy: the targets are the plan's alone.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import Any
 import torch
 
 from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
 from understudy_chopsticks.relocate import Relocations
 from understudy_reinforcement.evaluation import wilson_interval
 from understudy_reinforcement.policy import build_policy
@@ -29,6 +32,14 @@ RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "relocations.jsonl
 SKILL = "chopsticks/relocate"
 #: m from its plan, beyond which an object is on its way to be lost: what counts as placed, too.
 OFF = 0.005
+#: Of an experiment without a policy: whatever one does counts for nothing.
+_UNTRAINED = (
+    "simulator=mujoco",
+    "device=cpu",
+    "actuation.hand=0",
+    "actuation.arm=0",
+    "initial_states.refill=0",
+)
 PHASES = ("approach", "grasp", "carry", "release")
 
 
@@ -72,19 +83,32 @@ class Watched:
 
 @torch.no_grad()
 def episodes(
-    name: str, words: list[str], begun: int, count: int, worlds: int, seconds: float
+    name: str,
+    words: list[str],
+    begun: int,
+    count: int,
+    worlds: int,
+    seconds: float,
+    untrained: bool = False,
 ) -> Iterator[dict[str, Any]]:
-    """Those of the numbers from `begun` to `count`, as they end; as many side by side as there are `worlds`."""
+    """Those of the numbers from `begun` to `count`, as they end; as many side by side as there are `worlds`. `name` is
+    a skill's, or of `untrained` worlds an experiment's."""
     worlds = min(worlds, count - begun)
-    skill = open_skill(name, [*words, f"seed={begun}", f"initial_states.plans={worlds}"])
+    words = [*words, f"seed={begun}", f"initial_states.plans={worlds}"]
+    skill = None if untrained else open_skill(name, words)
+    if skill is not None:
+        experiment = skill.experiment
+    else:
+        experiment = load_experiment([f"experiment={name}", *_UNTRAINED, *words])
     built = build_environment(
-        skill.experiment, num_worlds=worlds, episode_seconds=seconds, evaluating=True
+        experiment, num_worlds=worlds, episode_seconds=seconds, evaluating=True
     )
     environment, initial = built.environment, built.environment.parts.initial_states
     assert isinstance(initial, Relocations)
     try:
-        policy = build_policy(skill.experiment, built.context)
-        skill.give(policy)
+        policy = build_policy(experiment, built.context)
+        if skill is not None:
+            skill.give(policy)
         seen, table = environment.reset(begun, "relocations"), environment.table
         watched, begun = [Watched() for _ in range(worlds)], begun + worlds
         while any(w is not None for w in watched):
@@ -129,10 +153,17 @@ def summary(episodes: list[dict[str, Any]], relocations: int) -> dict[str, Any]:
     }
 
 
+def _named(given: argparse.Namespace) -> str:
+    if given.untrained is not None:
+        return f"none ({given.untrained})"
+    return Path(given.skill).stem if given.skill.endswith(".json") else str(given.skill)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--what", required=True, help="name of the row")
     parser.add_argument("--skill", default=SKILL, help="that ships, a packed one, or a run")
+    parser.add_argument("--untrained", metavar="EXPERIMENT", help="whose plans no policy follows")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--worlds", type=int, default=16, help="episodes side by side")
     parser.add_argument("--seconds", type=float, default=32.0, help="of an episode, at most")
@@ -150,11 +181,14 @@ def main() -> None:
     )
     done, begun = len(row["episodes"]), time.process_time()
     spent = row.get("core_seconds", 0.0)
-    for found in episodes(given.skill, words, done, given.episodes, given.worlds, given.seconds):
+    for found in episodes(
+        given.untrained or given.skill, words, done, given.episodes, given.worlds, given.seconds,
+        given.untrained is not None,
+    ):  # fmt: skip
         row["episodes"].append(found)
         row |= {
             "when": datetime.date.today().isoformat(), "device": "cpu", "machine": given.machine,
-            "skill": Path(given.skill).stem if given.skill.endswith(".json") else given.skill, "simulator": "mujoco", "overrides": words,
+            "skill": _named(given), "simulator": "mujoco", "overrides": words,
             "core_seconds": round(spent + time.process_time() - begun, 1),
             **summary(row["episodes"], relocations),
         }  # fmt: skip

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -30,6 +32,7 @@ from understudy_chopsticks.relocate import (
     thing,
 )
 from understudy_chopsticks.tracking import turned
+from understudy_tensors import rotations
 from understudy_tool_planner.planner import PHASES
 
 WORDS = ["task=chopsticks/relocate", "num_worlds=4", "initial_states.plans=5"]
@@ -297,6 +300,31 @@ def test_an_object_is_thrown_to_the_far_side(plugins: Plugins) -> None:
     object_ = next(w.part for w in made.environment.parts.fields if isinstance(w.part, Object))
     assert (object_._options.within, object_._options.settle) == (0.05, 0.0)
     made.environment.close()
+
+
+def test_tongs_are_planned_for_where_they_rest_in_the_hand(plugins: Plugins) -> None:
+    """An episode begins with the lower bar where its plan has it, to 1 mm at the tips; 6 mm beside it where plans count
+    on where the grip was found."""
+    beside = {}
+    for settled in (True, False):
+        words = [
+            "experiment=chopsticks/relocate_tongs", "num_worlds=1", "initial_states.plans=2",
+            f"initial_states.settled={settled}",
+        ]  # fmt: skip
+        made = build_environment(load_experiment(words, plugins))
+        made.environment.reset(seed=0)
+        _, bank = parts(made)
+        model = bank._made.scene.model
+        data = mujoco.MjData(model)
+        data.qpos[:] = field(made, "qpos")[0].numpy()
+        mujoco.mj_kinematics(model, data)
+        tip = data.site("lower_bar_tip").xpos
+        now = bank._planner.begin()
+        planned = now.lower[:3] - 0.13 * rotations.to_matrix(now.lower[3:])[:, 0]
+        beside[settled] = float(np.linalg.norm(tip - planned.numpy()))
+        made.environment.close()
+    assert beside[True] < 1e-3
+    assert 4e-3 < beside[False] < 8e-3
 
 
 @pytest.fixture(scope="module")

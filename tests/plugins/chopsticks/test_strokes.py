@@ -134,7 +134,8 @@ def test_tongs_open_and_close_as_planned(plugins: Plugins) -> None:
         ([*TASK, "initial_states.size=0.1", "initial_states.height=0.3"], "Set it to less"),
         ([*TASK, "initial_states.rate=0"], "rate=0.0 is not possible"),
         (["task=chopsticks/brush", "initial_states=chopsticks/open_and_close"], "needs a tool that opens"),
-        (["task=chopsticks/relocate", "scene.tool=tongs", "grip.name=tongs"], "Relocation needs two sticks"),
+        (["task=chopsticks/relocate", "scene.tool=brush", "grip.name=brush"], "needs a tool of two parts"),
+        (["task=chopsticks/relocate", "scene.tool=tongs", "grip.name=tongs"], "thinner than the gripper closes"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(words: list[str], said: str, plugins: Plugins) -> None:

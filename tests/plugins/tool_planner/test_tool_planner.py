@@ -11,14 +11,23 @@ import pytest
 import torch
 
 from understudy.errors import ConfigError
-from understudy_gripping.grip import load_grip, standard
+from understudy_gripping.grip import load_grip, standard, tongs, tongs_wide
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
-from understudy_hand.tools import HALF_LENGTH, RADIUS, upper_pose
+from understudy_hand.tools import (
+    BAR,
+    GRIPPERS,
+    HALF_LENGTH,
+    RADIUS,
+    Thing,
+    Tool,
+    upper_pose,
+)
 from understudy_tensors import rotations
-from understudy_tool_planner import arm, gripper, trajectory
+from understudy_tool_planner import arm, trajectory
 from understudy_tool_planner.clearance import to_segments
 from understudy_tool_planner.configuration import NoPlan, orientations
+from understudy_tool_planner.gripper import Jaws, width
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.planner import DT, STEP, Plan, Planner, Task
 from understudy_tool_planner.tasks import random_goal, random_table
@@ -30,6 +39,7 @@ SHAPES = [
     Shape("capsule", (0.006, 0.03)),
     Shape("box", (0.012, 0.02, 0.015)),
 ]
+STICKS = Jaws("sticks")
 
 
 @pytest.fixture(scope="module")
@@ -81,23 +91,47 @@ def test_every_swivel_is_a_solution_and_beyond_reach_there_is_none() -> None:
     assert float(away.inside) == -math.inf
 
 
-def test_the_gripper_is_the_tools() -> None:
+@pytest.mark.parametrize(
+    ("tool", "angles", "tip"),
+    [("sticks", (0.0, 0.03, 0.08, 0.15), 0.13), ("tongs", (0.0, 0.06, 0.12, 0.16), 0.126)],
+)
+def test_the_gripper_is_the_tools(tool: Tool, angles: tuple[float, ...], tip: float) -> None:
     """Tips as `upper_pose` has them, in any place; and the angle for a gap is the one that has it."""
-    angle = torch.tensor([0.0, 0.03, 0.08, 0.15], dtype=F64)
+    jaws, angle = Jaws(tool), torch.tensor(angles, dtype=F64)
     turn = rotations.normalize(
         torch.randn(4, 4, generator=torch.Generator().manual_seed(0), dtype=F64)
     )
     place, matrix = torch.rand(4, 3, dtype=F64), rotations.to_matrix(turn)
-    upper, turned = upper_pose(place, turn, angle)
-    middles, axes = gripper.middles(place, matrix, angle), gripper.axes(matrix, angle)
-    torch.testing.assert_close(middles[:, 0], upper)
+    upper, turned = upper_pose(place, turn, angle, GRIPPERS[tool])
+    rods = jaws.rods(place, matrix, angle)
+    count = rods.middles.shape[-2] // 2
+    middles, axes = rods.middles[:, count // 2 :: count], rods.axes[:, ::count]
+    torch.testing.assert_close(middles, torch.stack([upper, place], 1))
     torch.testing.assert_close(axes[:, 0], rotations.to_matrix(turned)[..., 0])
-    ends = middles - HALF_LENGTH * axes
-    centre, across = gripper.tips(angle)
+    ends = middles - tip * axes
+    centre, across = jaws.tips(angle)
     torch.testing.assert_close(ends.mean(1), place + torch.einsum("nij,nj->ni", matrix, centre))
     gaps = (ends[:, 0] - ends[:, 1]).square().sum(-1).sqrt()
     torch.testing.assert_close(across.square().sum(-1).sqrt(), gaps)
-    torch.testing.assert_close(gripper.angle_of(gaps), angle, atol=1e-7, rtol=0)
+    torch.testing.assert_close(jaws.angle_of(gaps), angle, atol=1e-7, rtol=0)
+
+
+def test_rods_cover_the_bars_of_tongs() -> None:
+    """Every point of both bars is in a rod, and the lowest of their corners is as low as they are said to reach."""
+    turn = rotations.normalize(
+        torch.randn(6, 4, generator=torch.Generator().manual_seed(2), dtype=F64)
+    )
+    place, angle = torch.rand(6, 3, dtype=F64), torch.linspace(0.0, 0.16, 6, dtype=F64)
+    rods = Jaws("tongs").rods(place, rotations.to_matrix(turn), angle)
+    grid = torch.cartesian_prod(*(torch.linspace(-h, h, 5, dtype=F64) for h in BAR))
+    bars = [upper_pose(place, turn, angle, GRIPPERS["tongs"]), (place, turn)]
+    for part, (middle, turned) in enumerate(bars):
+        points = middle[:, None] + grid @ rotations.to_matrix(turned).mT
+        torch.testing.assert_close(points[..., 2].amin(1), rods.low[:, part])
+        away = points[:, :, None] - rods.middles[:, None]
+        along = (away * rods.axes[:, None]).sum(-1).clamp(-HALF_LENGTH, HALF_LENGTH)
+        beside = (away - along[..., None] * rods.axes[:, None]).square().sum(-1).sqrt()
+        assert float(beside.amin(-1).max()) <= rods.radius + 1e-9
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s.kind)
@@ -107,7 +141,7 @@ def test_widths_are_those_that_a_ray_measures(shape: Shape) -> None:
     )
     things = Things.of([shape], torch.zeros(1, 2, dtype=F64), torch.zeros(1, dtype=F64))
     middle = things.places[0]
-    half = 0.5 * gripper.width(shape, ways)
+    half = 0.5 * width(shape, ways)
     from understudy_tool_planner.clearance import to_points
 
     on = to_points((middle + half[:, None] * ways)[:, None], things)
@@ -155,7 +189,8 @@ def test_distances_are_mujocos() -> None:
                 assert float(found[row, k]) < 1e-6
 
 
-def test_the_gradient_of_equation_5_8_is_its_derivative(planner: Planner) -> None:
+@pytest.mark.parametrize("tool", ["sticks", "tongs"])
+def test_the_gradient_of_equation_5_8_is_its_derivative(planner: Planner, tool: Tool) -> None:
     others = random_table(torch.Generator().manual_seed(3)).without(0)
     now = planner.begin()
     end = trajectory.Pose(
@@ -163,8 +198,8 @@ def test_the_gradient_of_equation_5_8_is_its_derivative(planner: Planner) -> Non
     )
     start = trajectory.Pose(now.lower[:3], now.lower[3:], now.angle)
     ways = [
-        trajectory.Way(start, end, others),
-        trajectory.Way(start, end, others, 0.01),
+        trajectory.Way(Jaws(tool), start, end, others),
+        trajectory.Way(Jaws(tool), start, end, others, 0.01),
     ]
     cost = trajectory._Cost(ways, torch.linspace(0.0, 1.0, 20, dtype=F64))
     point = torch.stack([trajectory._first(way) for way in ways]).flatten(1)
@@ -199,9 +234,8 @@ def test_nothing_is_touched_on_the_way(planned: list[tuple[Task, Things, Plan]])
     for _, others, plan in planned:
         assert plan.clearance >= 0.0
         matrix = rotations.to_matrix(plan.lower[:, 3:])
-        middles = gripper.middles(plan.lower[:, :3], matrix, plan.angle)
-        axes = gripper.axes(matrix, plan.angle)
-        points = middles[..., None, :] + along[:, None] * axes[..., None, :]
+        rods = STICKS.rods(plan.lower[:, :3], matrix, plan.angle)
+        points = rods.middles[..., None, :] + along[:, None] * rods.axes[..., None, :]
         assert float(points[..., 2].min()) - RADIUS >= 0.0
         away = to_points(points[..., None, :], others).amin() - RADIUS
         assert float(away) >= 0.0
@@ -217,7 +251,7 @@ def test_the_object_is_taken_where_it_is_and_put_where_it_shall(
         assert float(step.square().sum(1).sqrt().max()) < 0.02
         taking = int((plan.phase == 1).nonzero()[-1])  # closed
         matrix = rotations.to_matrix(plan.lower[taking, 3:])
-        centre, across = gripper.tips(plan.angle[taking])
+        centre, across = STICKS.tips(plan.angle[taking])
         middle = plan.lower[taking, :3] + matrix @ centre
         assert middle[:2].tolist() == pytest.approx(task.start, abs=1e-9)
         way = (
@@ -226,7 +260,7 @@ def test_the_object_is_taken_where_it_is_and_put_where_it_shall(
             @ across
         )
         gap = float(way.square().sum().sqrt())
-        wide = float(gripper.width(task.shape, way / gap))
+        wide = float(width(task.shape, way / gap))
         assert gap == pytest.approx(wide + 2.0 * RADIUS, abs=2e-4)
 
 
@@ -357,7 +391,7 @@ def test_a_throw_is_a_plan(planner: Planner) -> None:
     assert plan.object[-1, :3].tolist() == pytest.approx([0.02, 0.26, 0.01])
     held = (plan.phase == 1) | (plan.phase == 2)
     matrix = rotations.to_matrix(plan.lower[held, 3:])
-    centre, _ = gripper.tips(plan.angle[held])
+    centre, _ = STICKS.tips(plan.angle[held])
     middle = plan.lower[held, :3] + torch.einsum("nij,nj->ni", matrix, centre)
     closing = int((plan.phase == 1).sum())
     torch.testing.assert_close(middle[closing:], plan.object[held, :3][closing:])
@@ -378,12 +412,62 @@ def test_the_sticks_keep_clear_of_what_lies_upon_an_object(planner: Planner) -> 
         )
         assert over.places[0].tolist() == pytest.approx([*place, 0.021])
         matrix = rotations.to_matrix(plan.lower[rows, 3:])
-        middles = gripper.middles(plan.lower[rows, :3], matrix, plan.angle[rows])
+        rods = STICKS.rods(plan.lower[rows, :3], matrix, plan.angle[rows])
         along = torch.linspace(-HALF_LENGTH, HALF_LENGTH, 261, dtype=F64)
-        points = (
-            middles[..., None, :]
-            + along[:, None] * gripper.axes(matrix, plan.angle[rows])[..., None, :]
-        )
+        points = rods.middles[..., None, :] + along[:, None] * rods.axes[..., None, :]
         from understudy_tool_planner.clearance import to_points
 
         assert float(to_points(points[..., None, :], over).amin()) - RADIUS >= -1e-6
+
+
+@pytest.fixture(scope="module")
+def with_tongs() -> Planner:
+    return Planner(load_grip(tongs_wide()), HandScene(HandScene.Options(tool="tongs")))
+
+
+def test_tongs_take_a_sphere_between_their_bars(with_tongs: Planner) -> None:
+    """MuJoCo's boxes, frame by frame: they touch the sphere on both sides while it is held, and nothing ever is in the
+    table; open they are as the grip has them."""
+    shape = Shape("sphere", (0.01,))
+    plan = with_tongs.plan(Task(shape, (-0.05, -0.06), (0.05, -0.02)), with_tongs.begin(), NOTHING)
+    assert plan.clearance >= 0.0
+    assert float(plan.angle.min()) == float(plan.angle[-1]) == pytest.approx(0.06)
+    scene = HandScene(HandScene.Options(tool="tongs", object=Thing("sphere", (0.01,))))
+    data, own = mujoco.MjData(scene.model), scene.model.geom("object").id
+    opening, places = scene.model.joint("opening").qposadr[0], np.zeros(6)
+    for row in range(0, len(plan.angle), 5):
+        data.joint("lower_bar").qpos[:] = plan.lower[row]
+        data.joint("object").qpos[:] = plan.object[row]
+        data.qpos[opening] = 0.2 - float(plan.angle[row])
+        mujoco.mj_kinematics(scene.model, data)
+        for name in ("upper_bar", "lower_bar"):
+            geom = scene.model.geom(name).id
+            size = np.abs(data.geom(name).xmat.reshape(3, 3)[2]) @ scene.model.geom_size[geom]
+            assert data.geom(name).xpos[2] - size >= 0.0
+            away = mujoco.mj_geomDistance(scene.model, data, geom, own, 0.5, places)
+            if plan.phase[row] == 2:
+                assert away == pytest.approx(0.0, abs=1e-4)
+            assert away > -1e-4
+
+
+def test_tongs_take_nothing_that_they_do_not_close_upon() -> None:
+    narrow = Planner(load_grip(tongs()), HandScene(HandScene.Options(tool="tongs")))
+    task = Task(Shape("sphere", (0.01,)), (-0.05, -0.06), (0.05, -0.02))
+    with pytest.raises(NoPlan, match=r"thinner than the gripper closes, by 1\d\.\d mm"):
+        narrow.plan(task, narrow.begin(), NOTHING)
+
+
+def test_a_tool_of_one_part_takes_nothing() -> None:
+    with pytest.raises(
+        ConfigError, match="needs a tool of two parts, and the scene has tool=brush"
+    ):
+        Jaws("brush")
+
+
+def test_a_tool_that_rests_elsewhere_in_the_palm_is_planned_for_there(planner: Planner) -> None:
+    """The palm stays where the tool was in it before, and the tool goes along by as much."""
+    grip, scene = load_grip(standard()), HandScene(HandScene.Options())
+    at = torch.tensor(grip.lower)
+    at[:3] += torch.tensor([0.002, -0.001, 0.001])
+    apart = Planner(grip, scene, at).begin().lower[:3] - planner.begin().lower[:3]
+    assert float(apart.square().sum().sqrt()) == pytest.approx(math.sqrt(6.0) * 1e-3)

@@ -8,6 +8,7 @@ PARTS = {
     "grip": {
         "standard": ("grip:standard", "the style 11120"),
         "tongs": ("grip:tongs", "tongs, by thumb, index and middle finger"),
+        "tongs_wide": ("grip:tongs_wide", "tongs, closed upon what is 1 to 2 cm wide"),
         "brush": ("grip:brush", "a brush, by thumb, index and middle finger"),
         "long": ("grip:long", "the style 11120, of a hand with long fingers"),
         "large": ("grip:large", "the style 11200, of a hand twice as large"),

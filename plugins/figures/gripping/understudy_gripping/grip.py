@@ -512,6 +512,6 @@ def standard() -> Path:
 
 
 #: Other tools in the human hand.
-tongs, brush = (partial(_packaged, name) for name in ("tongs", "brush"))
+tongs, tongs_wide, brush = (partial(_packaged, name) for name in ("tongs", "tongs_wide", "brush"))
 #: Sticks in other hands (section 5.7.3).
 long, large, tri_finger = (partial(_packaged, name) for name in ("long", "large", "tri_finger"))

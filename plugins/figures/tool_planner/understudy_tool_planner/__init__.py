@@ -1,4 +1,4 @@
-"""Plans how two sticks take an object and put it elsewhere. Knows no task and no policy."""
+"""Plans how two sticks, or tongs, take an object and put it elsewhere. Knows no task and no policy."""
 
 #: Plugins that this one builds on.
 REQUIRES = ("gripping", "hand", "mujoco", "tensors")

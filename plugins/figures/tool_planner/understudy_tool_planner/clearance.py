@@ -1,11 +1,12 @@
-"""How far sticks, the hand and what is carried are from the table and from objects. m."""
+"""How far a gripper, the hand and what is carried are from the table and from objects. m."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from understudy_hand.tools import HALF_LENGTH, RADIUS
+from understudy_hand.tools import HALF_LENGTH
+from understudy_tool_planner.gripper import Rods
 from understudy_tool_planner.objects import Things
 
 _TINY = 1e-12
@@ -56,11 +57,8 @@ def _into(vectors: Tensor, things: Things, of: Tensor) -> Tensor:
     return (vectors[..., None, :] @ turns)[..., 0, :]
 
 
-def of_sticks(
-    middles: Tensor, axes: Tensor, things: Things | None, rounds: int = 4
-) -> tuple[Tensor, Tensor]:
-    """Clearance of sticks at `middles`, along `axes` (…, 3): from the table (…), from things (…, K)."""
-    table = middles[..., 2] - HALF_LENGTH * axes[..., 2].abs() - RADIUS
+def of_rods(rods: Rods, things: Things | None, rounds: int = 4) -> tuple[Tensor, Tensor]:
+    """Clearance of a gripper: of its parts from the table (…, P), of its rods from things (…, R, K)."""
     if things is None or not len(things.places):
-        return table, table.new_zeros(*table.shape, 0)
-    return table, to_segments(middles, axes, things, rounds) - RADIUS
+        return rods.low, rods.middles.new_zeros(*rods.middles.shape[:-1], 0)
+    return rods.low, to_segments(rods.middles, rods.axes, things, rounds) - rods.radius

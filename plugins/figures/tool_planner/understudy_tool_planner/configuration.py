@@ -15,8 +15,9 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 from understudy_tensors import rotations
-from understudy_tool_planner import arm, gripper
-from understudy_tool_planner.clearance import of_sticks
+from understudy_tool_planner import arm
+from understudy_tool_planner.clearance import of_rods
+from understudy_tool_planner.gripper import ROOM, Jaws, normal, width
 from understudy_tool_planner.objects import Shape, Things, upright
 
 __all__ = ["NoPlan"]
@@ -34,9 +35,12 @@ INSIDE = 0.03
 
 @dataclass(frozen=True)
 class Holder:
-    """A hand that holds the sticks: where they are in its palm, and what it must keep off the table."""
+    """A hand that holds a gripper: where it is in its palm, and what the hand must keep off the table."""
 
-    place: Tensor  #: (3,) m, of the lower stick in the palm's frame
+    jaws: Jaws
+    least: float  #: rad, by which the gripper is closed when it is open
+    most: float  #: rad, by which it closes at most
+    place: Tensor  #: (3,) m, of the lower part in the palm's frame
     turn: Tensor  #: (3, 3)
     points: Tensor  #: (P, 3) m, of the hand's shapes, in the palm's frame
     radii: Tensor  #: (P,) m
@@ -113,30 +117,35 @@ def choose(
     """
     local = _ORIENTATIONS
     matrix = rotations.to_matrix(local)
-    closed = torch.zeros(len(local), dtype=torch.float64)
-    closed, _, _ = _around(shape, matrix, closed)
-    closed, wide, ways = _around(shape, matrix, closed)
-    off = torch.acos(gripper.normal(shape, ways).clamp(-1.0, 1.0))
-    narrow = gripper.WIDEST - 2.0 * gripper.RADIUS - gripper.ROOM - gripper.width(shape, ways)
+    jaws = holder.jaws
+    least = torch.full((len(local),), holder.least, dtype=torch.float64)
+    closed, _, _ = _around(holder, shape, matrix, least)
+    closed, wide, ways = _around(holder, shape, matrix, closed)
+    off = torch.acos(normal(shape, ways).clamp(-1.0, 1.0))
+    wide_as = width(shape, ways)
+    narrow = jaws.room(holder.least) - ROOM - wide_as
+    thin = wide_as - jaws.room(holder.most)
     first = rotations.multiply(rotations.from_heading(heading), local)
     far = rotations.angle_between(first, now)
     score = torch.exp(-_ALIGNED * off - _CONTINUOUS * far)
-    _some(narrow, "taking", "the object is wider than the sticks open")
+    _some(narrow, "taking", "the object is wider than the gripper opens")
+    _some(thin, "taking", "the object is thinner than the gripper closes")
     heads = (heading, heading, goal_heading, goal_heading)
-    zero = torch.zeros_like(closed)
-    angles, middles = (wide, closed, closed, zero), (start, start, goal, goal)
+    angles, middles = (wide, closed, closed, least), (start, start, goal, goal)
     table = [
-        _table(upright(h) @ matrix, a, m) for h, a, m in zip(heads, angles, middles, strict=True)
+        _table(jaws, upright(h) @ matrix, a, m)
+        for h, a, m in zip(heads, angles, middles, strict=True)
     ]
     low = torch.stack(table).amin(0)
-    _some(torch.where(narrow >= 0, low, -1.0), "taking", "the sticks are in the table")
-    score = torch.where((narrow >= 0) & (low >= 0), score, -1.0)
+    fits = (narrow >= 0) & (thin >= 0)
+    _some(torch.where(fits, low, -1.0), "taking", "the gripper is in the table")
+    score = torch.where(fits & (low >= 0), score, -1.0)
     kept = score.topk(min(BEST, int((score > 0).sum()))).indices
     # Of those, what the arm reaches and nothing is in the way of.
     turns = torch.stack([upright(h) @ matrix[kept] for h in heads], 1)  # (C, 4, 3, 3)
     angle = torch.stack([a[kept] for a in angles], 1)
     middle = torch.stack(middles).expand(len(kept), 4, 3)
-    place = gripper.placed(turns, angle, middle)
+    place = jaws.placed(turns, angle, middle)
     palm, hand = holder.palm(place, turns)
     solved = arm.solve(palm[..., None, :], hand[..., None, :, :], SWIVELS)
     inside = solved.inside.amax(-1).amin(1)
@@ -155,31 +164,29 @@ def choose(
     _some(torch.where(ok, above, -1.0), "reaching", "the hand is in the table")
     ok &= above >= 0
     if len(others.places):
-        _, away = of_sticks(
-            gripper.middles(place, turns, angle), gripper.axes(turns, angle), others, 8
-        )
+        _, away = of_rods(jaws.rods(place, turns, angle), others, 8)
         free = away.flatten(2).amin(-1)
         for rows, phase in ((slice(0, 2), "taking"), (slice(2, 4), "releasing")):
             clear = free[:, rows].amin(1)
-            _some(torch.where(ok, clear, -1.0), phase, "other objects are in the sticks' way")
+            _some(torch.where(ok, clear, -1.0), phase, "other objects are in the gripper's way")
             ok &= clear >= 0
     rows = kept[ok]
     ends = rotations.multiply(rotations.from_heading(goal_heading), local[rows])
     return Configurations(first[rows], ends, closed[rows], wide[rows], score[rows])
 
 
-def _around(shape: Shape, matrix: Tensor, closed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _around(
+    holder: Holder, shape: Shape, matrix: Tensor, closed: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """(n,) rad, closed around `shape` and open beside it, along the tip lines (n, 3) that `closed` (n,) has."""
-    _, across = gripper.tips(closed)
+    _, across = holder.jaws.tips(closed)
     ways = torch.einsum("nij,nj->ni", matrix, across)
     ways = ways / ways.square().sum(-1, keepdim=True).sqrt()
-    return *gripper.angles_for(gripper.width(shape, ways)), ways
+    return *holder.jaws.angles_for(width(shape, ways), holder.least), ways
 
 
-def _table(matrix: Tensor, angle: Tensor, middle: Tensor) -> Tensor:
-    place = gripper.placed(matrix, angle, middle)
-    low, _ = of_sticks(gripper.middles(place, matrix, angle), gripper.axes(matrix, angle), None)
-    return low.amin(-1)
+def _table(jaws: Jaws, matrix: Tensor, angle: Tensor, middle: Tensor) -> Tensor:
+    return jaws.rods(jaws.placed(matrix, angle, middle), matrix, angle).low.amin(-1)
 
 
 def _some(values: Tensor, phase: str, why: str) -> None:

@@ -17,7 +17,7 @@ from understudy_gripping.kinematics import HandKinematics
 from understudy_hand.scene import HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_tensors import rotations
-from understudy_tool_planner import arm, gripper, trajectory
+from understudy_tool_planner import arm, trajectory
 from understudy_tool_planner.configuration import (
     INSIDE,
     SWIVELS,
@@ -26,6 +26,7 @@ from understudy_tool_planner.configuration import (
     NoPlan,
     choose,
 )
+from understudy_tool_planner.gripper import Jaws
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.throwing import OPENING, STOP, SWING, Throw, throw
 from understudy_tool_planner.trajectory import Frames, Pose, Way
@@ -106,10 +107,17 @@ class Planner:
     *Limits:* it plans ways, not forces: objects stand still until they are taken, and are
     spheres, capsules and boxes of the sizes of table 5.2. What is searched at random may
     miss a way that there is.
+
+    Parameters
+    ----------
+    at
+        (7,) the lower part's position and rotation in the palm's frame, where a hand holds it elsewhere than the grip
+        was found for: tongs turn a little between two fingers.
     """
 
-    def __init__(self, grip: Grip, scene: HandScene) -> None:
+    def __init__(self, grip: Grip, scene: HandScene, at: Tensor | None = None) -> None:
         grip.need(scene)
+        self._jaws, self._least = Jaws(scene.options.tool), float(grip.angles[0])
         hand = HandKinematics(scene)
         shapes = hand.shapes(torch.tensor(grip.poses[:1]))
         corners = torch.tensor(
@@ -118,8 +126,11 @@ class Planner:
         boxes = shapes.boxes[0, :, None] + torch.einsum(
             "sij,spj->spi", shapes.turns[0], corners * hand.box_sizes[:, None]
         )
-        lower = torch.tensor(grip.lower)
+        lower = torch.tensor(grip.lower) if at is None else at
         self._holder = Holder(
+            self._jaws,
+            self._least,
+            float(grip.angles[-1]),
             lower[:3],
             rotations.to_matrix(rotations.normalize(lower[3:])),
             torch.cat([shapes.ends[0].flatten(0, 1), boxes.flatten(0, 1)]),
@@ -135,7 +146,7 @@ class Planner:
         palm, turn = arm.forward(angles)
         place = palm + turn @ self._holder.place
         rotation = rotations.multiply(_quaternion(turn), self._lower)
-        return Moment(torch.cat([place, rotation]), torch.zeros((), dtype=torch.float64), angles)
+        return Moment(torch.cat([place, rotation]), angles.new_tensor(self._least), angles)
 
     @torch.no_grad()
     def plan(
@@ -168,7 +179,7 @@ class Planner:
         last = heading if task.goal_heading is None else heading.new_tensor(task.goal_heading)
         start = heading.new_tensor((*task.start, task.shape.height))
         goal = heading.new_tensor((*task.goal, task.shape.height + task.upon))
-        away = _away(now) if anew else None
+        away = self._away(now) if anew else None
         thrown = None
         if task.thrown:  # then it is let go in the air, turned as it was taken
             thrown = throw(start, goal)
@@ -210,7 +221,7 @@ class Planner:
         takes, puts = found.turn[row], found.end[row]
 
         def pose(turn: Tensor, angle: Tensor, middle: Tensor) -> Pose:
-            return Pose(gripper.placed(rotations.to_matrix(turn), angle, middle), turn, angle)
+            return Pose(self._jaws.placed(rotations.to_matrix(turn), angle, middle), turn, angle)
 
         begin = Pose(now.lower[:3], now.lower[3:], now.angle)
         if away is not None:
@@ -218,8 +229,9 @@ class Planner:
         # What is put upon another comes nearer to it than the sphere around it.
         carried = task.shape.height - SUNK if task.upon > 0 else task.shape.reach
         ways = [
-            Way(begin, pose(takes, wide, start), everything),
+            Way(self._jaws, begin, pose(takes, wide, start), everything),
             Way(
+                self._jaws,
                 pose(takes, closed, start),
                 pose(puts, closed, goal if thrown is None else thrown.begin),
                 others,
@@ -252,10 +264,10 @@ class Planner:
         else:
             swing, free = self._swing(puts, closed, thrown)
             parts[1] = _joined(parts[1], swing)
-            clear.append(float(trajectory.clearance(swing, others).amin()))
+            clear.append(float(trajectory.clearance(self._jaws, swing, others).amin()))
         order = [parts[0], close, parts[1], free]
         clear += [
-            float(trajectory.clearance(frames, _united(others, above)).amin())
+            float(trajectory.clearance(self._jaws, frames, _united(others, above)).amin())
             for frames, above in zip((close, free), over, strict=True)
         ]
         whole = _joined(*order)
@@ -267,7 +279,7 @@ class Planner:
         clear.append(float(self._holder.clearance(palm, hand).amin()))
         if min(clear) < 0.0:
             raise NoPlan(
-                f"No plan reaches the goal: on the way the hand or a stick is {-1e3 * min(clear):.1f} mm in the "
+                f"No plan reaches the goal: on the way the hand or the gripper is {-1e3 * min(clear):.1f} mm in the "
                 "table or an object. Choose another goal, or move what is in the way."
             )
         if error is not None and error.any():  # from where they are, evenly
@@ -276,7 +288,7 @@ class Planner:
             whole = Frames(whole.place + share[:, None] * error, whole.turn, whole.angle)
             palm, hand = self._holder.palm(whole.place, matrix)
         arms = self._arms(now, palm, hand, phase)
-        centre, _ = gripper.tips(whole.angle)
+        centre, _ = self._jaws.tips(whole.angle)
         exact = whole.place if error is None else whole.place - error
         middle = exact + torch.einsum("nij,nj->ni", matrix, centre)
         moving, done = phase == 2, phase == 3
@@ -302,12 +314,12 @@ class Planner:
         best: tuple[Frames, float] | None = None
         for row in value.argsort().tolist():
             frames = trajectory.along(way, inner[row], shares)
-            least = float(trajectory.clearance(frames, way.things, way.carried).amin())
+            least = float(trajectory.clearance(self._jaws, frames, way.things, way.carried).amin())
             if way.carried is not None:
-                rest = float(torch.minimum(_height(way.start), _height(way.end)))
-                tips, _ = gripper.tips(frames.angle)
+                rest = float(torch.minimum(self._height(way.start), self._height(way.end)))
                 matrix = rotations.to_matrix(frames.turn)
-                lift = (frames.place + torch.einsum("nij,nj->ni", matrix, tips))[:, 2].amin()
+                held = trajectory.tips(self._jaws, frames.place, matrix, frames.angle)
+                lift = held[:, 2].amin()
                 if float(lift) < rest - SUNK:
                     least = min(least, float(lift) - rest)
             if best is None or least > best[1]:
@@ -323,30 +335,44 @@ class Planner:
         """The sticks opened or closed around `middle`, which stays between their tips."""
         angle = first + shares * (last - first)
         turns = turn.expand(len(shares), 4)
-        place = gripper.placed(rotations.to_matrix(turns), angle, middle.expand(len(shares), 3))
+        place = self._jaws.placed(rotations.to_matrix(turns), angle, middle.expand(len(shares), 3))
         return Frames(place, turns, angle)
 
     def _release(self, turn: Tensor, closed: Tensor, middle: Tensor, shares: Tensor) -> Frames:
         """The lower stick stays while the upper one opens (thesis, section 5.6.2); then both go aside, so that
         neither touches what they leave. An upper one that lags behind does not push it on the way."""
-        angle = closed * (1.0 - shares)
-        matrix, zero = rotations.to_matrix(turn), torch.zeros_like(closed)
-        stays = gripper.placed(matrix, closed, middle)
-        aside = gripper.placed(matrix, zero, middle) - stays
+        angle = self._opened(closed, shares)
+        matrix, least = rotations.to_matrix(turn), torch.full_like(closed, self._least)
+        stays = self._jaws.placed(matrix, closed, middle)
+        aside = self._jaws.placed(matrix, least, middle) - stays
         steps = torch.linspace(0.0, 1.0, round(ASIDE / DT) + 1, dtype=torch.float64)[1:, None]
         place = torch.cat([stays.expand(len(shares), 3), stays + steps * aside])
-        return Frames(
-            place, turn.expand(len(place), 4), torch.cat([angle, torch.zeros(len(steps)).to(angle)])
-        )
+        open_ = least.expand(len(steps))
+        return Frames(place, turn.expand(len(place), 4), torch.cat([angle, open_]))
+
+    def _opened(self, angle: Tensor, share: Tensor) -> Tensor:
+        """(n,) rad: by the shares `share` (n,) of the way open from `angle`."""
+        return self._least + (angle - self._least) * (1.0 - share)
+
+    def _away(self, now: Moment) -> Frames:
+        """From `now`: at rest, then open and up."""
+        up = torch.linspace(0.0, 1.0, round(LIFTING / DT) + 1, dtype=torch.float64)
+        share = torch.cat([torch.zeros(round(WAITING / DT), dtype=torch.float64), up[1:]])
+        place = now.lower[:3] + share[:, None] * now.lower.new_tensor([0.0, 0.0, LIFT])
+        return Frames(place, now.lower[3:].expand(len(share), 4), self._opened(now.angle, share))
+
+    def _height(self, pose: Pose) -> Tensor:
+        centre, _ = self._jaws.tips(pose.angle)
+        return pose.place[2] + rotations.to_matrix(pose.turn)[2] @ centre
 
     def _swing(self, turn: Tensor, closed: Tensor, thrown: Throw) -> tuple[Frames, Frames]:
         """The sticks until they let go, and from then on until the object lands: they open and stop."""
         count = round(max(STOP, thrown.seconds) / DT)
         times = DT * torch.arange(1, round(SWING / DT) + count + 1, dtype=torch.float64)
         opened = ((times - SWING) / OPENING).clamp(0.0, 1.0)
-        middle, angle = thrown.swing(times), closed * (1.0 - opened)
+        middle, angle = thrown.swing(times), self._opened(closed, opened)
         turns = turn.expand(len(times), 4)
-        place = gripper.placed(rotations.to_matrix(turns), angle, middle)
+        place = self._jaws.placed(rotations.to_matrix(turns), angle, middle)
         return tuple(  # type: ignore[return-value]
             Frames(place[part], turns[part], angle[part])
             for part in (slice(None, -count), slice(-count, None))
@@ -385,19 +411,6 @@ class Planner:
 
 def _joined(*parts: Frames) -> Frames:
     return Frames(*(torch.cat([getattr(part, name) for part in parts]) for name in _FRAMES))
-
-
-def _away(now: Moment) -> Frames:
-    """From `now`: at rest, then open and up."""
-    up = torch.linspace(0.0, 1.0, round(LIFTING / DT) + 1, dtype=torch.float64)
-    share = torch.cat([torch.zeros(round(WAITING / DT), dtype=torch.float64), up[1:]])
-    place = now.lower[:3] + share[:, None] * now.lower.new_tensor([0.0, 0.0, LIFT])
-    return Frames(place, now.lower[3:].expand(len(share), 4), now.angle * (1.0 - share))
-
-
-def _height(pose: Pose) -> Tensor:
-    centre, _ = gripper.tips(pose.angle)
-    return pose.place[2] + rotations.to_matrix(pose.turn)[2] @ centre
 
 
 def _united(*several: Things) -> Things:

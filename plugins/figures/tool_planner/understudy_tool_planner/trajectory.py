@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from understudy_gripping.descent import minimise
-from understudy_hand.tools import HALF_LENGTH, RADIUS
+from understudy_hand.tools import HALF_LENGTH
 from understudy_tensors import rotations
-from understudy_tool_planner import gripper
-from understudy_tool_planner.clearance import of_sticks, to_points
+from understudy_tool_planner.clearance import of_rods, to_points
+from understudy_tool_planner.gripper import Jaws
 from understudy_tool_planner.objects import Things
 
 #: m: z0 of eq. 5.8, and what is added to it, so that frames between those looked at are clear too.
@@ -47,6 +47,7 @@ class Pose:
 class Way:
     """From one pose to another among things, with or without an object between the tips."""
 
+    jaws: Jaws
     start: Pose
     end: Pose
     things: Things
@@ -73,15 +74,18 @@ def along(way: Way, inner: Tensor, shares: Tensor) -> Frames:
 
 
 def clearance(
-    frames: Frames, things: Things | None, carried: float | None = None, rounds: int = 24
+    jaws: Jaws,
+    frames: Frames,
+    things: Things | None,
+    carried: float | None = None,
+    rounds: int = 24,
 ) -> Tensor:
-    """(…, n) m: of the sticks, and of what is carried, from the table and from `things`."""
+    """(…, n) m: of the gripper, and of what is carried, from the table and from `things`."""
     matrix = rotations.to_matrix(frames.turn)
-    middles = gripper.middles(frames.place, matrix, frames.angle)
-    table, others = of_sticks(middles, gripper.axes(matrix, frames.angle), things, rounds)
+    table, others = of_rods(jaws.rods(frames.place, matrix, frames.angle), things, rounds)
     least = [table.amin(-1), others.flatten(-2).amin(-1)] if others.numel() else [table.amin(-1)]
     if carried is not None and things is not None and len(things.places):
-        held = _tips(frames.place, matrix, frames.angle)
+        held = tips(jaws, frames.place, matrix, frames.angle)
         least.append((to_points(held[..., None, :], things) - carried).amin(-1))
     return torch.stack(least).amin(0)
 
@@ -121,7 +125,8 @@ class _Cost:
     """Eq. 5.8 of many ways, (B, 6) to (B,), with its gradient in closed form.
 
     Orientations are given, so everything but the lower stick's place is computed once, in the frames of the things:
-    R rods (both sticks, and the sphere around what is carried as one without length), K things.
+    R rods (the gripper's, and the sphere around what is carried as one without length), K things. All ways are of one
+    gripper.
     """
 
     def __init__(self, ways: Sequence[Way], shares: Tensor) -> None:
@@ -132,10 +137,10 @@ class _Cost:
         still = torch.zeros(len(ways), len(shares), 3, dtype=angle.dtype)
         ends = torch.stack([torch.stack([w.start.place, w.end.place]) for w in ways])
         self._fixed = torch.einsum("nc,bci->bni", self._weights[:, [0, 3]], ends)
-        tips = _tips(still, matrix, angle)
-        sticks = gripper.axes(matrix, angle)
-        axes = torch.cat([sticks, torch.zeros_like(sticks[:, :, :1])], 2)  # (B, n, R, 3)
-        offsets = torch.cat([gripper.middles(still, matrix, angle), tips[:, :, None]], 2)
+        jaws = ways[0].jaws
+        middle, own = tips(jaws, still, matrix, angle), jaws.rods(still, matrix, angle)
+        axes = torch.cat([own.axes, torch.zeros_like(own.axes[:, :, :1])], 2)  # (B, n, R, 3)
+        offsets = torch.cat([own.middles, middle[:, :, None]], 2)
         rods = self._fixed[:, :, None] + offsets
         things = _filled([way.things for way in ways])
         #: (3, B, n, R, K) the rods' middles without the inner points, and their axes.
@@ -146,15 +151,16 @@ class _Cost:
         self._turns = things.turns
         self._sizes = things.sizes.movedim(-1, 0)[:, :, None, None]
         carried = [way.carried for way in ways]
-        radii = [[RADIUS, RADIUS, -_FAR if c is None else c] for c in carried]
-        own = torch.tensor(radii, dtype=angle.dtype)
+        rods_radii = [own.radius] * own.middles.shape[-2]
+        radii = [[*rods_radii, -_FAR if c is None else c] for c in carried]
+        wide = torch.tensor(radii, dtype=angle.dtype)
         #: (B, 1, R, K) m that are taken off a distance.
-        self._off = (own[:, :, None] + things.rounding[:, None])[:, None] + MARGIN
-        #: (B, n, 2) m: of the sticks' lowest points above the table, without the inner points.
-        self._low = rods[:, :, :2, 2] - HALF_LENGTH * sticks[..., 2].abs() - RADIUS
+        self._off = (wide[:, :, None] + things.rounding[:, None])[:, None] + MARGIN
+        #: (B, n, P) m: of the parts' lowest points above the table, without the inner points.
+        self._low = self._fixed[..., None, 2] + own.low
         # They stand on it at the ends, with less than the margin.
         self._low = self._low - MARGIN * (4.0 * shares * (1.0 - shares))[:, None]
-        tip = tips[..., 2] + self._fixed[..., 2]
+        tip = middle[..., 2] + self._fixed[..., 2]
         rest = torch.minimum(tip[:, 0], tip[:, -1])
         none = torch.tensor([c is None for c in carried])
         self._lift = torch.where(none[:, None], _FAR, tip - rest[:, None])
@@ -262,9 +268,9 @@ def _filled(things: Sequence[Things]) -> Things:
     return Things(places, turns, sizes, rounding)
 
 
-def _tips(place: Tensor, matrix: Tensor, angle: Tensor) -> Tensor:
+def tips(jaws: Jaws, place: Tensor, matrix: Tensor, angle: Tensor) -> Tensor:
     """(…, 3): the middle between the tips."""
-    centre, _ = gripper.tips(angle)
+    centre, _ = jaws.tips(angle)
     return place + torch.einsum("...ij,...j->...i", matrix, centre)
 
 

@@ -24,7 +24,6 @@ from understudy.task import Context, Fields, InitialStates, Rollout, Shape, Stat
 from understudy.task.terms import ranges
 from understudy_chopsticks.plan import AHEAD, PLANNED, Gripping, gripping, planned
 from understudy_hand.table import ARM_POSE
-from understudy_hand.tools import upper_pose
 from understudy_tensors import rotations
 from understudy_tool_planner import objects
 from understudy_tool_planner.configuration import NoPlan
@@ -71,10 +70,6 @@ class Bank:
             raise ConfigError(
                 "Relocation takes one grip. Set grip.name, grip.file or grip.style, and no grip.candidates."
             )
-        if (tool := made.scene.options.tool) != "sticks":
-            raise ConfigError(
-                f"Relocation needs two sticks, and the scene has tool={tool}. Set scene.tool=sticks."
-            )
         self._shape = objects.Shape(thing.kind, thing.sizes)
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.
@@ -87,7 +82,7 @@ class Bank:
                 "'{kind: box, sizes: [0.015, 0.015, 0.015]}'."
             )
         self._upon = 2.0 * self._below.height if self._below is not None else 0.0
-        self._planner = Planner(made.grips[0], made.scene)
+        self._made, self._planner = made, Planner(made.grips[0], made.scene)
         self._device = context.device
         # An evaluation's plans are ones that no training follows.
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
@@ -107,11 +102,17 @@ class Bank:
         noise: float,
         later: bool = False,
         thrown: bool = False,
+        settled: bool = False,
     ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
-        take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`)."""
+        take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`). `settled`, of a
+        tool that is where it comes to rest in the hand."""
         if len(self.frames):
             return
+        if settled:
+            made = self._made
+            at = made.lower[0].double().cpu()
+            self._planner = Planner(made.grips[0], made.scene, at)
         self._relocations, self._noise, self._thrown = relocations, noise, thrown
         longest = relocations * seconds + (relocations - 1) * RESTING
         self._room = round(longest / DT) + 1
@@ -367,6 +368,8 @@ class Relocations(InitialStates):
         thrown: bool = (
             False  #: whether the object is thrown, to the table's far side (section 5.7.1)
         )
+        #: whether plans count on the tool where it comes to rest in the hand, and not where its grip was found for
+        settled: bool = False
 
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
@@ -401,7 +404,7 @@ class Relocations(InitialStates):
         self._later = context.evaluating and context.device.type == "cpu"
         self.bank.fill(
             options.plans, options.longest, options.relocations, options.noise, self._later,
-            options.thrown,
+            options.thrown, options.settled,
         )  # fmt: skip
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
@@ -565,7 +568,7 @@ class Follow(Fields):
             ),
             "planned_pose": pose[:, 0],
             "planned_velocity": velocity[:, 0],
-            "planned_upper": torch.cat(upper_pose(now[:, :3], now[:, 3:], angle[:, 0]), dim=1),
+            "planned_upper": made.upper(now, angle[:, 0]),
             "planned_lower": now,
             "plan_ahead": torch.cat([pose, velocity, gripper], dim=-1)[:, 1:],
             "plan_time": time,
