@@ -1,7 +1,7 @@
 """Fault 24: a damaged or hostile motion file ends in a valid clip or one FileError, soon and small.
 
 Mutants of a valid file of every format are read in a process of their own, which has 500 MB of
-address space beyond what it held after reading the valid files, and 2 s for each mutant.
+address space beyond what it held after reading the valid files, and 2 s of a core for each mutant.
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ def read_mutants(format: str, count: int, seed: int) -> dict[str, Any]:
         damaged.write_bytes(content)
         resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
         options = rng.choice((ReadOptions(), ReadOptions(unit="cm", up="y", rate=30.0)))
-        began = time.perf_counter()
+        began = time.process_time()  # what others do on a busy machine is none of it
         try:
             head = path.read_bytes()[:HEAD_BYTES]
             for other in known.values():
@@ -214,7 +214,7 @@ def read_mutants(format: str, count: int, seed: int) -> dict[str, Any]:
         except BaseException as error:
             damaged.with_name(f"{format}-{seed}-{index}.mutant").write_bytes(content)
             ends["wrong"].append(f"{index}: {type(error).__name__}: {error}"[:300])
-        seconds = time.perf_counter() - began
+        seconds = time.process_time() - began
         resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         ends["slowest"] = max(ends["slowest"], seconds)
         if seconds > SECONDS:
@@ -288,7 +288,8 @@ def test_the_limits_are_real(tmp_path: Path) -> None:
         "    if len(calls) == 2:\n"
         "        np.ones(600 * 2**20, np.int8)\n"
         "    if len(calls) == 3:\n"
-        "        time.sleep(2.1)\n"
+        "        until = time.process_time() + 2.1\n"
+        "        while time.process_time() < until: pass\n"
         "    if len(calls) == 4:\n"
         "        raise ValueError('unforeseen')\n"
         "    return whole(self, path)\n"
