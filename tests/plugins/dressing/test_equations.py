@@ -213,6 +213,19 @@ CODE = {
     ("shirt_sleeve_second", "target"): 0,
     ("shirt_tuck", "tuck"): 10,
 }
+#: The 2018 code's beside: upright, head, and the end where the collar is lost; the last one's end is ours.
+BESIDE = {
+    "shirt_grip": (10, 3, -20_000),
+    "shirt_tuck": (2, 3, -20_000),
+    "shirt_sleeve": (0, 0, -2_000),
+    "shirt_regrip": (2, 2, -2_500),
+    "shirt_tuck_second": (0, 2, -5_000),
+    "shirt_sleeve_second": (0, 0, -500),
+    "shirt_finish": (0, 2, -500),
+    "sleeve": (5, 1, 0),
+}
+#: As the collar, where the arm goes in by the sleeve's end.
+BACKWARDS = {"shirt_sleeve": -2_000, "shirt_sleeve_second": -500}
 
 
 @pytest.mark.parametrize("task", TABLE)
@@ -223,6 +236,8 @@ def test_weights(task: str) -> None:
     wanted = dict(zip(names, plain, strict=True))
     wanted |= {"grip": -grip * wanted["target"], "tuck": tuck * wanted["target"]}
     wanted |= {term: weight for (of, term), weight in CODE.items() if of == task}
+    wanted |= dict(zip(("upright", "head", "collar"), BESIDE[task], strict=True))
+    wanted["backwards"] = BACKWARDS.get(task, 0)
     words = [f"experiment=dressing/{task}"]
     if task.removeprefix("shirt_") in LATER:
         words.append("initial_states.file=bank")
