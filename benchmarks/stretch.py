@@ -20,8 +20,10 @@ RECORD = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "dressing
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 
 
-def stretched(task: str, noise: float, worlds: int, decisions: int) -> dict[str, object]:
-    words = [f"experiment=dressing/{task}", "device=cpu", "simulators.person.name=mujoco"]
+def stretched(
+    task: str, noise: float, worlds: int, decisions: int, others: list[str]
+) -> dict[str, object]:
+    words = [f"experiment=dressing/{task}", "device=cpu", "simulators.person.name=mujoco", *others]
     built = build_environment(load_experiment([*words, f"num_worlds={worlds}"]))
     environment, drawn = built.environment, torch.Generator().manual_seed(0)
     environment.reset(seed=0)
@@ -46,7 +48,7 @@ def stretched(task: str, noise: float, worlds: int, decisions: int) -> dict[str,
 
     return {
         "when": datetime.date.today().isoformat(), "machine": "one busy CPU core", "experiment": f"dressing/{task}",
-        "noise": noise, "worlds": worlds, "decisions": decisions, "largest": quantiles(largest),
+        "words": others, "noise": noise, "worlds": worlds, "decisions": decisions, "largest": quantiles(largest),
         "of_decisions": quantiles(ratios.flatten()),
     }  # fmt: skip
 
@@ -57,9 +59,10 @@ def main() -> None:
     parser.add_argument("--noise", type=float, nargs="+", default=[0.0, 0.1, 0.3])
     parser.add_argument("--worlds", type=int, default=8)
     parser.add_argument("--decisions", type=int, default=50)
+    parser.add_argument("others", nargs="*", help="as scenes.person.self_collision=false")
     words = parser.parse_args()
     for noise in words.noise:
-        row = stretched(words.task, noise, words.worlds, words.decisions)
+        row = stretched(words.task, noise, words.worlds, words.decisions, words.others)
         print(row, flush=True)
         with RECORD.open("a") as file:
             file.write(json.dumps(row) + "\n")

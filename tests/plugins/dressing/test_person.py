@@ -99,3 +99,42 @@ def test_hinges_can_be_left_out() -> None:
     assert scene.spec().compile().nu == 22 - 2 - 8 == len(scene.hinges)
     with pytest.raises(ValueError, match="still names 'tors0'"):
         PersonScene.Options(still=("tors0",))
+
+
+def pressed(self_collision: bool) -> float:
+    """m: how near the elbow, at a height where the torso's radius is 0.123 m, comes to the torso's axis within 1 s of pressing."""
+    options = PersonScene.Options(damping=None, self_collision=self_collision)
+    model = PersonScene(options).spec().compile()
+    data = mujoco.MjData(model)
+    spread = data.joint("right_shoulder_spread")
+    near = np.inf
+    for _ in range(round(1.0 / model.opt.timestep)):
+        data.actuator("right_shoulder_spread").ctrl[0] = np.sign(INWARDS)
+        mujoco.mj_step(model, data)
+        torso = data.body("torso")
+        elbow = torso.xmat.reshape(3, 3).T @ (data.body("right_forearm").xpos - torso.xpos)
+        near = min(near, float(np.linalg.norm(elbow[:2])))
+    assert INWARDS * float(spread.qpos[0]) > 0
+    return near
+
+
+#: rad: the spread of the right shoulder that brings its elbow towards the torso has this sign.
+INWARDS = 1.0
+
+
+def test_links_keep_apart() -> None:
+    """The 2018 code's rigid self-collision: an arm that presses on the torso stays outside of it."""
+    assert pressed(False) < 0.05
+    assert 0.123 + 0.05 - 0.005 < pressed(True) < 0.123 + 0.05 + 0.03
+
+
+def test_at_rest_no_links_touch() -> None:
+    model = PersonScene(PersonScene.Options(self_collision=True)).spec().compile()
+    data = mujoco.MjData(model)
+    for side in ("left", "right"):
+        data.joint(f"{side}_elbow").qpos[0] = 0.21
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+    plain = PersonScene(PersonScene.Options()).spec().compile()
+    assert model.body_mass == pytest.approx(plain.body_mass)
+    assert model.body_inertia == pytest.approx(plain.body_inertia)

@@ -450,16 +450,21 @@ def test_an_early_stop_is_remembered(tmp_path: Path, scripted: Any, monkeypatch:
 def test_a_trial_that_began_anew_ends_where_the_loop_said(
     tmp_path: Path, scripted: Any, monkeypatch: Any
 ) -> None:
-    """Killed before its first checkpoint: its reports are made again, and the second was the last."""
+    """Killed with no checkpoint but that of its beginning: its reports are made again, and the second was the last."""
     monkeypatch.setattr(scripted, "trials", [Trial("a")])
     monkeypatch.setattr(scripted, "stopped", {"a": 16})
 
     def killed(*arguments: Any) -> None:
         raise Killed
 
+    save = Training.save
+
+    def at_the_beginning(self: Training) -> Any:
+        return save(self) if self.progress.iteration == 0 else None
+
     with monkeypatch.context() as patch:
         patch.setattr(module, "note_stop", killed)
-        patch.setattr("understudy.running.training.Training.save", lambda *_: None)
+        patch.setattr(Training, "save", at_the_beginning)
         with pytest.raises(Killed):
             script(tmp_path)
     script(tmp_path)

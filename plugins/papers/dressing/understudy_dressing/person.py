@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import mujoco
@@ -110,6 +111,26 @@ _TRUNK = (
 LINKS = (*_TRUNK, *_arm("left"), *_arm("right"))
 
 
+#: Of these no two keep apart (2018 code), nor do links that a joint connects.
+_NECK_AND_SHOULDERS = ("torso", "neck", "head", "left_clavicle", "right_clavicle")
+#: m: a tapered capsule is made solid in pieces whose ends differ by no more.
+_STEP = 0.015
+
+
+def _solid(
+    ra: float, a: Vector, rb: float, b: Vector
+) -> list[tuple[float, list[float], list[float]]]:
+    """(radius, from, to) in m of capsules around a tapered one, each as thick as its thicker end: MuJoCo has no tapered
+    ones, and cloth has to find room between two links."""
+    pieces = max(1, round(abs(ra - rb) / _STEP))
+    begin, way, found = np.array(a), np.subtract(b, a), []
+    for k in range(pieces):
+        low, high = k / pieces, (k + 1) / pieces
+        radius = max(ra + low * (rb - ra), ra + high * (rb - ra))
+        found.append((radius, (begin + low * way).tolist(), (begin + high * way).tolist()))
+    return found
+
+
 def limb(side: Side) -> tuple[tuple[str, Vector], ...]:
     """Fingertip, fingers, wrist, elbow, shoulder, base of the neck."""
     hand = f"{side}_hand"
@@ -172,6 +193,8 @@ class PersonScene(MujocoScene):
         damping: float | None = 3.0  #: N m s, of all hinges; null is each one's own (gown: 3)
         #: whether the gripper turns, too, is damped, and has motors of its own after the hinges' (section 8.3)
         driven: bool = False
+        #: whether links of which none joins the other keep apart (2018 code: they do); cloth between two that do not is torn
+        self_collision: bool = False
 
         def __post_init__(self) -> None:
             check_range(self, "damping", least=0)
@@ -210,9 +233,18 @@ class PersonScene(MujocoScene):
                     type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[(ra + rb) / 2, 0, 0],
                     mass=link.mass / len(link.shapes), contype=0, conaffinity=0, rgba=_SKIN,
                 )  # fmt: skip
+                if self.options.self_collision:
+                    for radius, begin, end in _solid(ra, a, rb, b):
+                        body.add_geom(
+                            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*begin, *end], size=[radius, 0, 0],
+                            mass=0.0, contype=1, conaffinity=1, condim=1, group=3,
+                        )  # fmt: skip
             if not link.shapes:
                 body.explicitinertial, body.mass = True, link.mass
                 body.inertia = [1e-3] * 3
+        if self.options.self_collision:
+            for first, second in combinations(_NECK_AND_SHOULDERS, 2):
+                spec.add_exclude(bodyname1=first, bodyname2=second)
         gripper = spec.worldbody.add_body(name=GRIPPER)
         gripper.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.05, 0.01], mass=1.0,
                          contype=0, conaffinity=0, rgba=_STEEL)  # fmt: skip
