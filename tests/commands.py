@@ -1,5 +1,5 @@
-"""The command line in processes of its own, forks of a server that has imported everything, so that
-they start at once."""
+"""The command line, and other code, in processes of their own: forks of a server that has imported everything,
+so that they start at once."""
 
 from __future__ import annotations
 
@@ -7,37 +7,52 @@ import io
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
+import tempfile
 import time
+import traceback
 from collections.abc import Callable
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
+from worlds import child_environment
+
 from understudy.command.cli import main
+from understudy.setup.plugins import installed
 from understudy.testing import check_plugin
 
-#: What the server has imported: of libraries whatever takes long, of plugins what trainings need.
-_PRELOADED = ["torch._dynamo", "understudy_ppo.learner", "understudy.testing", "commands"]
 
-Start = Callable[..., Any]
+def serve() -> Any:
+    """The server, started if it is not; it finds what stands beside this file."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(["warm"])
+    before = dict(os.environ)
+    try:
+        os.environ.update(child_environment())
+        forkserver.ensure_running()
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    return server
+
+
+def start(target: Callable[..., None], *arguments: Any) -> Any:
+    """A process, a fork of the server, that calls `target`."""
+    process = serve().Process(target=target, args=arguments)
+    process.start()
+    return process
 
 
 def begin(*arguments: str) -> Any:
     """A process that carries out the command, in silence; its exit code is the command's status."""
-    server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(_PRELOADED)
-    process = server.Process(target=_quietly, args=(arguments,))
-    process.start()
-    return process
+    return start(_quietly, arguments)
 
 
 def begin_on(terminal: Path, encoding: str, *arguments: str) -> Any:
     """As :func:`begin`, with what it prints in the file `terminal`, which takes `encoding` alone."""
-    server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(_PRELOADED)
-    process = server.Process(target=_showing, args=(terminal, encoding, arguments))
-    process.start()
-    return process
+    return start(_showing, terminal, encoding, arguments)
 
 
 def _showing(terminal: Path, encoding: str, arguments: tuple[str, ...]) -> None:
@@ -54,28 +69,19 @@ def _showing(terminal: Path, encoding: str, arguments: tuple[str, ...]) -> None:
 def begin_check(plugin: str, allowed: str) -> Any:
     """A process in which no plugin but those `allowed` is installed; it ends with exit code 0 if what `plugin`
     registers works."""
-    server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(_PRELOADED)
-    process = server.Process(target=_checking, args=(plugin, allowed))
-    process.start()
-    return process
+    return start(_checking, plugin, allowed)
 
 
 def _checking(plugin: str, allowed: str) -> None:
-    import torch
-
-    torch.set_num_threads(1)
     os.environ["UNDERSTUDY_PLUGINS"] = allowed
+    installed.cache_clear()
     check_plugin(plugin)
 
 
 def begin_that_stops_writing(mark: Path, *arguments: str) -> Any:
     """As :func:`begin`, of a command that writes `mark` and waits once its file's content is on disk under
     another name."""
-    server = multiprocessing.get_context("forkserver")
-    process = server.Process(target=_stopping, args=(mark, arguments))
-    process.start()
-    return process
+    return start(_stopping, mark, arguments)
 
 
 def _stopping(mark: Path, arguments: tuple[str, ...]) -> None:
@@ -90,15 +96,69 @@ def _stopping(mark: Path, arguments: tuple[str, ...]) -> None:
 
 
 def _quietly(arguments: tuple[str, ...]) -> None:
-    import torch
-
-    torch.set_num_threads(1)
-    # Whoever started the server may have blocked what terminals send.
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGHUP})
+    _hear_terminals()
     null = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(null, stream)
     os._exit(main(list(arguments)))
+
+
+def _hear_terminals() -> None:
+    """Whoever started the server may have blocked what terminals send, or ignore it (``nohup``)."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGHUP})
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def begin_code(
+    code: str, *arguments: str, cwd: Path, out: Path, err: Path, **environment: str
+) -> Any:
+    """A process that executes `code` as a program of these `arguments` in the folder `cwd`, with what it prints
+    in the files `out` and `err`; a fresh interpreter but for what is imported already."""
+    said = []
+    for file in (out, err):
+        file.touch()
+        said.append(str(file))
+    return start(_executing, code, arguments, str(cwd), said, child_environment(**environment))
+
+
+def _executing(
+    code: str, arguments: tuple[str, ...], cwd: str, said: list[str], environment: dict[str, str]
+) -> None:
+    _hear_terminals()
+    installed.cache_clear()
+    os.environ.clear()
+    os.environ.update(environment)
+    for stream, file in enumerate(said, 1):
+        os.dup2(os.open(file, os.O_WRONLY | os.O_APPEND), stream)
+    os.chdir(cwd)
+    sys.argv = ["-c", *arguments]
+    status: Any = 0
+    try:
+        exec(compile(code, "<string>", "exec"), {"__name__": "__main__"})
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
+        status = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+def forked(
+    code: str, *arguments: str, cwd: Path, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Carry `code` out as :func:`begin_code` does, to its end; as :func:`worlds.python`, for what does not
+    ask how an interpreter starts."""
+    with tempfile.TemporaryDirectory() as folder:
+        said = [Path(folder) / name for name in ("out", "err")]
+        process = begin_code(code, *arguments, cwd=cwd, out=said[0], err=said[1], **environment)
+        process.join(120)
+        if process.is_alive():
+            process.kill()
+            raise subprocess.TimeoutExpired(code, 120)
+        texts = [file.read_text() for file in said]
+    return subprocess.CompletedProcess(arguments, process.exitcode, *texts)
 
 
 def wait_for(process: Any, there: Path, seconds: float = 60.0) -> None:
@@ -118,11 +178,7 @@ def kill(process: Any) -> None:
 
 def begin_reproduction(table: Path, *arguments: str) -> Any:
     """As :func:`begin`, of ``reproduce`` where the file `table` is the table ``mine/one``."""
-    server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(_PRELOADED)
-    process = server.Process(target=_offering, args=(table, arguments))
-    process.start()
-    return process
+    return start(_offering, table, arguments)
 
 
 def _offering(table: Path, arguments: tuple[str, ...]) -> None:

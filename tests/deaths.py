@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from worlds import python
+from commands import forked
 
 #: Carries the sweep out and dies when row `after` of the journal is written.
 _KILLED = """
@@ -32,5 +32,5 @@ def die_after(count: int, folder: Path, *overrides: str) -> None:
     """Carry the sweep of these overrides out in `folder`, in a process of its own that dies when row
     `count` of the journal is written."""
     folder.mkdir(parents=True, exist_ok=True)
-    died = python(_KILLED, str(folder), str(count), *overrides, cwd=folder.parent)
+    died = forked(_KILLED, str(folder), str(count), *overrides, cwd=folder.parent)
     assert died.returncode == 9, died.stderr

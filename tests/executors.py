@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from commands import serve
 from worlds import assert_same_state
 
 from understudy.records import checkpoint, runs
@@ -44,6 +45,8 @@ def work(folder: Path, *overrides: str) -> Work:
 
 def make(name: str, given: Work, **options: Any) -> Executor:
     """The executor `name` with `options`."""
+    if name == "processes":
+        serve()  # whose forks begin sooner than those of a sweep's own
     words = [f"executor.{key}={value}" for key, value in options.items()]
     return load_experiment([f"executor={name}", *words]).need("executor").build(given)
 

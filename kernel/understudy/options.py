@@ -5,13 +5,9 @@ One declaration serves the command line, the checks and the error messages.
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
-import io
 import math
-import textwrap
-import tokenize
 import types
 import typing
 from collections.abc import Collection, Mapping, Sequence
@@ -31,7 +27,6 @@ __all__ = [
     "make_options",
     "options_of",
     "schema_of",
-    "sentences",
 ]
 
 
@@ -77,42 +72,6 @@ def options_of(factory: Any) -> dict[str, Option]:
 def schema_of(factory: Any) -> Any:
     """The dataclass that declares a factory's options; None of a function."""
     return factory if dataclasses.is_dataclass(factory) else getattr(factory, "Options", None)
-
-
-def sentences(factory: Any) -> dict[str, str]:
-    """By option of `factory`: its sentence, the comments ``#:`` above it and behind it in the source.
-
-    Those of a dataclass that another one extends count; where there is no source, nothing is found.
-    """
-    found: dict[str, str] = {}
-    schema = schema_of(factory)
-    for thing in reversed(schema.__mro__[:-1]) if schema is not None else [factory]:
-        try:
-            source = textwrap.dedent(inspect.getsource(inspect.unwrap(thing)))
-        except (OSError, TypeError):
-            continue
-        tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-        said = {t.start[0]: t.string[2:].strip() for t in tokens if t.string.startswith("#:")}
-        node, after = ast.parse(source).body[0], 0
-        for name, end in _declared(node):
-            lines = [said[line] for line in range(after + 1, end + 1) if line in said]
-            if lines:
-                found[name] = " ".join(lines)
-            after = end
-    return found
-
-
-def _declared(node: ast.AST) -> list[tuple[str, int]]:
-    """By order: the name, and the last line, of each thing that a class or a signature declares."""
-    if isinstance(node, ast.ClassDef):
-        return [(getattr(getattr(s, "target", s), "id", ""), s.end_lineno or 0) for s in node.body]
-    if not isinstance(node, ast.FunctionDef):
-        return []
-    arguments = node.args
-    found = [(a.arg, a.end_lineno or 0) for a in (*arguments.posonlyargs, *arguments.args)]
-    for argument, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
-        found.append((argument.arg, (default or argument).end_lineno or 0))
-    return found
 
 
 def coerce(value: Any, annotation: Any, where: str) -> Any:

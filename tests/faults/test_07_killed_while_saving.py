@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from worlds import python
+from commands import forked
 
 from understudy.errors import RunError
 from understudy.records.checkpoint import write_atomically
@@ -66,7 +66,7 @@ print(json.dumps({"last": last, "fallbacks": fallbacks, "partial": partial}))
 
 
 def test_hundred_kills(tmp_path: Path) -> None:
-    done = python(KILLER, str(tmp_path / "checkpoints"), cwd=tmp_path)
+    done = forked(KILLER, str(tmp_path / "checkpoints"), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["last"] > 20, "it did save between the kills"

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from worlds import CLI, SMALL, make_training, python, resumed
+from commands import forked
+from worlds import CLI, SMALL, make_training, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
@@ -99,7 +100,7 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 """
     overrides = [*FAKE_TASK, *SMALL, "budget.samples=100000", f"run.dir={tmp_path / 'run'}"]
-    done = python(
+    done = forked(
         CLI + limit + "sys.exit(main(['train', *sys.argv[1:]]))", *overrides, cwd=tmp_path
     )
     assert done.returncode == 2, done.stderr

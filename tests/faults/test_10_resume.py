@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import copy
-import signal
-import subprocess
+import os
 import sys
-import time
 from pathlib import Path
 
 import pytest
 import torch
+from commands import begin_code, forked, kill, wait_for
 from worlds import (
     CLI,
     PADDLE_TASK,
     SMALL,
     assert_same_state,
-    child_environment,
     make_training,
-    python,
     resumed,
 )
 
@@ -55,7 +52,7 @@ def test_bitwise_in_a_new_process(plugins: Plugins, tmp_path: Path, task: str) -
     first.save()
     assert first.run is not None
     first.run.unlock()
-    done = python(RESUME, str(tmp_path / "cut"), str(N), cwd=tmp_path)
+    done = forked(RESUME, str(tmp_path / "cut"), str(N), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     state, _ = checkpoint.load(tmp_path / f"cut/checkpoints/{2 * N:08d}")
     own = straight.state_dict()
@@ -160,17 +157,12 @@ def test_killed_training_ends_with_the_same_weights(plugins: Plugins, tmp_path: 
     straight = make_training(plugins, overrides)
     straight.train()
     run = tmp_path / "run"
-    command = [sys.executable, "-c", CLI + "sys.exit(main(sys.argv[1:]))"]
-    child = subprocess.Popen(
-        [*command, "train", *overrides, f"run.dir={run}"],
-        cwd=tmp_path, env=child_environment(), stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not (run / "checkpoints/00000020.json").exists() and time.monotonic() < deadline:
-        assert child.poll() is None
-        time.sleep(0.01)
-    child.send_signal(signal.SIGKILL)
-    child.wait()
+    words, nowhere = ["train", *overrides, f"run.dir={run}"], Path(os.devnull)
+    child = begin_code(
+        f"{CLI}sys.exit(main(sys.argv[1:]))", *words, cwd=tmp_path, out=nowhere, err=nowhere
+    )
+    wait_for(child, run / "checkpoints/00000020.json")
+    kill(child)
     again = resumed(plugins, run)
     assert 20 <= again.progress.iteration < 60
     again.train()

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from worlds import CLI, SMALL, child_environment, make_training, resumed
+from commands import forked
+from worlds import CLI, SMALL, make_training, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
@@ -76,10 +77,7 @@ def test_two_processes_in_one_folder(plugins: Plugins, tmp_path: Path) -> None:
     training = make_training(plugins, [*FAKE_TASK, *SMALL], tmp_path / "run")
     training.save()
     code = CLI + "sys.exit(main(['resume', sys.argv[1]]))"
-    command = [sys.executable, "-c", code, str(tmp_path / "run")]
-    done = subprocess.run(
-        command, cwd=tmp_path, env=child_environment(), capture_output=True, text=True, timeout=60
-    )
+    done = forked(code, str(tmp_path / "run"), cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Another process is training in" in done.stderr
     assert "Traceback" not in done.stderr

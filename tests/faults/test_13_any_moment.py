@@ -3,6 +3,7 @@ included: the run is complete, or ends as if it had never been stopped."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pty
@@ -10,11 +11,14 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import begin_code
 from executors import SMALL_STOP
 from worlds import assert_same_state, child_environment
 
@@ -24,15 +28,13 @@ from understudy.records import checkpoint, runs
 from understudy.signals import StopRequest
 
 #: Says when Python has come to our first line, which signals cannot be expected to know earlier.
-COMMAND = [
-    sys.executable,
-    "-c",
-    "import sys; from understudy.command.cli import main; print('here', flush=True); sys.exit(main())",
-]
+CODE = "import sys; from understudy.command.cli import main; print('here', flush=True); sys.exit(main())"
+COMMAND = [sys.executable, "-c", CODE]
 CLOCKS = ("seconds", "samples_per_second", "collect_share")
 
 
 def start(*arguments: str, **more: Any) -> subprocess.Popen[str]:
+    """A command that imports all it needs itself, as users' do."""
     child = subprocess.Popen(
         [*COMMAND, *arguments], env=child_environment(), text=True,
         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # these tests may run under nohup
@@ -41,6 +43,15 @@ def start(*arguments: str, **more: Any) -> subprocess.Popen[str]:
     if child.stdout is not None:
         assert child.stdout.readline() == "here\n"
     return child
+
+
+@contextlib.contextmanager
+def forked(*arguments: str) -> Iterator[tuple[Any, Callable[[], str]]]:
+    """The same command where all is imported already; and what it says on standard error."""
+    with tempfile.TemporaryDirectory() as folder:
+        errors = Path(folder) / "errors"
+        process = begin_code(CODE, *arguments, cwd=Path(), out=Path(os.devnull), err=errors)
+        yield process, errors.read_text
 
 
 def found(run: Path) -> tuple[Any, ...]:
@@ -54,14 +65,12 @@ def found(run: Path) -> tuple[Any, ...]:
     return metrics, evaluation, (run / "recording.npz").read_bytes()
 
 
-def check_stopped(
-    run: Path, child: subprocess.Popen[str], sent: list[signal.Signals], errors: str
-) -> str:
-    """What is left of `child`, which was sent the signals at one moment; where it was stopped."""
+def check_stopped(run: Path, status: int, sent: list[signal.Signals], errors: str) -> str:
+    """What is left of a command that was sent the signals at one moment; where it was stopped."""
     assert not list(run.rglob(".*.partial"))
-    if child.returncode == 0:
+    if status == 0:
         return "ended"
-    assert child.returncode == 75, errors
+    assert status == 75, errors
     last = errors.strip().splitlines()[-1]
     assert last.startswith(tuple(f"understudy: Stopped by {s.name}" for s in sent)), errors
     assert "Traceback" not in errors
@@ -94,30 +103,40 @@ def test_any_moment(
 ) -> None:
     command = ("train", *SMALL_STOP)
     straight, moments, where = tmp_path / "straight", random.Random(seed), {}
-    child = start(*command, f"run.dir={straight}")
-    started = wait_for(straight / "run.json")
-    began = time.monotonic()
-    assert child.communicate()[1].count("Evaluation at 256") == 1
-    life = time.monotonic() - began
+    child = start(*command, f"run.dir={tmp_path / 'first'}")
+    started = wait_for(tmp_path / "first/run.json")
+    child.kill()
+    child.communicate()
+    with forked(*command, f"run.dir={straight}") as (process, said):
+        wait_for(straight / "run.json")
+        began = time.monotonic()
+        process.join()
+        life = time.monotonic() - began
+        assert said().count("Evaluation at 256") == 1
     expected, (state, *_) = found(straight), checkpoint.load_newest(straight / "checkpoints")
     for i in range(count):
         run, sent = tmp_path / f"{i}", [StopRequest.SIGNALS[i % 4]]
-        child = start(*command, f"run.dir={run}")
-        if (
-            i // 4 % 4 == 0
-        ):  # three of four fall into what comes after start-up, which takes longest
-            time.sleep(started * moments.random())
-        else:
-            wait_for(run / "run.json")
-            time.sleep(life * moments.random())
+        words = (*command, f"run.dir={run}")
         if i % 3 == 0:
             sent.append(signal.SIGTERM)  # a second one does no harm
-        for number in sent:
-            child.send_signal(number)
-        _, errors = child.communicate(timeout=60)
-        stage = check_stopped(run, child, sent, errors)
+        if i // 4 % 4 == 0:  # three of four fall into what comes after start-up
+            child = start(*words)
+            time.sleep(started * moments.random())
+            for number in sent:
+                child.send_signal(number)
+            _, errors = child.communicate(timeout=60)
+            status = child.returncode
+        else:
+            with forked(*words) as (process, said):
+                wait_for(run / "run.json")
+                time.sleep(life * moments.random())
+                for number in sent:
+                    os.kill(process.pid, number)
+                process.join(60)
+                status, errors = process.exitcode, said()
+        stage = check_stopped(run, status, sent, errors)
         where[stage] = where.get(stage, 0) + 1
-        if child.returncode != 0:
+        if status != 0:
             again = ("resume", str(run)) if run.exists() else (*command, f"run.dir={run}")
             assert main(again) == 0
         assert found(run) == expected

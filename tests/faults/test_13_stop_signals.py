@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Mapping
@@ -14,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from worlds import CLI, SMALL, assert_same_state, child_environment, make_training, resumed
+from commands import begin_code, wait_for
+from worlds import CLI, SMALL, assert_same_state, make_training, resumed
 
 from understudy.errors import PreemptedError
 from understudy.records import checkpoint
@@ -112,16 +111,15 @@ def test_during_a_save(plugins: Plugins, tmp_path: Path, monkeypatch: pytest.Mon
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_the_command(plugins: Plugins, tmp_path: Path, number: signal.Signals) -> None:
     run = tmp_path / "run"
-    child = subprocess.Popen(
-        [sys.executable, "-c", CLI + "sys.exit(main(['train', *sys.argv[1:]]))", *LONG, f"run.dir={run}"],
-        cwd=tmp_path, env=child_environment(), stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not (run / "metrics.jsonl").exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    child.send_signal(number)
-    _, errors = child.communicate(timeout=30)
-    assert child.returncode == 75, errors
+    code, errors_file = f"{CLI}sys.exit(main(['train', *sys.argv[1:]]))", tmp_path / "errors"
+    child = begin_code(
+        code, *LONG, f"run.dir={run}", cwd=tmp_path, out=Path(os.devnull), err=errors_file
+    )
+    wait_for(child, run / "metrics.jsonl")
+    os.kill(child.pid, number)
+    child.join(30)
+    errors = errors_file.read_text()
+    assert child.exitcode == 75, errors
     last = errors.strip().splitlines()[-1]
     assert last.startswith(f"understudy: Stopped by {number.name} after ")
     assert last.endswith(f"Continue with `understudy resume {run}`.")

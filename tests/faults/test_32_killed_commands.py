@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from commands import forked
 from robots import robot_file
-from worlds import python
 
 from understudy.command.cli import main
 from understudy.records import runs
@@ -176,7 +176,7 @@ def trained(made: Path) -> Path:
     (made / "one.yaml").write_text(TABLE)
     words = ["experiment=miniature/go", "budget.samples=256", "run.video_seconds=0"]
     both = [["train", *words, f"run.dir={made}/runs/a"], ["reproduce", "mine/one", "run.dir=table"]]
-    ended = python(_ALL, str(made), json.dumps(both), cwd=made)
+    ended = forked(_ALL, str(made), json.dumps(both), cwd=made)
     assert ended.returncode == 0, ended.stderr
     shutil.copytree(made / "runs/a", made / "runs/b")
     for card in (made / "table").glob("card.*"):
@@ -206,7 +206,7 @@ def walking(folder: Path) -> None:
 def check_killed(made: Path, work: Path, commands: dict[str, tuple[str, ...]]) -> None:
     before = digests(made)
     words = json.dumps([command.split() for command in commands])
-    ended = python(_KILLER, str(made), str(work.resolve()), words, cwd=made)
+    ended = forked(_KILLER, str(made), str(work.resolve()), words, cwd=made)
     assert ended.returncode == 0, ended.stderr
     for (command, files), line in zip(commands.items(), ended.stdout.splitlines(), strict=True):
         *killed, (status, after) = json.loads(line)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
-from understudy.options import options_of, sentences
+from understudy.options import options_of
 from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -21,6 +21,7 @@ from understudy.setup.registry import Component
 from understudy.setup.validation import validate
 from understudy.task import Simulator
 from understudy.testing.capture import check_capturable
+from understudy.testing.sentences import sentences
 
 
 def check_component(component: Component) -> None:

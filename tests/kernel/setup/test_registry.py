@@ -8,8 +8,9 @@ from typing import Any, Literal
 import pytest
 
 from understudy.errors import ConfigError, PluginError
-from understudy.options import REQUIRED, check_range, coerce, make_options, options_of, sentences
+from understudy.options import REQUIRED, check_range, coerce, make_options, options_of
 from understudy.setup.registry import Component, Registrar, Registry
+from understudy.testing.sentences import sentences
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 import pytest
 import torch
+from commands import forked
 from counted_task import LINE_TASK, Starts, install, line_plugins
 from torch import Tensor
-from worlds import python
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError, TrainingError, UnderstudyError
@@ -212,7 +212,7 @@ for after in range(1, int(rows) + 1):
 def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folders of sweeps that were killed after 1, 2, … rows of the journal."""
     folder = tmp_path_factory.mktemp("killed")
-    done = python(KILLER, str(folder), str(len(WHOLE)), *BASE, TWO, cwd=folder)
+    done = forked(KILLER, str(folder), str(len(WHOLE)), *BASE, TWO, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
 

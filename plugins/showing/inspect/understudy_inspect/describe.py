@@ -15,13 +15,14 @@ from typing import Any
 import yaml
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import REQUIRED, Option, in_words, options_of, schema_of, sentences
+from understudy.options import REQUIRED, Option, in_words, options_of, schema_of
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.setup.registry import Component
 from understudy.setup.root import Root
 from understudy.setup.validation import EXTRAS
+from understudy.testing.sentences import sentences
 from understudy_inspect.catalogue import Offer, offers
 
 #: What components of a kind take besides their own options.

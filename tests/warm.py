@@ -1,0 +1,31 @@
+"""What the tests' fork server has imported: all that a command comes to need, so that its forks begin at once.
+
+Nothing runs here that a fork could see: no thread, no random number, no file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+
+import torch
+
+from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import installed
+
+#: What takes long, and is imported where it is first needed: by optimisers, films, pages, progress, searches.
+LATE = (
+    "torch._dynamo", "pytest", "PIL.ImageDraw", "imageio_ffmpeg", "rich.live", "rich.progress", "scipy.optimize",
+    "scipy.spatial", "tensorboard.summary.writer.event_file_writer", "trimesh", "understudy.testing",
+    "understudy_ppo.learner", "understudy_report.page", "understudy_report.video", "understudy_sweeps.processes",
+    "commands", "executors", "worlds",
+)  # fmt: skip
+
+torch.set_num_threads(1)
+for name in LATE:
+    importlib.import_module(name)
+for component in installed().registry.components.values():
+    if component.kind in ("command", "observer", "report_section"):
+        with contextlib.suppress(Exception):  # one that cannot be imported is for its test to say
+            _ = component.factory
+load_experiment(["experiment=miniature/stop"])
