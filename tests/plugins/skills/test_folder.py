@@ -75,15 +75,15 @@ def _make(path: Path) -> None:
 def test_nothing_is_left_of_one_that_cannot_be_unpacked(
     packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fails(*_: object) -> None:
-        raise RunError("The disk is full.")
+    def fails(path: Path, *_: object) -> None:
+        raise RunError(f"{path}: the disk is full.")
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(skill.checkpoint, "save", fails)
     with pytest.raises(RunError, match="disk is full"):
         run_folder(str(packed))
     assert list(Path("runs/skills").iterdir()) == []
-    with pytest.raises(RunError, match="disk is full"):
+    with pytest.raises(RunError, match=r"^own/run/checkpoints/00000001: the disk is full"):
         skill.unpack(open_skill(str(packed)), Path("own/run"))
     assert list(Path("own").iterdir()) == []
 

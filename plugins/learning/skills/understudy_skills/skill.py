@@ -246,7 +246,10 @@ def unpack(skill: Skill, path: Path) -> None:
     except OSError as error:
         raise RunError(f"The run folder {path} cannot be made: {error.strerror}.") from error
     try:  # beside it, and moved there: it is there as a whole or not at all
-        _make(skill, beside / "run")
+        try:
+            _make(skill, beside / "run")
+        except RunError as error:  # which names what nobody typed
+            raise RunError(str(error).replace(str(beside / "run"), str(path))) from error
         text = (beside / "run" / "run.json").read_text(encoding="utf-8")
         own = text.replace(f"{beside.name}/run", json.dumps(path.name)[1:-1])
         write_atomically(beside / "run" / "run.json", own.encode())
