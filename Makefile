@@ -40,7 +40,7 @@ demo: $(VENV)/.small
 play: $(VENV)/.small
 	$(BIN)/understudy play spacetime/walk
 
-# The documentation as a site, in build/site.
+# The documentation as a site, in build/site; its search works where it is served (python -m http.server -d build/site).
 docs: install
 	$(BIN)/python -m mkdocs build --strict
 

@@ -1,9 +1,10 @@
 """What a stranger has who installs the package: ``make wheel``.
 
 Builds a wheel, installs it into a fresh environment by what pip finds, and in an empty folder trains, evaluates,
-plays on loopback and carries out the notebook. Ends with status 1 at the first that fails. It takes some
-minutes, most of them to fetch PyTorch; ``--python`` names another interpreter, ``--requirement`` something
-to be installed before (``torch==2.13.0``).
+lists, compares, cites, asks for licences, exports, plays on loopback and carries out the notebook. Ends with
+status 1 at the first that fails. It takes some minutes, most of them to fetch PyTorch; ``--python`` names another
+interpreter, ``--requirement`` something to be installed before (``torch==2.13.0``), and ``--pypi-alone`` reads
+none of pip's settings: no mirror, no folder of wheels, PyPI's index alone.
 """
 
 from __future__ import annotations
@@ -33,7 +34,13 @@ def main() -> None:
     parser.add_argument("--python", default=sys.executable, help="the interpreter to install for")
     parser.add_argument("--requirement", action="append", default=[], help="installed before")
     parser.add_argument("--without-notebook", action="store_true", help="leave Jupyter out")
+    parser.add_argument("--pypi-alone", action="store_true", help="read none of pip's settings")
     options = parser.parse_args()
+    if options.pypi_alone:
+        kept = {"PIP_CERT", "PIP_DEFAULT_TIMEOUT"}
+        for name in [n for n in os.environ if n.startswith("PIP_") and n not in kept]:
+            del os.environ[name]
+        os.environ["PIP_CONFIG_FILE"] = os.devnull
     with tempfile.TemporaryDirectory(prefix="wheel-") as folder:
         place = Path(folder)
         build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(place), str(ROOT)]
@@ -56,14 +63,31 @@ def try_out(programs: Path, work: Path, *, notebook: bool) -> None:
     run("version", [understudy, "--version"], work)
     run("train", [understudy, "train", *TINY], work)
     run("evaluate", [understudy, "evaluate", "run", "episodes=8", "seconds=2"], work)
+    run("runs", [understudy, "runs", "."], work, says="run")
+    run("compare", [understudy, "compare", "run", "spacetime/walk"], work)
+    a_page(work / "comparison.html")
+    run("cite", [understudy, "cite", "run"], work, says="@software{understudy")
+    licence = [understudy, "licence", "run", "--for", "commercial"]
+    run("licence", licence, work, says="Nothing stands in the way")
+    run("export", [understudy, "export", "run", "page.html"], work)
+    a_page(work / "page.html")
     play([understudy, "play", "spacetime/walk", "--no-browser", "--port", "8765"], work)
     if notebook:
         shutil.copy(ROOT / "docs/notebook/walk.ipynb", work)
         run("notebook", [str(programs / "jupyter"), "execute", "walk.ipynb"], work)
 
 
-def run(what: str, command: list[str], folder: Path) -> None:
-    """Carry out `command`; say how long it took, or what it said where it fails."""
+def a_page(file: Path) -> None:
+    """See that `file` is a page which asks nothing of a network."""
+    text = file.read_text(encoding="utf-8")
+    asked = re.findall(r"""(?:src|href)=["']?(https?:[^"' >]+)""", text)
+    asked = [a for a in asked if f'<a href="{a}' not in text]
+    if "<html" not in text.lower() or asked:
+        sys.exit(f"{file.name} is no page for itself: {asked}")
+
+
+def run(what: str, command: list[str], folder: Path, says: str = "") -> None:
+    """Carry out `command`; say how long it took, or what it said where it fails or does not say `says`."""
     began = time.monotonic()
     # Nothing of the tree, nor of another environment, is to be found.
     own = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "UNDERSTUDY"))}
@@ -72,6 +96,8 @@ def run(what: str, command: list[str], folder: Path) -> None:
     if done.returncode:
         print(done.stdout[-4000:], done.stderr[-4000:], sep="\n")
         sys.exit(f"{what}: status {done.returncode}")
+    if says not in done.stdout:
+        sys.exit(f"{what}: {says!r} is not in {done.stdout[-4000:]}")
     print(f"{what}: {time.monotonic() - began:.0f} s", flush=True)
 
 

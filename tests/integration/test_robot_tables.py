@@ -118,6 +118,43 @@ def test_names_above_and_times_before(tmp_path: Path, character: Character) -> N
         assert (angle_names(read(path)) or ())[:2] == ("h0", "h1")
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_units_below_the_names_and_dates_as_times(
+    tmp_path: Path, character: Character, mark: str
+) -> None:
+    qpos = moving(character)
+    rows = qpos[:, [0, 1, 2, 4, 5, 6, 3, *range(7, qpos.shape[1])]]
+    hinges = rows.shape[1] - 7
+    names = [
+        "timestamp",
+        *("x", "y", "z", "qx", "qy", "qz", "qw"),
+        *character.hinges,
+    ]
+    units = ["", "cm", "cm", "cm", "", "", "", "", *["deg"] * hinges]
+    scaled = np.column_stack((100.0 * rows[:, :3], rows[:, 3:7], np.degrees(rows[:, 7:])))
+    for times in (
+        [f"2024-05-01T10:00:{frame / 30:09.6f}" for frame in range(FRAMES)],
+        [f"{frame / 30:.3f}" for frame in range(FRAMES)],  # rounded, of 30 frames a second
+        [str(1_714_557_600_000 + round(1000 * frame / 30)) for frame in range(FRAMES)],
+    ):
+        lines = [mark.join((t, *map(str, row))) for t, row in zip(times, scaled, strict=True)]
+        path = tmp_path / "x.csv"
+        path.write_text("\n".join((mark.join(names), mark.join(units), *lines)))
+        clip = read(path)
+        assert clip.frame_rate == pytest.approx(30.0)
+        torch.testing.assert_close(character.qpos(clip), torch.from_numpy(qpos), atol=1e-6, rtol=0)
+
+
+def test_times_that_leave_frames_out_are_refused(tmp_path: Path, character: Character) -> None:
+    rows = moving(character)[:, [0, 1, 2, 4, 5, 6, 3, *range(7, character.model.nq)]]
+    times = np.arange(FRAMES) / 30.0
+    times[FRAMES // 2 :] += 0.1
+    path = tmp_path / "x.csv"
+    np.savetxt(path, np.column_stack((times, rows)), delimiter=",")
+    with pytest.raises(FileError, match="frame 20: the times in its first column are not even"):
+        read(path)
+
+
 @pytest.mark.parametrize(
     ("places", "angles", "said"), [(1.0, 57.3, "in degrees"), (100.0, 1.0, "write it in metres")]
 )

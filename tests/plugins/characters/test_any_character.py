@@ -121,7 +121,11 @@ HEAD = "<mujoco><worldbody><body name='r'>{root}<geom size='.1'/><body name='a'>
     ("root", "joints", "reason"),
     [
         ("", "<joint/>", "has a freejoint"),
-        ("<freejoint/>", "<joint type='slide'/>", "'a' has joints other than one ball"),
+        (
+            "<freejoint/>",
+            "<joint name='j' type='slide'/>",
+            "'a' has the joint 'j', along which it slides",
+        ),
         ("<freejoint/>", "<joint/><joint type='ball'/>", "'a' has joints other than one ball"),
         ("<freejoint/>", "<joint/><joint/><joint/><joint/>", "more than three hinges"),
     ],

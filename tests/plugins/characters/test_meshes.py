@@ -29,6 +29,25 @@ def test_a_mesh_becomes_the_hulls_of_its_parts(tmp_path: Path, suffix: str) -> N
     assert sizes == [(0.05, 0.4, 0.5), (0.4, 0.4, 0.05)]
 
 
+def test_a_node_that_is_scaled_scales_its_mesh(tmp_path: Path) -> None:
+    """As programs export that work in centimetres: small numbers below a node of scale 100."""
+    seat = trimesh.creation.box((0.004, 0.004, 0.0005))
+    scene = trimesh.Scene()
+    scene.add_geometry(seat, transform=np.diag([100.0, 100.0, 100.0, 1.0]))
+    scene.export(tmp_path / "chair.glb")
+    (part,) = convex_parts(tmp_path / "chair.glb")
+    np.testing.assert_allclose(np.ptp(part, axis=0), [0.4, 0.4, 0.05], atol=1e-6)
+
+
+def test_numbers_of_a_gltf_in_another_file_are_not_read(tmp_path: Path) -> None:
+    scene = trimesh.Scene(trimesh.creation.box((0.4, 0.4, 0.05)))
+    scene.export(tmp_path / "chair.gltf")
+    with pytest.raises(
+        FileError, match=r"another file, '.*\.bin', which is not read; export it as one, \.glb"
+    ):
+        convex_parts(tmp_path / "chair.gltf")
+
+
 def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="There is no mesh"):
         convex_parts(tmp_path / "nothing.obj")

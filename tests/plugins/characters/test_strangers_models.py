@@ -220,7 +220,20 @@ def test_encodings(tmp_path: Path, encoding: str, declared: str) -> None:
     assert load(tmp_path / "robot.xml").joint_names[0] == "pelvis"
 
 
-@pytest.mark.parametrize("start", ["\n\n", "<!-- a -- b -->\n", " \t"])
+@pytest.mark.parametrize("said", ["utf-16", "UTF-16", "UTF_16", "utf-32", "UCS-2"])
+def test_what_says_utf_16_in_plain_bytes_is_utf_8(tmp_path: Path, said: str) -> None:
+    """As programs write that keep text in UTF-16 and say so of the file."""
+    text = f'<?xml version="1.0" encoding="{said}"?>' + robot_xml().replace(
+        '<mujoco model="robot">', NAMED
+    )
+    (tmp_path / "robot.xml").write_text(text, encoding="utf-8")
+    assert load(tmp_path / "robot.xml").joint_names[0] == "pelvis"
+    for encoding in ("utf-16-le", "utf-16-be"):  # without a mark
+        (tmp_path / "robot.xml").write_bytes(text.encode(encoding))
+        assert load(tmp_path / "robot.xml").joint_names[0] == "pelvis"
+
+
+@pytest.mark.parametrize("start", ["\n\n", "<!DOCTYPE mujoco>", "<!-- a -- b -->\n", " \t"])
 def test_what_mujocos_parser_takes_at_the_start(tmp_path: Path, start: str) -> None:
     (tmp_path / "robot.xml").write_text(start + '<?xml version="1.0"?>' + robot_xml())
     assert load(tmp_path / "robot.xml").joint_names[0] == "pelvis"
@@ -238,6 +251,35 @@ def test_a_nested_include_is_looked_for_in_the_models_folder_then_beside(tmp_pat
     assert load(tmp_path / "robot.xml").model.stat.extent == 3
     file = str(tmp_path / "robot.xml")
     assert mujoco.MjModel.from_xml_path(file).stat.extent == 3
+
+
+def test_a_nested_include_may_go_up_within_the_models_folder(tmp_path: Path) -> None:
+    (tmp_path / "xml" / "parts").mkdir(parents=True)
+    (tmp_path / "robot.xml").write_text("<mujoco><include file='xml/parts/main.xml'/></mujoco>")
+    inner = "<mujocoinclude><include file='{}'/></mujocoinclude>"
+    (tmp_path / "xml" / "parts" / "main.xml").write_text(inner.format("../robot.xml"))
+    (tmp_path / "xml" / "robot.xml").write_text(robot_xml())
+    assert load(tmp_path / "robot.xml").joint_names[0] == "pelvis"
+    (tmp_path.parent / "outside.xml").write_text(robot_xml())
+    (tmp_path / "xml" / "parts" / "main.xml").write_text(inner.format("../../../outside.xml"))
+    with pytest.raises(FileError, match="refers to other files"):
+        load(tmp_path / "robot.xml")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<mujoco><include/></mujoco>", "an <include> names no file"),
+        ("<mujoco><include file=''/></mujoco>", "an <include> names no file"),
+        ("<mujoco><asset><mesh name='m' file=''/></asset></mujoco>", "a mesh or texture names no file"),
+        ("<mujoco><include file='xml'/></mujoco>", "there is no file .*/xml. It is a folder."),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_not_named_is_said(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "xml").mkdir()
+    (tmp_path / "robot.xml").write_text(text)
+    with pytest.raises(FileError, match=said):
+        load(tmp_path / "robot.xml")
 
 
 def package(folder: Path, text: str) -> Path:
@@ -372,8 +414,13 @@ def test_a_template_of_a_urdf_says_so(tmp_path: Path, change: tuple[str, str], b
         (('<link name="pelvis">', '<material name="m"><texture filename="none.png"/></material><link name="pelvis">'),
          1, [-1, 1]),
         (('</robot>', '<gazebo/><transmission name="t"/><ros2_control/></robot>'), 1, [-1, 1]),
+        (('</robot>', '<gazebo><plugin name="p" filename="p.so"/></gazebo><ros2_control><hardware><plugin>p</plugin>'
+          '</hardware></ros2_control></robot>'), 1, [-1, 1]),
+        (('name="biped"', 'name="biped" xmlns="http://www.ros.org"'), 1, [-1, 1]),
+        (('<link name="pelvis">', '<link name="base"/><joint name="root" type="fixed"><parent link="base"/>'
+          '<child link="pelvis"/></joint><link name="pelvis">'), 1, [-1, 1]),
     ],
-    ids=["namespace", "continuous", "floating", "texture", "gazebo"],
+    ids=["namespace", "continuous", "floating", "texture", "gazebo", "plugins", "default-namespace", "frame"],
 )  # fmt: skip
 def test_urdf_as_programs_write_it(
     tmp_path: Path, change: tuple[str, str], nu: int, ranges: list[float]
@@ -381,6 +428,21 @@ def test_urdf_as_programs_write_it(
     model = CharacterScene(CharacterScene.Options(str(urdf(tmp_path, change)))).model
     assert (model.nu, model.nv) == (nu, 6 + nu)
     np.testing.assert_allclose(model.jnt_range[1], ranges)
+
+
+@pytest.mark.parametrize(("kind", "joint"), [("prismatic", "hip"), ("planar", "hip_TX")])
+def test_a_joint_that_slides_is_named_with_what_to_do(
+    tmp_path: Path, kind: str, joint: str
+) -> None:
+    path = urdf(tmp_path, ('"revolute"', f'"{kind}"'))
+    with pytest.raises(
+        ConfigError,
+        match=f"body 'thigh' has the joint '{joint}', along which it slides, .* type=\"fixed\"",
+    ):
+        load(path)
+    more = '<link name="finger"/><joint name="grip" type="fixed"><parent link="thigh"/><child link="finger"/></joint>'
+    fixed = urdf(tmp_path, ("</robot>", more + "</robot>"))
+    assert load(fixed).joint_names == ("pelvis", "thigh")  # what the message says to write works
 
 
 def test_a_joint_that_follows_another_is_said(tmp_path: Path) -> None:
@@ -448,6 +510,7 @@ def test_a_model_with_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
     [
         ('<body name="left_shin"', '<body name="empty"><joint/></body><body name="left_shin"', "(element 'empty')"),
         ("<mujoco", "<mujoco bogus='1'", "'bogus' (element 'mujoco')"),
+        ('<body name="left_shin"', '<body name="empty"><joint/></body><body name="left_shin"', "; give it a mass"),
     ],
 )  # fmt: skip
 def test_what_mujoco_refuses_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -456,6 +519,13 @@ def test_what_mujoco_refuses_is_named(tmp_path: Path, old: str, new: str, said: 
     with pytest.raises(FileError, match=re.escape(said)) as caught:
         load(tmp_path / "robot.xml")
     assert "\n" not in str(caught.value)
+
+
+def test_a_mesh_that_mujoco_does_not_read_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "m.dae").write_text("<COLLADA/>")
+    (tmp_path / "robot.urdf").write_text(URDF.format(mesh="m.dae"))
+    with pytest.raises(FileError, match=r"'m\.dae'.*; export the mesh as STL or OBJ"):
+        load(tmp_path / "robot.urdf")
 
 
 def test_a_urdf_reads_nothing_outside(tmp_path: Path) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from browsers import opened
 from commands import begin_that_stops_writing, kill, wait_for
 from recorded_runs import make_run
 
@@ -39,6 +42,31 @@ def test_it_plays_and_needs_nothing_else(
     assert "default-src 'none'" in html
     assert main(["export", str(run), str(page)]) == 2
     assert "is there already" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    yield from opened()
+
+
+def test_it_goes_on_whatever_a_frame_is_dated(tmp_path: Path, run: Path, browser: Any) -> None:
+    """A browser dates a frame by when it began, which may be before the script that asked for it."""
+    lines = np.zeros((40, 2, 2, 3)) + np.arange(40)[:, None, None, None] / 10
+    Figures(lines, None, 1 / 30).save(run / FIGURES)
+    assert main(["export", str(run), str(tmp_path / "page.html")]) == 0
+    page = browser.new_page()
+    wrong: list[str] = []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.add_init_script(
+        "const now = performance.now.bind(performance); performance.now = () => now() + 100"
+    )
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_timeout(800)
+    assert wrong == []
+    first = page.locator(".player output").inner_text()
+    page.wait_for_timeout(300)
+    assert page.locator(".player output").inner_text() != first
+    page.close()
 
 
 def test_refused(tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -112,6 +112,31 @@ def test_an_argument_that_nothing_takes_is_refused() -> None:
         many(autoreset_mode="later")
 
 
+def test_actions_of_another_shape_are_refused() -> None:
+    """Also by 1 row of several, which would be every world's."""
+    one, three = gymnasium.make(TOY, disable_env_checker=True).unwrapped, many()
+    one.reset(seed=0)
+    three.reset(seed=0)
+    for wrong in ([0.1], [0.1] * 3, 0.1, [[0.1, 0.2]]):
+        with pytest.raises(ConfigError, match=r"do not fit: \(1, 2\) is needed"):
+            one.step(wrong)
+    for wrong in (np.zeros((1, 2)), np.zeros((2, 2)), np.zeros(2), np.zeros((3, 1))):
+        with pytest.raises(
+            ConfigError, match=r"do not fit: \(3, 2\) is needed, a row for each of 3"
+        ):
+            three.step(wrong)
+
+
+def test_a_reset_uses_what_it_is_given_or_says_so() -> None:
+    one, three = gymnasium.make(TOY), many()
+    for env, there in ((one, "there are none"), (three, "there is reset_mask")):
+        with pytest.raises(ConfigError, match=f"no option 'dificulty'; {there}"):
+            env.reset(options={"dificulty": 1.0})
+        env.reset(seed=0, options={})
+    with pytest.raises(ConfigError, match="All worlds have one seed"):
+        three.reset(seed=[1, 2, 3])
+
+
 def test_flat_observations_are_those_by_name_side_by_side() -> None:
     named, flat = many(WALK), many(WALK, flat=True)
     (by_name, _), (row, _) = named.reset(seed=2), flat.reset(seed=2)
@@ -299,6 +324,8 @@ def test_actions_of_numbers_and_choices(monkeypatch: pytest.MonkeyPatch) -> None
     environments.action_space.seed(0)
     sample = environments.action_space.sample()
     assert environments.action_space.contains(sample)
+    with pytest.raises(ConfigError, match="An action needs 'side', too"):
+        environments.step({"step": sample["step"]})
     environments.step(sample)
     taken = environments.worlds.environment.action.numpy()
     np.testing.assert_array_equal(taken[:, 0], sample["side"])

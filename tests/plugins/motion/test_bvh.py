@@ -230,6 +230,10 @@ def test_what_is_not_plain_is_asked_for(tmp_path: Path) -> None:
         ("}\nMOTION", "MOTION", "line 24: MOTION comes before the hierarchy is complete"),
         ("}\nMOTION", "}\n}\nMOTION", "'}' stands outside of any joint"),
         ("MOTION", "", "'FRAMES' stands outside of any joint"),
+        ("\n1 90 13", "\nx 90 13", "line 29: 'x' is not a number"),
+        ("Frames: 2", "Frames:\ntwo", "'Frames: <count>' and 'Frame Time: <seconds>'"),
+        (TEXT, TEXT + TEXT, "line 30: a second motion begins here; save each"),
+        (TEXT, TEXT + TEXT[TEXT.index("MOTION") :], "line 30: a second motion begins here"),
         ("ROOT Hips", "ROOT Hips\n{\n" * 3, "line 4: one ROOT is expected"),
     ],
 )
@@ -394,6 +398,10 @@ Frame Time: 0.025 -> Frame Time: 0.025\nFPS: 40
 Frame Time: 0.025 -> Frame Time: 0.025\nInterpolation: linear
 Frames: 2 -> Take: 1\nFrames: 2
 MOTION -> MOTION\n\nMOTION
+Frames: 2 -> Frames:\n2
+Frames: 2\nFrame Time: 0.025 -> Frames:\n\n2\nFrame Time:\n0.025
+Frame Time: 0.025 -> Frame\nTime: 0.025
+Frames: 2 -> Frames\n2
 """
 
 
@@ -412,6 +420,14 @@ def dialects() -> Iterator[str]:
     *above, first, second = TEXT.splitlines()
     for end in ("", ","):
         yield "\n".join((*above, *(",".join(row.split()) + end for row in (first, second))))
+    for end in (
+        "Exported by a program 3.1",
+        "END",
+        "\nEVENTS 2\nFootDown 0.1\nFootUp 0.4",
+        "---- end",
+    ):
+        yield TEXT.rstrip("\n") + f"\n\n{end}\n"
+        yield TEXT.replace("Frames: 2\n", "").rstrip("\n") + f"\n{end}\n"
     yield TEXT.replace("-10 -20", "\u221210 \u221220")
     yield TEXT.replace("40\n1 90", "40 # first\n1 90")
 

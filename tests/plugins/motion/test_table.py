@@ -294,6 +294,82 @@ def test_units_of_columns(tmp_path: Path, changes: dict[str, str], options: dict
         torch.testing.assert_close(getattr(clip, field), getattr(expected, field))
 
 
+HEAD, *ROWS = CSV.splitlines()[3:]
+
+
+def table(*rows: str) -> str:
+    """The table by hand, of these rows."""
+    return "\n".join((*CSV.splitlines()[:3], *rows)) + "\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        table(*(row.replace(",", " ") for row in (HEAD, *ROWS))),
+        table(*("  ".join(f"{cell:>10}" for cell in row.split(",")) for row in (HEAD, *ROWS))),
+        table("# " + HEAD.replace(",", " "), *(row.replace(",", " ") for row in ROWS)),
+        table(HEAD.replace(",", " [m] ", 3).replace(",", " "), *(r.replace(",", " ") for r in ROWS)),
+        table(HEAD, "m,m,m,,,,,rad,rad,rad", *ROWS),
+        table(HEAD, "[m],[m],[m],-,-,-,-,[rad],[rad],[rad]", *ROWS),
+        table(HEAD, "(metres),(metres),(metres),1,1,1,1,1,1,1", *ROWS),
+        table(HEAD, "cm,m,cm,,,,,,deg,", "0,0,90,1,0,0,0,0,28.64788975654116,0",
+              "10,0,90,1,0,0,0,0,40.107045659157625,0"),
+        table(HEAD.replace(",", ";"), "cm;m;cm;;;;;;deg;", "0;0;90;1;0;0;0;0;28,64788975654116;0",
+              "10;0;90;1;0;0;0;0;40,107045659157625;0"),
+    ],
+)  # fmt: skip
+def test_blanks_between_columns_and_a_row_of_units(tmp_path: Path, text: str) -> None:
+    clip, expected = read_csv(tmp_path, text), read_csv(tmp_path, CSV)
+    path = tmp_path / "clip.csv"
+    path.write_text(text)
+    assert CsvReader().recognises(path.read_bytes(), path)
+    assert not AnglesReader().recognises(path.read_bytes(), path)
+    assert clip.joint_names == expected.joint_names
+    for field in ("times", "root_position", "rotations"):
+        torch.testing.assert_close(getattr(clip, field), getattr(expected, field))
+
+
+@pytest.mark.parametrize(
+    ("name", "times"),
+    [
+        ("time", ("2024-05-01T10:00:00", "2024-05-01T10:00:00.020")),
+        ("timestamp", ("2024-05-01 23:59:59.990000+00:00", "2024-05-02 00:00:00.010000+00:00")),
+        ("time", ("2024-05-01T10:00:00.000000001Z", "2024-05-01T10:00:00.020000001Z")),
+        ("time", ("10:00:59.990", "10:01:00.010")),
+        ("time", ("1 days 00:00:00", "1 days 00:00:00.02")),
+        ("time", ("0:00.98", "0:01.00")),
+        ("timestamp", ("1714557600000000000", "1714557600020000000")),
+        ("timestamp", ("1714557600000000", "1714557600020000")),
+        ("timestamp", ("1714557600000", "1714557600020")),
+        ("time_ms", ("1714557600000", "1714557600020")),
+        ("time [us]", ("1714557600000000", "1714557600020000")),
+        ("timestamp_ns", ("1714557600000000000", "1714557600020000000")),
+        ("time [ms]", ("2024-05-01T10:00:00", "2024-05-01T10:00:00.020")),
+        ("time (µs)", ("0", "20000")),
+    ],
+)
+def test_dates_clocks_and_counts(tmp_path: Path, name: str, times: tuple[str, str]) -> None:
+    rows = (f"{time},{row}" for time, row in zip(times, ROWS, strict=True))
+    clip = read_csv(tmp_path, table(f"{name},{HEAD}", *rows))
+    assert clip.times.tolist() == pytest.approx([0.0, 0.02], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        (("10:00:00:01", "10:00:00:02"), "column 'time': '10:00:00:01' is no time; write seconds"),
+        (("2024-05-01T10:00:00", "0.02"), "'0.02' is no time"),
+        (("01.05.2024 10:00", "01.05.2024 10:00"), "no time; write seconds, as 0.033, or a date"),
+        (("1714557600000000000", "1714557600020000000.5"), "is no time"),
+        (("10:00:00", "09:00:00"), "frame 1: time does not increase"),
+    ],
+)
+def test_what_is_no_time(tmp_path: Path, times: tuple[str, str], message: str) -> None:
+    rows = (f"{time},{row}" for time, row in zip(times, ROWS, strict=True))
+    with pytest.raises(FileError, match=message):
+        read_csv(tmp_path, table(f"time,{HEAD}", *rows))
+
+
 def test_other_units_are_named(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="40 rad long, so they seem to be in degrees"):
         read_csv(tmp_path, CSV.replace("0,0.7,0", "0,40,0"))
@@ -336,6 +412,7 @@ def test_columns_in_any_order(tmp_path: Path) -> None:
         ("pelvis.qw", "pelvis.rx", "joint 'pelvis' needs either"),
         ("0.5,0\n", "0.5\n", "line 5: 10 numbers are needed, not 9"),
         ("0.5,0\n", "x,0\n", "line 5: 'x' is not a number"),
+        ("knee.rz\n", "knee.rz\n" + "furlong," * 9 + "deg\n", "line 5: 'furlong' is not a number"),
         ("0.5,0\n", ",0\n", "line 5: '' is not a number"),
         ("0.1,0,0.9,1", "0.1,0,0.9,7", "frame 1: pelvis quaternion is not unit"),
         ("0.1,0,0.9,1,0,0,0,0,0.7,0\n", "", "at least 2 frames and this one has 1"),

@@ -102,6 +102,42 @@ def test_a_chair_may_be_a_mesh(tmp_path: Path) -> None:
     assert spec.compile().nmesh == 2
 
 
+@pytest.mark.parametrize(
+    ("size", "scale", "said"),
+    [
+        (40.0, 1.0, r"40 m long at chair\.mesh_scale=1.* Give chair\.mesh_scale=0\.01\."),
+        (1000.0, 0.01, r"10 m long at chair\.mesh_scale=0\.01.* Give chair\.mesh_scale=0\.001\."),
+        (1.0, 0.001, r"0\.001 m long .* Give chair\.mesh_scale=1\."),
+        (7.0, 1.0, r"7 m long .* Give another chair\.mesh_scale\."),
+    ],
+)
+def test_a_mesh_of_no_chairs_size_is_refused(
+    tmp_path: Path, size: float, scale: float, said: str
+) -> None:
+    path = tmp_path / "chair.obj"
+    trimesh.creation.box((size, size, size)).export(path)
+    spec = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
+    chair = Chair(ChairOptions(mesh=str(path), mesh_scale=scale), installed().registry, Inputs())
+    with pytest.raises(ConfigError, match=said):
+        chair.add(spec)
+
+
+@pytest.mark.parametrize("low", [-0.3, 0.0, 0.3])
+def test_a_mesh_beside_the_floor_is_said(
+    tmp_path: Path, low: float, recwarn: pytest.WarningsRecorder
+) -> None:
+    path = tmp_path / "chair.glb"
+    box = trimesh.creation.box((0.4, 0.4, 0.6))
+    box.apply_translation((0.0, 0.0, 0.3 + low))
+    box.export(path)
+    spec = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
+    spec.worldbody.add_body(name="root").add_geom(size=[0.1, 0, 0])
+    Chair(ChairOptions(mesh=str(path)), installed().registry, Inputs()).add(spec)
+    told = [str(w.message) for w in recwarn if "begins 0.30 m" in str(w.message)]
+    assert len(told) == (1 if low else 0)
+    assert all(("below the floor" if low < 0 else "above the floor") in t for t in told)
+
+
 def test_an_impossible_chair_is_refused() -> None:
     with pytest.raises(ConfigError, match="seat_height"):
         load_experiment(["experiment=sitting/sit", "chair.seat_height=0"])

@@ -11,7 +11,7 @@ import pytest
 from understudy.command.cli import main
 from understudy.errors import RunError
 from understudy.records import runs
-from understudy_skills import folder
+from understudy_skills import folder, skill
 from understudy_skills.folder import run_folder
 from understudy_skills.skill import open_skill
 
@@ -75,15 +75,37 @@ def _make(path: Path) -> None:
 def test_nothing_is_left_of_one_that_cannot_be_unpacked(
     packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fails(skill: object, path: Path) -> None:
-        _make(path)
-        raise RunError("The disk is full.")
+    def fails(path: Path, *_: object) -> None:
+        raise RunError(f"{path}: the disk is full.")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(folder, "unpack", fails)
+    monkeypatch.setattr(skill.checkpoint, "save", fails)
     with pytest.raises(RunError, match="disk is full"):
         run_folder(str(packed))
     assert list(Path("runs/skills").iterdir()) == []
+    with pytest.raises(RunError, match=r"^own/run/checkpoints/00000001: the disk is full"):
+        skill.unpack(open_skill(str(packed)), Path("own/run"))
+    assert list(Path("own").iterdir()) == []
+
+
+def test_a_folder_with_something_in_it_is_not_unpacked_into(
+    packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    opened = open_skill(str(packed))
+    for name in ("empty", "mine"):
+        Path(name).mkdir()
+    Path("mine/notes.txt").write_text("of another day")
+    skill.unpack(opened, Path("empty"))
+    assert Path("empty/run.json").is_file()
+    with pytest.raises(RunError, match=r"empty already holds a run\. Give another folder"):
+        skill.unpack(opened, Path("empty"))
+    with pytest.raises(RunError, match=r"mine cannot be made: Directory not empty\. Give another"):
+        skill.unpack(opened, Path("mine"))
+    assert sorted(p.name for p in Path().iterdir() if not p.name.startswith("runs")) == [
+        "empty", "mine",
+    ]  # fmt: skip
+    assert [p.name for p in Path("mine").iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize("name", ["nosuch", "walk", "clip.json"])

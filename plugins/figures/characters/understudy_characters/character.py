@@ -29,9 +29,10 @@ from understudy_tensors import rotations
 
 __all__ = ["Character", "Joint", "character_spec", "load_character"]
 
-_FREE, _BALL, _HINGE = (
+_FREE, _BALL, _SLIDE, _HINGE = (
     int(mujoco.mjtJoint.mjJNT_FREE),
     int(mujoco.mjtJoint.mjJNT_BALL),
+    int(mujoco.mjtJoint.mjJNT_SLIDE),
     int(mujoco.mjtJoint.mjJNT_HINGE),
 )
 #: Of names that can only be those of a model's file, in lower case.
@@ -212,6 +213,12 @@ class Character:
             ids = list(range(first, first + count))
             types = {int(model.jnt_type[j]) for j in ids}
             place = f"Model '{self.name}' is no character: body '{self._body_name(body)}' has"
+            if slide := next((j for j in ids if model.jnt_type[j] == _SLIDE), 0):  # 0 is the root
+                raise ConfigError(
+                    f"{place} the joint '{model.joint(slide).name}', along which it slides, and a clip's joints only "
+                    "turn. Take the joint out of the model, so that the body stays where it is; in a URDF, make "
+                    'it type="fixed".'
+                )
             if types not in ({_BALL}, {_HINGE}) or (types == {_BALL} and count > 1):
                 raise ConfigError(f"{place} joints other than one ball or some hinges.")
             if count > 3:

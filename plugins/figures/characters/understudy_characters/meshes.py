@@ -74,6 +74,10 @@ def _read_apart(path: Path, content: bytes) -> list[np.ndarray]:
 def _hulls(path: Path, content: bytes) -> list[np.ndarray]:
     """The hulls of the parts of the mesh `content`, whose name is `path`."""
     try:
+        if elsewhere := _elsewhere(path, content):
+            raise FileError(
+                f"The mesh {path} has its numbers in another file, {elsewhere}, which is not read; export it as one, .glb."
+            )
         # From memory, so that what the file refers to is not followed.
         kind = path.suffix.lower().removeprefix(".")
         scene = trimesh.load(io.BytesIO(content), file_type=kind, skip_materials=True)
@@ -102,6 +106,16 @@ def _hulls(path: Path, content: bytes) -> list[np.ndarray]:
     except Exception as error:  # whatever the reader of that format raises
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise FileError(f"The mesh {path} cannot be used: {reason}") from error
+
+
+def _elsewhere(path: Path, content: bytes) -> str:
+    """The file in which the glTF `content` has its numbers, nothing if they are in it."""
+    if path.suffix.lower() != ".gltf":
+        return ""
+    told = json.loads(content)
+    buffers = told.get("buffers", []) if isinstance(told, dict) else []
+    named = [str(b.get("uri", "")) for b in buffers if isinstance(b, dict)]
+    return next((repr(n[:80]) for n in named if n and not n.startswith("data:")), "")
 
 
 def _coarse(hull: trimesh.Trimesh) -> trimesh.Trimesh:

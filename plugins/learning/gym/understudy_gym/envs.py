@@ -27,7 +27,14 @@ from understudy.errors import ConfigError
 from understudy.running.soundness import rows
 from understudy.running.step import Step
 from understudy.setup.plugins import installed
-from understudy_gym.worlds import RENDER_MODES, Worlds, columns, flattened, known_render_mode
+from understudy_gym.worlds import (
+    RENDER_MODES,
+    Worlds,
+    check_reset,
+    columns,
+    flattened,
+    known_render_mode,
+)
 
 
 def register_envs() -> None:
@@ -81,6 +88,7 @@ class UnderstudyEnv(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """A seed makes what follows repeat exactly; without one, ever, the episodes are other ones in
         every process."""
+        check_reset(seed, options)
         super().reset(seed=seed)
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**31))
@@ -90,7 +98,7 @@ class UnderstudyEnv(gymnasium.Env):
     def step(self, action: Any):
         batch = {k: np.asarray(v)[None] for k, v in action.items()} if isinstance(action, Mapping) \
             else np.asarray(action)[None]  # fmt: skip
-        step = self.worlds.advance(columns(self.worlds.space, batch, self.worlds.device))
+        step = self.worlds.advance(columns(self.worlds.space, batch, 1, self.worlds.device))
         rewards, ended = self.worlds.account(step)
         info: dict[str, Any] = {"rewards": {n: float(value[0]) for n, value in rewards.items()}}
         if ended[0]:
@@ -173,6 +181,7 @@ class UnderstudyVectorEnv(VectorEnv):
             for a mask of the wrong shape or type, one before any whole reset, or one with
             a seed, since a seed begins the random numbers of all worlds anew.
         """
+        check_reset(seed, options, ("reset_mask",))
         super().reset(seed=seed)
         mask = (options or {}).get("reset_mask")
         if mask is not None:
@@ -199,7 +208,7 @@ class UnderstudyVectorEnv(VectorEnv):
         return _arrays(self.worlds.environment.begin(worlds), self._flat)
 
     def step(self, actions: Any):
-        batch = columns(self.worlds.space, actions, self.worlds.device)
+        batch = columns(self.worlds.space, actions, self.num_envs, self.worlds.device)
         if self._mode is AutoresetMode.SAME_STEP:
             step = self.worlds.step(batch)
             info = self._account(step)

@@ -60,7 +60,7 @@ class UnderstudyVecEnv(VecEnv):
         return _array(flattened(self.worlds.environment.reset(seed)))
 
     def step_async(self, actions: np.ndarray) -> None:
-        self._actions = columns(self.worlds.space, actions, self.worlds.device)
+        self._actions = columns(self.worlds.space, actions, self.num_envs, self.worlds.device)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         step = self.worlds.step(self._actions)

@@ -311,12 +311,46 @@ class Worlds:
         )
 
 
-def columns(space: ActionSpace, actions: Any, device: torch.device) -> Tensor:
-    """An action tensor (N, A) of a batch of :meth:`Worlds.action_space`: an array, or arrays by name."""
+def columns(space: ActionSpace, actions: Any, worlds: int, device: torch.device) -> Tensor:
+    """An action tensor (N, A) of a batch of :meth:`Worlds.action_space`: an array, or arrays by name.
+
+    Raises
+    ------
+    ConfigError
+        they are of another shape than `worlds` and the space say, or lack a part.
+    """
     if isinstance(actions, Mapping):
+        if missing := [name for name in space.parts if name not in actions]:
+            raise ConfigError(f"An action needs {', '.join(map(repr, missing))}, too.")
         parts = [np.asarray(actions[name]) for name in space.parts]
         actions = np.concatenate([p.reshape(len(p), -1).astype(np.float32) for p in parts], axis=1)
-    return torch.as_tensor(np.asarray(actions, dtype=np.float32)).to(device)
+    found = np.asarray(actions, dtype=np.float32)
+    if found.shape != (worlds, space.size):
+        raise ConfigError(
+            f"Actions of shape {found.shape} do not fit: {(worlds, space.size)} is needed, a row for each of "
+            f"{worlds} worlds."
+        )
+    return torch.as_tensor(found).to(device)
+
+
+def check_reset(seed: Any, options: Mapping[str, Any] | None, known: Sequence[str] = ()) -> None:
+    """Refuse what :meth:`reset` would not use.
+
+    Raises
+    ------
+    ConfigError
+        options that are not `known`, or several seeds.
+    """
+    if seed is not None and isinstance(seed, Sequence | np.ndarray):
+        raise ConfigError(
+            "All worlds have one seed, from which each draws its own numbers: seed=3."
+        )
+    if unknown := [name for name in options or {} if name not in known]:
+        there = f"there is {', '.join(known)}" if known else "there are none"
+        raise ConfigError(
+            f"The reset has no option {', '.join(map(repr, unknown))}; {there}. What a task is made with are its "
+            "overrides: overrides=['KEY=VALUE']."
+        )
 
 
 def flattened(observations: Mapping[str, Tensor]) -> Tensor:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +11,6 @@ from understudy.command.command import tell
 from understudy.errors import RunError
 from understudy.folders import read
 from understudy.records import runs
-from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.plugins import installed
@@ -46,7 +43,11 @@ def run_folder(source: str, *, recorded: bool = False, registry: Registry | None
     digest = hashlib.sha256(b"".join(read(file) for file in _files(packed))).hexdigest()[:8]
     folder = FOLDER / f"{source.removesuffix('.json').replace(os.sep, '-').strip('-.')}-{digest}"
     if not (folder / "run.json").is_file():
-        _whole(source, folder, registry)
+        try:
+            unpack(open_skill(source, registry=registry), folder)
+        except RunError:
+            if not (folder / "run.json").is_file():  # else another process was first
+                raise
         tell(f"{source} is unpacked as the run {folder}.")
     if recorded and not (folder / "recording.npz").is_file():
         tell(f"{folder} is recorded for the first time.")
@@ -65,27 +66,6 @@ def _packed(source: str, registry: Registry) -> Path | None:
 
 def _files(path: Path) -> list[Path]:
     return [path.with_name(f"{path.name.removesuffix('.json')}{s}") for s in _SUFFIXES]
-
-
-def _whole(source: str, folder: Path, registry: Registry) -> None:
-    """Unpack the skill beside `folder` and move it there, so that it is there as a whole or not at all."""
-    try:
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=".", dir=FOLDER))
-    except OSError as error:
-        raise RunError(f"{FOLDER} cannot be made: {error.strerror}.") from error
-    try:
-        unpack(open_skill(source, registry=registry), beside / "run")
-        text = (beside / "run" / "run.json").read_text(encoding="utf-8")
-        own = text.replace(str(beside / "run"), str(folder))
-        write_atomically(beside / "run" / "run.json", own.encode())
-        try:
-            (beside / "run").rename(folder)
-        except OSError as error:
-            if not (folder / "run.json").is_file():  # else another process was first
-                raise RunError(f"{folder} cannot be made: {error.strerror}.") from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
 
 
 def _record(run: Run) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +19,7 @@ from understudy.errors import ConfigError, RunError, suggestion
 from understudy.folders import read
 from understudy.inputs import Inputs
 from understudy.records import checkpoint, runs
+from understudy.records.checkpoint import write_atomically
 from understudy.running.training import Progress
 from understudy.setup.building import build_environment
 from understudy.setup.composition import compose_raw, refuse_resolvers, replaced
@@ -235,6 +238,33 @@ def unpack(skill: Skill, path: Path) -> None:
     RunError
         if the folder holds a run already or cannot be written, or the overrides are no words.
     """
+    if (path / "run.json").exists():
+        raise RunError(f"{path} already holds a run. Give another folder.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside = path.parent / Path(tempfile.mkdtemp(prefix=".", dir=path.parent)).name
+    except OSError as error:
+        raise RunError(f"The run folder {path} cannot be made: {error.strerror}.") from error
+    try:  # beside it, and moved there: it is there as a whole or not at all
+        try:
+            _make(skill, beside / "run")
+        except RunError as error:  # which names what nobody typed
+            raise RunError(str(error).replace(str(beside / "run"), str(path))) from error
+        text = (beside / "run" / "run.json").read_text(encoding="utf-8")
+        own = text.replace(f"{beside.name}/run", json.dumps(path.name)[1:-1])
+        write_atomically(beside / "run" / "run.json", own.encode())
+        try:
+            (beside / "run").rename(path)
+        except OSError as error:
+            raise RunError(
+                f"The run folder {path} cannot be made: {error.strerror}. Give another folder."
+            ) from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def _make(skill: Skill, path: Path) -> None:
+    """Write `skill` as the new run folder `path`."""
     overrides = _words_of(skill.card, skill.name)
     root = skill.experiment.root
     experiment = replace(skill.experiment, root=replace(root, run=replace(root.run, dir=str(path))))

@@ -7,6 +7,7 @@ It is a mocap body, so worlds and episodes may have it anywhere (``mocap_pos/cha
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from understudy.errors import ConfigError
 from understudy.inputs import Inputs
 from understudy.options import check_range
 from understudy.setup.registry import Registry
@@ -98,6 +100,39 @@ def slabs(
             yield Slab(f"chair_arm_{name}", centre, (x, half, 0.5 * (options.arms + THICKNESS)))
 
 
+#: m: lengths of a chair, and how far from the floor it may begin.
+_LONG, _OFF = (0.2, 3.0), 0.05
+
+
+def _check_size(path: Path, points: np.ndarray, scale: float) -> None:
+    """Refuse a mesh, whose `points` (V, 3) m are at this `scale`, of no chair's size; warn of one that is not on the
+    floor.
+
+    Raises
+    ------
+    ConfigError
+        it is longer or shorter than chairs are.
+    """
+    least, most = _LONG
+    longest = float(np.ptp(points, axis=0).max())
+    if not least <= longest <= most:
+        better = next(
+            (s for s in (1.0, 0.01, 0.001, 0.0254) if 0.3 <= longest / scale * s <= 2.0), None
+        )
+        hint = f"chair.mesh_scale={better:g}" if better else "another chair.mesh_scale"
+        raise ConfigError(
+            f"The mesh {path} is {longest:.3g} m long at chair.mesh_scale={scale:g}, and chairs are {least:g} to "
+            f"{most:g} m. Give {hint}."
+        )
+    if abs(low := float(points[:, 2].min())) > _OFF:
+        where = f"{abs(low):.2f} m {'above' if low > 0 else 'below'} the floor"
+        warnings.warn(
+            f"The mesh {path} begins {where}, so the figure meets it there. A chair's mesh has z up and stands on "
+            "z = 0; glTF files often have y up.",
+            stacklevel=2,
+        )
+
+
 class Chair(Surroundings):
     """A chair beside the character, and what senses feet on the floor and the pelvis on the seat."""
 
@@ -116,6 +151,7 @@ class Chair(Surroundings):
             path = Path(self.options.mesh)
             path = self._inputs.file(f"chair.mesh={path}", lambda: [path])
             parts = convex_parts(path, self.options.mesh_scale)
+            _check_size(path, np.concatenate(parts), self.options.mesh_scale)
             for number, vertices in enumerate(parts):
                 name = f"chair_part{number}"
                 spec.add_mesh(name=name, uservert=vertices.flatten().tolist())

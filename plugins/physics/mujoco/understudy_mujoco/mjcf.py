@@ -28,6 +28,9 @@ MAX_DEPTH = 200
 
 _REFUSED = ("plugin", "extension", "model")
 """Elements by which a model has libraries loaded, or models that refer to files of their own."""
+_OF_URDF = ("link", "joint", "material", "mujoco")
+"""What is read of a URDF; the rest is for other programs (``gazebo``, ``transmission``, ``ros2_control``), which load
+plugins by it."""
 _DIRECTORIES: tuple[str, ...] = ("assetdir", "meshdir", "texturedir")
 _MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
@@ -97,6 +100,8 @@ class _Reader:
                 f"The model {self._path} does not load: <{root.tag}> is neither MJCF (<mujoco>) nor URDF (<robot>)."
             )
         if urdf:
+            for child in [c for c in root if c.tag not in _OF_URDF]:
+                root.remove(child)
             _without_visuals(root)
             self._check_limits(root)
             if followers := [
@@ -154,7 +159,7 @@ class _Reader:
     def _parse(self, path: Path) -> ElementTree.Element:
         content = self._content(path, self._bytes_left, MAX_BYTES)
         self._bytes_left -= len(content)
-        text = _decoded(path, content)
+        text = re.sub(r"<!DOCTYPE\s+\w+\s*>", "", _decoded(path, content))
         if "<!DOCTYPE" in text or "<!ENTITY" in text or "\0" in text:
             raise FileError(f"The model {path} does not load: it is no plain XML.")
         # MuJoCo's parser takes "--" in comments and blanks before the declaration, Python's does not.
@@ -164,9 +169,14 @@ class _Reader:
                 f"The model {path} is a template: expand it first, by xacro FILE > robot.urdf."
             )
         try:
-            return ElementTree.fromstring(text)
+            root = ElementTree.fromstring(text)
         except (ElementTree.ParseError, ValueError) as error:
             raise FileError(f"The model {path} does not load: no XML: {error}.") from error
+        for (
+            element
+        ) in root.iter():  # without the name of a namespace, which MuJoCo does not know either
+            element.tag = element.tag.rpartition("}")[2]
+        return root
 
     def _include(
         self, parent: ElementTree.Element, within: tuple[Path, ...], beside: Path, depth: int = 1
@@ -182,14 +192,23 @@ class _Reader:
             if child.tag != "include":
                 self._include(child, within, beside, depth + 1)
                 continue
-            path = self._inside(child.get("file", ""))
-            if not path.is_file() and beside != self._folder:
-                path = self._inside(child.get("file", ""), beside)
+            path = self._included(child.get("file", ""), beside)
             if path in within:
                 raise FileError(f"The model {path} includes itself.")
             included = self._parse(path)
             self._include(included, (*within, path), path.parent, depth + 1)
             parent[index : index + 1] = list(included)
+
+    def _included(self, name: str, beside: Path) -> Path:
+        """The file to include, as the model's own folder or, if that has none, the folder `beside` has it."""
+        if not name:
+            raise FileError(
+                f"The model {self._path} does not load: an <include> names no file (file=…)."
+            )
+        own = self._folder / name.replace("\\", "/")
+        if beside != self._folder and not own.is_file():
+            return self._inside(name, beside)
+        return self._inside(name)
 
     def _directories(self, elements: list[ElementTree.Element]) -> dict[str, str]:
         """Where meshes and textures are; of several compiler elements the last one says it."""
@@ -202,6 +221,10 @@ class _Reader:
         return found
 
     def _asset(self, directories: Mapping[str, str], kind: str, name: str) -> str:
+        if not name:
+            raise FileError(
+                f"The model {self._path} does not load: a mesh or texture names no file."
+            )
         folder = directories[kind] or directories["assetdir"]
         if "strippath" in directories:
             name = name.replace("\\", "/").rpartition("/")[2]
@@ -278,6 +301,8 @@ class _Reader:
                     p.name for p in path.parent.glob("*") if p.name.lower() == path.name.lower()
                 ]
                 hint = f" There is {alike[0]}: names differ in capitals here." if alike else ""
+                if path.is_dir():
+                    hint = " It is a folder."
                 raise FileError(
                     f"The model {self._path} cannot be read: there is no file {path}.{hint}"
                 )
@@ -299,10 +324,18 @@ class _Reader:
 
 def _decoded(path: Path, content: bytes) -> str:
     """The text of the model at `path`, in the encoding that it says, else UTF-8, else, as MuJoCo takes any
-    bytes for a name, Latin-1."""
+    bytes for a name, Latin-1. What says UTF-16 in plain bytes is not in it: programs say so of text in memory."""
     marked = next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
+    if marked is None and b"\0" in content[:2]:
+        marked = "utf-16-le" if content[1:2] == b"\0" else "utf-16-be"
     declared = _DECLARED.match(content)
     said = marked or (declared[1].decode("ascii") if declared else None)
+    if (
+        not marked
+        and said
+        and said.lower().replace("_", "-").startswith(("utf-16", "utf-32", "ucs-2"))
+    ):
+        said = None
     try:
         return content.decode(said or "utf-8")
     except LookupError as error:

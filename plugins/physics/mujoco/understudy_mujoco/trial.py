@@ -32,6 +32,12 @@ _OBJECTS = {
     "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
 }
 
+_WAYS = {
+    "no decoder found for mesh file": "export the mesh as STL or OBJ",
+    "mass and inertia of moving bodies must be larger": "give it a mass, and an inertia that is not 0",
+}
+"""What to do where MuJoCo's reason begins so."""
+
 _passed: set[bytes] = set()
 
 
@@ -99,10 +105,11 @@ def reason_of(error: Exception) -> str:
     if not said or said == "Caught an unknown exception!":
         return "MuJoCo gives no reason, which may be that it needs more memory."
     said = said.removeprefix("Error: ").removesuffix(":")
+    way = next((f"; {way}" for start, way in _WAYS.items() if said.startswith(start)), "")
     element = re.match(r"Element (?:name )?'([^']*)'(?:, id (\d+))?", more)
     if element is None or not any(element.groups()):
-        return said
-    return f"{said} (element {repr(element[1]) if element[1] else element[2]})"
+        return said + way
+    return f"{said} (element {repr(element[1]) if element[1] else element[2]}){way}"
 
 
 def not_finite(model: mujoco.MjModel) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import copy
 import hashlib
 import json
@@ -10,12 +11,13 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import yaml
 
 from understudy.command.command import Command, tell
-from understudy.errors import ConfigError, RunError
+from understudy.errors import ConfigError, RunError, UnderstudyError
 from understudy.records import checkpoint, runs
 from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
@@ -168,9 +170,20 @@ def _beside(run: Run, name: str, chosen: str, words: Sequence[str], training: Tr
         own.write_json("run.json", info)
         if rows := run.metrics():
             write_atomically(own.metrics_file, "".join(json.dumps(r) + "\n" for r in rows).encode())
-    except OSError as error:
+    except (OSError, UnderstudyError) as error:
+        _remove_empty(own.path)
+        if isinstance(error, UnderstudyError):
+            raise
         raise RunError(f"{own.path} cannot be written: {error.strerror}.") from error
     return own
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove what holds no file of `folder`, of what is in it, and of the folder around it."""
+    inside = sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True)
+    for one in (*inside, folder, folder.parent):
+        with contextlib.suppress(OSError):  # not empty, or not there
+            one.rmdir()
 
 
 def _changed(words: Sequence[str], short: Mapping[str, str]) -> list[str]:

@@ -14,7 +14,8 @@ function show() {
 }
 function step(now) {
   if (!playing) return;
-  time = (time + (now - last) / 1000) % (frames.length * dt);
+  // A frame may be dated before the click that asked for it.
+  time = (time + Math.max(0, now - last) / 1000) % (frames.length * dt);
   last = now;
   show();
   requestAnimationFrame(step);

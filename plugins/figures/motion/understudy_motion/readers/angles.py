@@ -13,7 +13,9 @@ What an angle means only the robot's model says. So the clip has a joint ``angle
 
 from __future__ import annotations
 
+import itertools
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -26,11 +28,15 @@ from understudy_motion.clip import ANGLE, Clip
 from understudy_motion.readers.text import (
     decoded,
     is_number,
+    is_plain_time,
     names_joints,
     number_rows,
     plain_name,
     rate_of,
     said_of,
+    scale_of_unit,
+    since_first,
+    units_in,
     without_comments,
 )
 from understudy_motion.reading import (
@@ -61,8 +67,9 @@ class AnglesReader(ClipReader):
     suffixes = (".csv", ".txt")
 
     def recognises(self, head: bytes, path: Path) -> bool:
-        lines = [line for line in without_comments(decoded(head).splitlines()) if line]
-        if not lines:
+        raw = decoded(head).splitlines()
+        lines = [line for line in without_comments(raw) if line]
+        if not lines or _named_in_remark(raw):
             return False
         words = _words(lines[0], _delimiter(lines[0]))
         if [word.lower() for word in words[:7]] == _PROTOMOTIONS:
@@ -73,6 +80,10 @@ class AnglesReader(ClipReader):
             return False
         if _names(lines):
             words = _words(lines[1], _delimiter(lines[0]))
+            if units_in(words) and len(lines) > 2:  # blanks at its ends do not matter here
+                words = _words(lines[2], _delimiter(lines[0]))
+        if not is_plain_time(words[0]) and _times(words[:1]):
+            words = ["0", *words[1:]]
         if len(words) < 8 or not all(map(is_number, words)):
             return False
         numbers = np.array([float(word) for word in words])
@@ -89,16 +100,25 @@ class AnglesReader(ClipReader):
         degrees = [word.lower() for word in words[:7]] == _PROTOMOTIONS
         named = degrees or _names([lines[at], ""])
         body = lines[at + named :]
+        scales = np.ones(len(words))
+        first, cells = _row_below(raw[at + named :], delimiter) if named else (0, [])
+        cells += [""] * (len(words) - len(cells))
+        if not degrees and len(cells) == len(words) and (units := units_in(cells)):
+            scales = np.array([scale_of_unit(unit) for unit in units])
+            body[first] = ""
         if delimiter != ",":  # which are decimal then
             body = [line.replace(",", ".") for line in body]
         check_size(path, sum(1 for line in body if line), words)
+        timed_body = _with_times(body, delimiter)
+        if timed_body is not body:
+            body, scales[0] = timed_body, 1.0
         rows = number_rows(path, body, at + named + 1, len(words), delimiter)
+        rows = rows * scales
         said = dict(filter(None, map(said_of, raw[:at])))
         rate = rate_of(path, said["rate"]) if "rate" in said else RATE
         timed = not degrees and _timed(rows)
         if timed:  # by a column of times, s, or of frames' numbers
-            step = float(np.median(np.diff(rows[:, 0])))
-            rate = rate if step == 1.0 else 1.0 / step
+            rate = _rate(rows[:, 0], rate)
             rows, words = rows[:, 1:], words[1:]
         names = [re.sub("_(dof|joint)$", "", word) for word in words[7:]] if named else [
             str(n + 1) for n in range(len(words) - 7)
@@ -135,9 +155,66 @@ def _timed(rows: np.ndarray) -> bool:
     """Whether the first column counts, or has times, and the quaternion is one further on."""
     if len(rows) < 2 or rows.shape[1] < 9:
         return False
-    steps = np.diff(rows[:, 0])
-    even = bool((steps > 0).all() and np.ptp(steps) <= 0.01 * steps.max())
-    return even and all(map(_unit, rows[:, 4:8])) and not all(map(_unit, rows[:, 3:7]))
+    times = rows[:, 0]
+    steps = np.diff(times)
+    even = bool((steps > 0).all()) and bool(
+        np.abs(times - np.linspace(times[0], times[-1], len(times))).max() <= 0.25 * steps.mean()
+    )
+    return even and _unit_one_further(rows)
+
+
+def _unit_one_further(rows: np.ndarray) -> bool:
+    """Whether the quaternion is one column further on than without times."""
+    return all(map(_unit, rows[:, 4:8])) and not all(map(_unit, rows[:, 3:7]))
+
+
+def _rate(times: np.ndarray, unsaid: float) -> float:
+    """Frames per second of even `times` (F,), s, which may be rounded; `unsaid` where they are frames' numbers."""
+    steps = np.diff(times)
+    if (steps == 1.0).all():
+        return unsaid
+    rate = float(1.0 / steps.mean())
+    whole = round(rate)  # if that is within how the times are rounded
+    near = whole and abs(1.0 / whole - steps.mean()) * len(steps) <= np.ptp(steps)
+    return float(whole) if near else rate
+
+
+def _named_in_remark(lines: Sequence[str]) -> bool:
+    """Whether a remark above the numbers names a table's columns, whose reader is another."""
+    above = itertools.takewhile(
+        lambda line: not line.strip() or line.lstrip(' "').startswith("#"), lines
+    )
+    columns = [plain_name(word) for line in above for word in re.split(r"[\s,;|#\"]+", line)]
+    return "root.px" in columns and names_joints(columns)
+
+
+def _row_below(raw: Sequence[str], delimiter: str | None) -> tuple[int, list[str]]:
+    """The first row below the names, with the blanks at both its ends, and its index."""
+    for n, line in enumerate(raw):
+        if line.strip() and not line.lstrip().startswith(("#", "//")):
+            return n, line.split(delimiter)
+    return 0, []
+
+
+def _times(words: Sequence[str]) -> list[float] | None:
+    try:
+        return since_first(words)
+    except ValueError:
+        return None
+
+
+def _with_times(body: list[str], delimiter: str | None) -> list[str]:
+    """`body` with seconds where its first column has dates, clocks or counts."""
+    if delimiter is None:
+        return body
+    rows = {i: line.partition(delimiter) for i, line in enumerate(body) if line}
+    words = [row[0].strip(' "') for row in rows.values()]
+    if not words or is_plain_time(words[0]) or (times := _times(words)) is None:
+        return body
+    lines = list(body)
+    for (i, row), time in zip(rows.items(), times, strict=True):
+        lines[i] = f"{time!r}{delimiter}{row[2]}"
+    return lines
 
 
 def _delimiter(line: str) -> str | None:
@@ -155,6 +232,12 @@ def _plain(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position (F, 3) m, rotation (F, 4) and angles (F, H) rad of a table without a header."""
     norms = np.linalg.norm(rows[:, 3:7], axis=1)
+    if rows.shape[1] > 8 and len(rows) > 1 and _unit_one_further(rows):
+        steps = np.diff(rows[:, 0])
+        raise FileError(
+            f"Clip {path}: frame {int(np.abs(steps - np.median(steps)).argmax()) + 1}: the times in its first column "
+            "are not even; write every frame, or leave the column out."
+        )
     if len(rows) and np.abs(norms - 1.0).max() > 0.02:
         frame = int(np.abs(norms - 1.0).argmax())
         raise FileError(

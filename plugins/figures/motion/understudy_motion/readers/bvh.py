@@ -8,6 +8,8 @@ are parallel. Of joints with the same name the later ones get a number.
 Position channels replace the joint's OFFSET, so constant ones are its bone. Where they would make the
 figure a point beside its OFFSETs they are displacements from these. Only the root moves; nodes of a
 scene above hips that move are left out, and the hips take their place and turn in the world.
+What a program writes below the last frame, such as its name or a list of events, is left out; a second
+motion there is refused.
 
 A BVH says neither its unit nor its vertical axis. What is not given is recognised:
 
@@ -129,6 +131,9 @@ class Bone:
 _REMARK = re.compile(r"\s(#|//|;)(\s.*)?$")
 """What follows a sign of its own to the end of a line of the hierarchy."""
 
+
+_NUMBER = re.compile(r"[-+]?\.?[0-9]|[-+]?(nan|inf)", re.IGNORECASE)
+"""How a line of a frame begins."""
 
 _SAID = re.compile(
     r"(frames|frame[\s_]*time|(?:frame|sample)[\s_]*rate|fps)\b[\s:=]*(\S*(?:\s*ms\b)?)",
@@ -309,6 +314,7 @@ def _motion(
     Where the `rate` is given the file need not say it, and what it says does not matter.
     """
     count = interval = None
+    lines = _said_in_one(lines, start)
     head = [
         (i, _REMARK.sub("", line))
         for i, line in itertools.takewhile(
@@ -349,6 +355,7 @@ def _motion(
     body = lines[last + 1 :]
     if any(sign in line for line in body for sign in ("#", "//")):
         body = [_REMARK.sub("", line) for line in body]
+    body = _without_end(path, body, last + 2, columns)
     frames = sum(1 for line in body if line)
     if frames == 0:
         raise FileError(f"Clip {path}: no frame follows MOTION.")
@@ -376,6 +383,36 @@ def _motion(
 def _is_word(word: str) -> bool:
     """Whether a line that begins with it has no numbers of a frame."""
     return word[0].isalpha() and word.lower() not in ("nan", "inf", "infinity")
+
+
+def _said_in_one(lines: Sequence[str], start: int) -> Sequence[str]:
+    """`lines` with a value, or the rest of its name, that stands in the line below it beside its name."""
+    joined = list(lines)
+    words = [i for i, line in enumerate(lines[start : start + 100], start) if line]
+    for i, below in itertools.pairwise(words):
+        alone = re.fullmatch(r"frame|(.*frame[\s_]*time|frames)[\s:=]*", joined[i], re.IGNORECASE)
+        value = is_number(joined[below]) or joined[below].lower().startswith("time")
+        if alone and value:
+            joined[below], joined[i] = f"{joined[i]} {joined[below]}", ""
+    return joined
+
+
+def _without_end(path: Path, body: Sequence[str], first: int, columns: int) -> Sequence[str]:
+    """`body`, whose first line is the file's line `first`, without what stands below its frames."""
+    end = next((i for i, line in enumerate(body) if line and not _NUMBER.match(line)), None)
+    if end is None:
+        return body
+    rest = [line.split() for line in body[end:]]
+    for number, words in enumerate(rest, start=first + end):
+        if words and words[0].upper().rstrip(":") in ("HIERARCHY", "MOTION"):
+            raise FileError(
+                f"Clip {path}: line {number}: a second motion begins here; save each in a file of its own."
+            )
+    # What is like a frame shows that it is damage among them.
+    among = any(
+        len(words) == columns and 2 * sum(map(is_number, words)) > columns for words in rest
+    )
+    return body if among else body[:end]
 
 
 def _rejoined(body: Sequence[str], frames: int, columns: int) -> Sequence[str]:

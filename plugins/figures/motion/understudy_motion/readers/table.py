@@ -11,10 +11,11 @@ SI units, z up, x forward, quaternions wxyz: nothing is converted.
 ``root.py``, ``root.pz`` (m); and for each joint, the root first, ``NAME.qw``, ``.qx``, ``.qy``,
 ``.qz`` or its rotation vector ``NAME.rx``, ``.ry``, ``.rz`` (rad). Lines before it that begin with
 ``#`` may say ``# rate: 60`` (frames/s, instead of ``time``), ``# loop: true`` and
-``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons, tabs or bars may stand
-between the columns, decimal commas in numbers; columns without a name, and those of row numbers, are left out.
-A column's name may say another unit, ``root.px [cm]``, ``knee.rx [deg]``, ``time [ms]``; times begin at the first
-frame's.
+``# licence: TEXT``; others are remarks, as anywhere in it. It has no skeleton. Semicolons, tabs, bars or blanks may
+stand between the columns, decimal commas in numbers; columns without a name, and those of row numbers, are left out.
+A column's name, or a row of units below the names, may say another unit, ``root.px [cm]``, ``knee.rx [deg]``,
+``time [ms]``. Times begin at the first frame's, and may be dates and times of ISO 8601, a clock's, or counts of
+milli-, micro- or nanoseconds since 1970.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from understudy_motion.readers.frames import check_sizes
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
 from understudy_motion.readers.text import (
     decoded,
+    is_plain_time,
     names_joints,
     number_rows,
     plain_name,
@@ -42,6 +44,8 @@ from understudy_motion.readers.text import (
     said_of,
     scale_of,
     shown,
+    since_first,
+    units_in,
 )
 from understudy_motion.reading import (
     MAX_RECORD_LINE,
@@ -127,25 +131,28 @@ class CsvReader(ClipReader):
     def recognises(self, head: bytes, path: Path) -> bool:
         lines = decoded(head).splitlines()
         _, start = _comments(lines)
-        if start == len(lines) or not (delimiter := _delimiter(lines[start])):
+        if start == len(lines):
             return False
-        columns = _cells(lines[start], delimiter)
+        header, _, delimiter = _parted(lines[start:])
+        columns = _cells(header, delimiter)
         return ROOT_POSITION[0] in columns or names_joints(columns)
 
     def read(self, path: Path, options: ReadOptions = UNSAID) -> Clip:
         content = read_bytes(path)
         lines = decoded(content).splitlines()
         said, start = _comments(lines)
-        header = lines[start] if start < len(lines) else ""
-        delimiter = _delimiter(header) or ","
-        columns = _cells(header, delimiter)
-        body = [_row(line, len(columns), delimiter) for line in lines[start + 1 :]]
+        header, body, delimiter = _parted(lines[start:])
+        names, columns = _raw(header, delimiter), _cells(header, delimiter)
+        body = [_row(line, len(columns), delimiter) for line in body]
+        names = _with_units(names, body, delimiter)
         columns, body = _plain(path, columns, body, delimiter)
+        scales = {plain_name(name): scale_of(name) for name in names}
         joints = _joint_columns(path, columns)
         num_frames = sum(1 for line in body if line.strip())
         check_size(path, num_frames, tuple(joints))
+        if "time" in columns:
+            body = _timed(path, body, columns, delimiter, scales["time"])
         rows = number_rows(path, body, start + 2, len(columns), delimiter)
-        scales = {plain_name(name): scale_of(name) for name in _raw(header, delimiter)}
         rows = rows * [scales[name] for name in columns]
         places = rows[:, [columns.index(c) for c in ROOT_POSITION]]
         if options.unit:
@@ -185,6 +192,54 @@ def _comments(lines: Sequence[str]) -> tuple[dict[str, str], int]:
         ):
             return said, index
     return said, len(lines)
+
+
+def _parted(lines: Sequence[str]) -> tuple[str, Sequence[str], str]:
+    """Of a table's `lines`: that of the names, the others, and what stands between columns, where that is blanks
+    changed to commas."""
+    header = lines[0] if lines else ""
+    if delimiter := _delimiter(header):
+        return header, lines[1:], delimiter
+    return _by_commas(header.lstrip("# ")), [_by_commas(line) for line in lines[1:]], ","
+
+
+def _by_commas(line: str) -> str:
+    """`line` with commas for the blanks between its words, none of which is before a unit."""
+    apart = re.sub(r"\s+(?=[\[(])", "", line.strip().replace(",", "."))
+    return re.sub(r"\s+", ",", apart)
+
+
+def _with_units(names: Sequence[str], body: list[str], delimiter: str) -> list[str]:
+    """`names` with the units that the first row of `body` has for them, which is emptied then."""
+    at = next((i for i, line in enumerate(body) if line), None)
+    units = None if at is None else units_in(body[at].split(delimiter))
+    if at is None or units is None or len(units) != len(names):
+        return list(names)
+    body[at] = ""
+    return [
+        f"{name} [{unit}]" if unit and plain_name(f"{name} [{unit}]") == plain_name(name) else name
+        for name, unit in zip(names, units, strict=True)
+    ]
+
+
+def _timed(
+    path: Path, body: Sequence[str], columns: Sequence[str], delimiter: str, unit: float
+) -> Sequence[str]:
+    """`body` with numbers in its column of times, which are in a `unit` of so many s."""
+    at = columns.index("time")
+    rows = {i: cells for i, line in enumerate(body) if len(cells := line.split(delimiter)) > at}
+    words = [cells[at].strip() for cells in rows.values()]
+    if not words or not words[0] or is_plain_time(words[0]):
+        return body
+    lines = list(body)
+    try:
+        times = since_first(words, unit)
+    except ValueError as error:
+        raise FileError(f"Clip {path}: column 'time': {error}.") from error
+    for (i, cells), time in zip(rows.items(), times, strict=True):
+        cells[at] = repr(time)
+        lines[i] = delimiter.join(cells)
+    return lines
 
 
 def _delimiter(header: str) -> str:

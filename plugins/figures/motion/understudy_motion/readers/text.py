@@ -6,6 +6,7 @@ import codecs
 import math
 import re
 from collections.abc import Iterable, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,8 @@ _COLUMN = re.compile(
     re.IGNORECASE,
 )
 _TIME = re.compile(
-    r"(?:time|times|t|timestamp|seconds)(?:[_ ]*[\[(]?(s|sec|seconds|ms|milliseconds)[\])]?)?",
+    r"(?:time|times|t|timestamp|seconds)"
+    r"(?:[_ ]*[\[(]?(s|sec|seconds|ms|milliseconds|us|µs|microseconds|ns|nanoseconds)[\])]?)?",
     re.IGNORECASE,
 )
 _SCALES = {
@@ -98,9 +100,30 @@ _SCALES = {
     "d": math.pi / 180.0,
     "°": math.pi / 180.0,
     "ms": 0.001,
-    "mi": 0.001,
+    "mil": 0.001,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "mic": 1e-6,
+    "n": 1e-9,
 }
 """m, rad or s in a unit that begins so."""
+_UNITS = {
+    word: unit
+    for unit, words in {
+        "m": "m metre metres meter meters",
+        "cm": "cm centimetre centimetres centimeter centimeters",
+        "mm": "mm millimetre millimetres millimeter millimeters",
+        "rad": "rad radian radians",
+        "deg": "deg degree degrees °",
+        "s": "s sec secs second seconds",
+        "ms": "ms msec millisecond milliseconds",
+        "us": "us µs microsecond microseconds",
+        "ns": "ns nanosecond nanoseconds",
+        "": "- – 1 # none unitless quat quaternion n/a na",
+    }.items()
+    for word in ("", *words.split())
+}
+"""By what stands in a row of units below a table's names: the unit, empty where there is none."""
 
 
 def plain_name(column: str) -> str:
@@ -122,8 +145,77 @@ def names_joints(columns: Iterable[str]) -> bool:
 def scale_of(column: str) -> float:
     """m, rad or s in the unit that the name of a table's `column` says, 1 if none."""
     found = _TIME.fullmatch(column) or _COLUMN.fullmatch(column)
-    unit = (found[found.re.groups] or "").lower() if found else ""
+    return scale_of_unit((found[found.re.groups] or "").lower() if found else "")
+
+
+def scale_of_unit(unit: str) -> float:
+    """m, rad or s in a `unit`, 1 if it is one of these, or none."""
     return next((scale for start, scale in _SCALES.items() if unit.startswith(start)), 1.0)
+
+
+def units_in(cells: Sequence[str]) -> list[str] | None:
+    """The units that the `cells` of a row name, as they are called here, None if it is no row of units."""
+    words = [cell.strip(' []()"').lower() for cell in cells]
+    if not all(word in _UNITS for word in words) or not any(_UNITS[word] for word in words):
+        return None
+    return [_UNITS[word] for word in words]
+
+
+_CLOCK = re.compile(
+    r"(?:(\d+) days?,? )?(?:(\d+):)?(\d+):(\d\d?(?:[.,]\d+)?)",
+)
+"""Days, hours, minutes and seconds."""
+_COUNTED = 10**11
+"""A time beyond it is no number of seconds, but a computer's count of parts of them since 1970."""
+
+
+def is_plain_time(word: str) -> bool:
+    """Whether `word` is a number that is a time as it is."""
+    return is_number(word) and abs(float(word)) < _COUNTED
+
+
+def since_first(words: Sequence[str], unit: float = 1.0) -> list[float]:
+    """The times of a column, since the first of them, in a `unit` of so many s: of dates and clocks (ISO 8601,
+    ``10:00:01.5``), and of counts since 1970, which are of milli-, micro- or nanoseconds by their size if the unit
+    is the second.
+
+    Raises
+    ------
+    ValueError
+        one of them is none, or of another kind than the first; it says which, and what to write.
+    """
+    counts = bool(words) and words[0].isdecimal()
+    times = list[int]()
+    for word in words:
+        time = _count(word) if counts else _microseconds(word)
+        if time is None:
+            raise ValueError(
+                f"{shown(word)} is no time; write seconds, as 0.033, or a date and time of ISO 8601"
+            )
+        times.append(time)
+    per = 1e6 * unit
+    if counts:
+        size = times[0]
+        by_size = 1e3 if size < 10**14 else 1e6 if size < 10**17 else 1e9
+        per = by_size if unit == 1.0 else 1.0
+    return [(time - times[0]) / per for time in times]
+
+
+def _count(word: str) -> int | None:
+    return int(word) if word.isascii() and word.isdecimal() and len(word) < 25 else None
+
+
+def _microseconds(word: str) -> int | None:
+    """That a date, or a clock, says."""
+    if clock := _CLOCK.fullmatch(word):
+        days, hours, minutes = (int(part or 0) for part in clock.groups()[:3])
+        seconds = float(clock[4].replace(",", "."))
+        return 60_000_000 * (60 * (24 * days + hours) + minutes) + round(1e6 * seconds)
+    try:
+        date = datetime.fromisoformat(word)
+    except ValueError:
+        return None
+    return (date - datetime(2000, 1, 1, tzinfo=date.tzinfo)) // timedelta(microseconds=1)
 
 
 def number_rows(

@@ -1,0 +1,28 @@
+"""``understudy render`` where its folder cannot be written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import miniatures
+import pytest
+
+from understudy.command.cli import main
+from understudy.errors import RunError
+from understudy_inspect import judging
+
+
+def test_nothing_is_left_of_what_could_not_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = "experiment=miniature/go", "budget.samples=256", *miniatures.QUICK
+    miniatures.train(*words, f"run.dir={tmp_path}/run", "run.video_seconds=0")
+    before = sorted(tmp_path.rglob("*"))
+
+    def fails(path: Path, *_: object) -> None:
+        raise RunError(f"{path} could not be written: No space left on device.")
+
+    monkeypatch.setattr(judging.checkpoint, "save", fails)
+    assert main(["render", f"{tmp_path}/run", "seconds=1"]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
