@@ -27,12 +27,14 @@ from understudy_gripping.grip import (
     long,
     search_grip,
     standard,
+    t_pose,
     tongs,
     tongs_wide,
     tri_finger,
 )
 from understudy_gripping.hold import placed
 from understudy_gripping.holding import holding
+from understudy_gripping.pose import PoseSolver
 from understudy_gripping.styles import NAMED
 from understudy_hand.scene import FIRM, HandScene
 from understudy_hand.table import ARM_POSE
@@ -164,6 +166,7 @@ def change(key: str, value: Any) -> str:
         (change("style", "12112"), "cross"),
         (change("tool", "fork"), "there is no tool 'fork'"),
         (change("tool", []), "is no grip"),
+        (change("holds", 1), "holds is neither true nor false"),
         (change("places", [0.1]), "places are not 4 finite numbers"),
         (change("lower", [0, 0, 0, 2, 0, 0, 0]), "no unit quaternion"),
         (change("lower", [0, 0, 0, "x", 0, 0, 0]), "lower are not 7 finite numbers"),
@@ -243,7 +246,23 @@ OTHER_HANDS: dict[str, tuple[Path, dict[str, Any]]] = {
 
 
 def test_every_packaged_grip_is_held_here() -> None:
-    assert {"standard", *OTHER_TOOLS, *OTHER_HANDS} == set(load().registry.names("grip"))
+    assert {"standard", "t_pose", *OTHER_TOOLS, *OTHER_HANDS} == set(load().registry.names("grip"))
+
+
+def test_the_t_pose_touches_nothing_lets_the_sticks_fall_and_says_so(tmp_path: Path) -> None:
+    """Figure 5.6: all of its angles are one pose, that from which grips are searched."""
+    found, made = load_grip(t_pose()), scene()
+    found.need(made)
+    rest = PoseSolver(made).rest(found.style)
+    assert found.poses == pytest.approx(rest.expand(len(found.angles), -1).numpy(), abs=1e-6)
+    assert not found.holds
+    data = placed(made, np.array(ARM_POSE), found.poses[0], found.upper[0], found.lower)
+    assert data.ncon == 0
+    fell = found.held(made, 0, seconds=1.0).fell
+    assert fell is not None
+    found.save(tmp_path / "grip.json")
+    assert not load_grip(tmp_path / "grip.json").holds
+    assert load_grip(standard()).holds
 
 
 @pytest.mark.parametrize("name", OTHER_TOOLS)
