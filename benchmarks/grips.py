@@ -49,6 +49,8 @@ if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__).parse_args()
     registry, lines = load().registry, []
     for one in registry.names("grip"):
+        if not load_grip(registry.find("grip", one).factory()).holds:
+            continue
         lines.append(json.dumps(row(one, registry.find("grip", one).factory())) + "\n")
         print(lines[-1], end="", flush=True)
     RESULTS.write_text("".join(lines), encoding="utf-8")

@@ -33,6 +33,8 @@ from understudy_chopsticks.relocate import (
 )
 from understudy_chopsticks.tracking import turned
 from understudy_tensors import rotations
+from understudy_tool_planner import arm
+from understudy_tool_planner.gripper import Jaws
 from understudy_tool_planner.planner import PHASES
 
 WORDS = ["task=chopsticks/relocate", "num_worlds=4", "initial_states.plans=5"]
@@ -106,6 +108,94 @@ def test_a_goal_of_no_plan_stays_in_its_world(built: Built, wrong: float) -> Non
     others = [0, 2, 3]
     for name, value in follow.compute(**fields).items():
         assert torch.equal(value[others], found[name][others]), name
+
+
+@pytest.mark.parametrize("along", [-0.05, 0.05])
+def test_sticks_are_held_further_along_and_their_tips_still_take_the_object(
+    along: float, plugins: Plugins
+) -> None:
+    """Section 5.7.2: both sticks in the palm, fingers' places on them, and plans for tips that are elsewhere in the hand."""
+    words = ["num_worlds=2", "initial_states.plans=2", f"initial_states.shift=[{along}, {along}]"]
+    made = build_environment(load_experiment([*WORDS[:1], *words], plugins))
+    made.environment.reset(seed=2)
+    _, bank = parts(made)
+    gripping = made.context.once("gripping", lambda: None)
+    axis = rotations.rotate(gripping.lower[0, 3:], torch.tensor([1.0, 0.0, 0.0]))
+    away = field(made, "planned_lower")[:, :3] - gripping.lower[:, :3]
+    torch.testing.assert_close(away, (along * axis).expand(2, 3))
+    torch.testing.assert_close(bank.shifts, torch.full((2,), along))
+    jaws = Jaws("sticks")
+    for row in range(2):
+        count = int(bank.lengths[row]) + 1
+        frames = bank.frames[row, :count].double()
+        palm, turn = arm.forward(frames[:, :7])
+        lower = field(made, "planned_lower")[0].double()
+        place = palm + torch.einsum("nij,j->ni", turn, lower[:3])
+        matrix = turn @ rotations.to_matrix(lower[3:])
+        middle = place + torch.einsum("nij,nj->ni", matrix, jaws.tips(frames[:, 7])[0])
+        held = frames[:, 15] > 0
+        assert (middle - frames[:, 8:11])[held].norm(dim=1).max() < 5e-4
+    began = field(made, "stick_state")[..., :3].clone()
+    for _ in range(30):  # by the grip's own targets
+        made.environment.advance(torch.zeros(2, 36))
+    assert (field(made, "stick_state")[..., :3] - began).norm(dim=-1).max() < 1e-3
+    assert field(made, "stick_distance")[:, 1].max() < 1e-3
+    assert field(made, "tip_distance").max() < 1e-3
+    made.environment.close()
+
+
+def test_each_plan_has_a_place_of_its_own_along_the_sticks(plugins: Plugins) -> None:
+    """And keeps it through a checkpoint."""
+    words = ["num_worlds=2", "initial_states.plans=3", "initial_states.shift=[-0.05, 0.05]"]
+    made = build_environment(load_experiment([*WORDS[:1], *words], plugins))
+    initial, bank = parts(made)
+    assert len(bank.shifts.unique()) == 3
+    assert bank.shifts.abs().max() <= 0.05
+    assert bank.starts.shape == (3, 57)
+    state = initial.state_dict()
+    kept = {name: value.clone() for name, value in state["bank"].items() if name != "drawn"}
+    before = bank.shifts.clone()
+    bank.replace(1)
+    assert bank.shifts[1] != before[1]
+    initial.load_state_dict({**state, "bank": {**kept, "drawn": 3}})
+    torch.testing.assert_close(bank.shifts, before)
+    assert bank._along == pytest.approx(before.tolist())
+    made.environment.close()
+
+
+def test_without_a_planner_only_the_goal_is_known(plugins: Plugins) -> None:
+    """Figure 5.22: arm, hand and sticks stay as they begin, and the one reward is for an object that is there in the end."""
+    words = [
+        "num_worlds=2", "initial_states.plans=2", "fields.plan.planner=false", "reward.terms.hand=null",
+        "reward.terms.sticks=null", "reward.terms.object=null", "reward.terms.contact=null",
+        "reward.terms.success.name=value", "reward.terms.success.reads={value: object_placed}",
+        "termination.terms.lost=null",
+    ]  # fmt: skip
+    made = build_environment(load_experiment([*WORDS[:1], *words], plugins))
+    made.environment.reset(seed=2)
+    _, bank = parts(made)
+    first = field(made, "planned_pose").clone()
+    rewards = []
+    for _ in range(60):
+        made.environment.advance(torch.zeros(2, 36))
+        rewards.append(field(made, "reward").clone())
+        torch.testing.assert_close(field(made, "planned_pose"), first)
+        torch.testing.assert_close(field(made, "planned_object")[:, :3], field(made, "plan_goal"))
+        assert (field(made, "planned_held") == 0).all()
+    assert (torch.stack(rewards) == 0).all()
+    frames = bank.frames[field(made, "plan_row").long()]
+    assert (frames[:, 60, :7] - frames[:, 0, :7]).abs().max() > 0.01, "there is a plan to be hidden"
+    ahead = field(made, "object_ahead")
+    torch.testing.assert_close(ahead, ahead[:, :1].expand_as(ahead))
+    palm, turn = field(made, "xpos"), field(made, "xquat")
+    row = bank_palm(made)
+    seen = rotations.rotate(turn[:, row], ahead[:, 0, :3]) + palm[:, row]
+    torch.testing.assert_close(seen, field(made, "plan_goal"), atol=1e-5, rtol=1e-5)
+    made.environment.close()
+
+
+def bank_palm(built: Built) -> int:
+    return int(built.context.once("gripping", lambda: None).scene.model.body("palm").id)
 
 
 def test_sticks_press_while_they_hold(plugins: Plugins) -> None:
@@ -547,6 +637,8 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["scene.object={kind: box, sizes: [0.01]}"], "a box has 3 of them"),
         (["scene.object.kind=cone"], "cone"),
         (["initial_states.refill=5"], "some have to stay"),
+        (["initial_states.shift=[0.05, -0.05]"], "the first is the lower one"),
+        (["initial_states.shift=[0.0, 0.07]"], "from -0.06 to 0.06 m"),
         (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),
         (["scene.below={kind: box, sizes: [0.03, 0.02, 0.02]}"], "none of table 5.2"),
         (["scene.above={kind: box, sizes: [0.01, 0.01, 0.01]}"], "Nothing lies upon a sphere"),

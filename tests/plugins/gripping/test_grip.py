@@ -15,6 +15,7 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, FileError
+from understudy.setup.plugins import load
 from understudy_gripping.balance import balance
 from understudy_gripping.grip import (
     Grip,
@@ -26,15 +27,19 @@ from understudy_gripping.grip import (
     long,
     search_grip,
     standard,
+    t_pose,
     tongs,
+    tongs_wide,
     tri_finger,
 )
 from understudy_gripping.hold import placed
 from understudy_gripping.holding import holding
+from understudy_gripping.pose import PoseSolver
 from understudy_gripping.styles import NAMED
 from understudy_hand.scene import FIRM, HandScene
 from understudy_hand.table import ARM_POSE
 from understudy_mujoco.contact import Contact
+from understudy_tool_planner.gripper import Jaws
 
 
 def scene(**options: Any) -> HandScene:
@@ -161,6 +166,7 @@ def change(key: str, value: Any) -> str:
         (change("style", "12112"), "cross"),
         (change("tool", "fork"), "there is no tool 'fork'"),
         (change("tool", []), "is no grip"),
+        (change("holds", 1), "holds is neither true nor false"),
         (change("places", [0.1]), "places are not 4 finite numbers"),
         (change("lower", [0, 0, 0, 2, 0, 0, 0]), "no unit quaternion"),
         (change("lower", [0, 0, 0, "x", 0, 0, 0]), "lower are not 7 finite numbers"),
@@ -226,28 +232,70 @@ def test_bad_words_are_one_sentence_and_nothing_is_written(
 # ------------------------------------------------------------------ other tools
 
 
-@pytest.mark.parametrize(("path", "tool"), [(tongs(), "tongs"), (brush(), "brush")])
-def test_grips_of_other_tools_hold_for_ten_seconds(path: Path, tool: str) -> None:
-    """As the standard grip does, by the fingers that its style names and no other."""
+#: By name: the file, the tool, and how far it may slip in ten seconds, m; the wide tongs slip by 1.10 mm at 0.14 rad.
+OTHER_TOOLS = {
+    "tongs": (tongs(), "tongs", 1e-3),
+    "tongs_wide": (tongs_wide(), "tongs", 1.2e-3),
+    "brush": (brush(), "brush", 1e-3),
+}
+OTHER_HANDS: dict[str, tuple[Path, dict[str, Any]]] = {
+    "long": (long(), {"finger_length": 2.0}),
+    "large": (large(), {"size": 2.0}),
+    "tri_finger": (tri_finger(), {"fingers": 3}),
+}
+
+
+def test_every_packaged_grip_is_held_here() -> None:
+    assert {"standard", "t_pose", *OTHER_TOOLS, *OTHER_HANDS} == set(load().registry.names("grip"))
+
+
+def test_the_t_pose_touches_nothing_lets_the_sticks_fall_and_says_so(tmp_path: Path) -> None:
+    """Figure 5.6: all of its angles are one pose, that from which grips are searched."""
+    found, made = load_grip(t_pose()), scene()
+    found.need(made)
+    rest = PoseSolver(made).rest(found.style)
+    assert found.poses == pytest.approx(rest.expand(len(found.angles), -1).numpy(), abs=1e-6)
+    assert not found.holds
+    data = placed(made, np.array(ARM_POSE), found.poses[0], found.upper[0], found.lower)
+    assert data.ncon == 0
+    fell = found.held(made, 0, seconds=1.0).fell
+    assert fell is not None
+    found.save(tmp_path / "grip.json")
+    assert not load_grip(tmp_path / "grip.json").holds
+    assert load_grip(standard()).holds
+
+
+@pytest.mark.parametrize("name", OTHER_TOOLS)
+def test_grips_of_other_tools_hold_for_ten_seconds(name: str) -> None:
+    """As the standard grip does, at every angle, by the fingers that its style names and no other. Of the wide tongs the middle finger has left
+    the bar where they are closed furthest; thumb and index finger hold them there."""
+    path, tool, slip = OTHER_TOOLS[name]
     found = load_grip(path)
     assert (found.tool, found.style[3:]) == (tool, (0, 0))
     found.need(made := scene(tool=tool))
-    for row in (0, len(found.angles) - 1):
+    for angle, row in zip(found.angles, range(len(found.angles)), strict=True):
         held = found.held(made, row, seconds=10.0, settle=1.0)
         assert held.fell is None
-        assert held.drift.max() < 1e-3
+        assert held.drift.max() < slip
         assert held.depth < 0.5e-3
-        assert {link for link in held.links if link.endswith("_distal")} == {
-            "thumb_distal", "index_distal", "middle_distal",
-        }  # fmt: skip
+        pinched = {"thumb_distal", "index_distal"}
+        assert {link for link in held.links if link.endswith("_distal")} == (
+            pinched if name == "tongs_wide" and angle > 0.15 else {*pinched, "middle_distal"}
+        )
 
 
-@pytest.mark.parametrize(
-    ("path", "hand"),
-    [(long(), {"finger_length": 2.0}), (large(), {"size": 2.0}), (tri_finger(), {"fingers": 3})],
-)
-def test_grips_of_other_hands_hold(path: Path, hand: dict[str, Any]) -> None:
+def test_the_wide_tongs_close_upon_a_sphere_of_2_cm_and_the_others_do_not() -> None:
+    """What they are packaged for: between the bars are less than 20 mm at their last angle, and more at their first."""
+    jaws = Jaws("tongs")
+    wide, narrow = (load_grip(path).angles for path in (tongs_wide(), tongs()))
+    assert jaws.room(float(wide[-1])) < 0.02 < jaws.room(float(wide[0]))
+    assert jaws.room(float(narrow[-1])) == pytest.approx(0.036, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", OTHER_HANDS)
+def test_grips_of_other_hands_hold(name: str) -> None:
     """Three seconds at both ends of their angles, on both sticks; of other hands they are refused."""
+    path, hand = OTHER_HANDS[name]
     found = load_grip(path)
     found.need(made := scene(**hand))
     for row in (0, len(found.angles) - 1):
@@ -259,14 +307,18 @@ def test_grips_of_other_hands_hold(path: Path, hand: dict[str, Any]) -> None:
         found.need(scene())
 
 
-def test_a_grip_of_tongs_presses_against_their_spring() -> None:
+@pytest.mark.parametrize("path", [tongs(), tongs_wide()], ids=["tongs", "tongs_wide"])
+def test_a_grip_of_tongs_presses_against_their_spring(path: Path) -> None:
     """The torque of thumb's force about the hinge is 20 N m/rad times how far the bars are closed."""
-    made, found = scene(tool="tongs"), load_grip(tongs())
+    made, found = scene(tool="tongs"), load_grip(path)
     for row, angle in enumerate(found.angles):
         data = placed(made, np.array(ARM_POSE), found.poses[row], found.upper[row], found.lower)
         assert float(data.joint("opening").qpos[0]) == pytest.approx(0.2 - angle, abs=1e-6)
         balanced = balance(made, data, found.style, 3.0, 1.0)
-        assert balanced.error < 0.3
+        if (
+            path == tongs()
+        ):  # no forces of three fingers balance the wide ones, which turn as they settle
+            assert balanced.error < 0.3
         lever = 0.13 - found.places[0]
         assert balanced.forces["thumb_distal"] * lever == pytest.approx(20.0 * angle, rel=0.35)
 

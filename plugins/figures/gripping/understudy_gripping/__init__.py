@@ -7,6 +7,7 @@ REQUIRES = ("hand", "mujoco", "tensors")
 PARTS = {
     "grip": {
         "standard": ("grip:standard", "the style 11120"),
+        "t_pose": ("grip:t_pose", "straight fingers beside the sticks, which fall"),
         "tongs": ("grip:tongs", "tongs, by thumb, index and middle finger"),
         "tongs_wide": ("grip:tongs_wide", "tongs, closed upon what is 1 to 2 cm wide"),
         "brush": ("grip:brush", "a brush, by thumb, index and middle finger"),

@@ -67,6 +67,8 @@ class Grip:
     poses: np.ndarray  #: (K, H)
     targets: np.ndarray  #: (K, H) of the servos, which press as much as holds the tool
     tool: Tool = "sticks"
+    #: Whether it holds the tool without a policy; the T-pose of figure 5.6 does not touch it.
+    holds: bool = True
 
     @property
     def upper(self) -> np.ndarray:
@@ -113,6 +115,7 @@ class Grip:
             "places": _rounded(self.places),
             "hinges": list(self.hinges),
             **{n: _rounded(getattr(self, n)) for n in ("lower", "angles", "poses", "targets")},
+            **({} if self.holds else {"holds": False}),
         }
         lines = ",\n".join(f" {json.dumps(k)}: {json.dumps(v)}" for k, v in values.items())
         write_atomically(path, f"{{\n{lines}\n}}\n".encode())
@@ -292,6 +295,8 @@ def load_grip(path: Path) -> Grip:
         tool = values.get("tool", "sticks")  # what the first of these files were of
         if tool not in _THE:
             raise ValueError(f"there is no tool {tool!r}")
+        if not isinstance(holds := values.get("holds", True), bool):
+            raise ValueError("holds is neither true nor false")
         style = read_style(str(values["style"]), measures.fingers, tool)
         hinges = tuple(map(str, values["hinges"]))
         if len(set(hinges)) != len(hinges) or not hinges:
@@ -307,6 +312,7 @@ def load_grip(path: Path) -> Grip:
             _numbers(values, "poses", (rows, len(hinges))),
             _numbers(values, "targets", (rows, len(hinges))),
             tool,
+            holds,
         )
         if rows < 2 or (np.diff(grip.angles) <= 0).any():
             raise ValueError("its angles are not two or more that rise")
@@ -509,6 +515,11 @@ def _packaged(name: str) -> Path:
 def standard() -> Path:
     """The standard style of the human hand, found from the T-pose."""
     return _packaged("standard")
+
+
+def t_pose() -> Path:
+    """Straight fingers beside the sticks (figure 5.6), which hold nothing: what figure 5.22 compares with."""
+    return _packaged("t_pose")
 
 
 #: Other tools in the human hand.

@@ -5,7 +5,8 @@ Approach, closing, relocation, release, in frames of 10 ms. m, rad, s; in the wo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -139,6 +140,30 @@ class Planner:
             ),
         )
         self._lower = rotations.normalize(lower[3:])
+        #: m: how much further along the lower part the tool is held.
+        self._along = 0.0
+
+    def shifted(self, along: float) -> Planner:
+        """The same for a tool that is held `along` m further along its lower part (section 5.7.2)."""
+        other = copy.copy(self)
+        other._along = along
+        away = (along - self._along) * self._holder.turn[:, 0]
+        other._holder = replace(self._holder, place=self._holder.place + away)
+        return other
+
+    def start(self) -> Moment:
+        """Where a plan begins: the tool where the standard arm has it, however far along it is held."""
+        if not self._along:
+            return self.begin()
+        standard = torch.tensor(ARM_POSE, dtype=torch.float64)
+        palm, turn = arm.forward(standard)
+        palm = palm - self._along * (turn @ self._holder.turn[:, 0])
+        found = arm.solve(palm, turn, arm.swivel_of(standard))
+        if not found.inside > 0.0:
+            raise NoPlan(
+                f"No plan begins with the tool held {1e3 * self._along:g} mm further along: the arm does not reach it."
+            )
+        return self.begin(tuple(found.pose.tolist()))
 
     def begin(self, pose: tuple[float, ...] = ARM_POSE) -> Moment:
         """The sticks in the hand, open, with the arm at `pose` rad."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -105,6 +105,10 @@ class Gripping:
         """(C, nq) with the arm at `arm` (7,) rad and the sticks at the first of the angles."""
         return np.array([_settled(grip, self.scene, arm, 0)[0] for grip in self.grips])
 
+    def further(self, arm: np.ndarray, along: float) -> np.ndarray:
+        """(nq,) the same of the first grip, held `along` m further along the lower part."""
+        return _settled(self.grips[0], self.scene, arm, 0, along)[0]
+
     def at(self, table: Tensor, angle: Tensor) -> tuple[Tensor, Tensor]:
         """Of `table` (C, K, H): the values at `angle` (N, …) of each world's own, (N, …, H), and their slopes
         there."""
@@ -120,14 +124,25 @@ class Gripping:
 
 
 def _settled(
-    grip: Grip, scene: HandScene, arm: np.ndarray | tuple[float, ...], row: int
+    grip: Grip,
+    scene: HandScene,
+    arm: np.ndarray | tuple[float, ...],
+    row: int,
+    along: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(nq,) after some holding at the angle number `row`; (7,) the lower stick in the palm's frame."""
+    """(nq,) after some holding at the angle number `row`; (7,) the lower stick in the palm's frame, held `along` m further
+    along."""
+    if along:
+        axis = rotations.rotate(torch.tensor(grip.lower[3:]), torch.eye(3, dtype=torch.float64)[0])
+        grip = replace(grip, lower=grip.lower + along * np.array([*axis.tolist(), 0, 0, 0, 0]))
     data = placed(scene, np.asarray(arm), grip.poses[row], grip.upper[row], grip.lower)
+    if not grip.holds:  # as it is given, then
+        return data.qpos.copy(), grip.lower
     held = hold(scene, data, np.array([*arm, *grip.targets[row]]), _SETTLE, 0.5 * _SETTLE)
     if held.fell is not None:
+        further = f" {1e3 * along:g} mm further along" if along else ""
         raise ConfigError(
-            f"The grip does not hold the {scene.options.tool} with the arm at {np.round(arm, 3).tolist()} rad at an "
+            f"The grip does not hold the {scene.options.tool}{further} with the arm at {np.round(arm, 3).tolist()} rad at an "
             f"angle of {grip.angles[row]:g} rad: a part falls after {held.fell:.2f} s. Choose another "
             "grip (grip.file), arm (initial_states.arms) or contact (scene.contact)."
         )

@@ -53,6 +53,8 @@ _TRIES = 20
 MOST = 8
 #: s that a plan made anew may take longer; m that an object that lies on the table may be off its height.
 LONGER, ON_TABLE = 3.0, 0.003
+#: m: how much further along a tool may be held, either way; the fingers are then near its end.
+FARTHEST = 0.06
 #: s in which a plan that has failed slows down by 1 / e.
 SLOWING = 0.1
 
@@ -89,10 +91,12 @@ class Bank:
         self._seed, self._drawn = context.seed, 0
         self._relocations, self._noise, self._spare = 1, 0.0, 0
         self._thrown = False
+        #: m: between which the tool is held further along its lower part.
+        self._shift = (0.0, 0.0)
         #: Whether a relocation is planned only as it begins (:meth:`onward`), and how many were.
         self.one_by_one, self._onwards = False, 0
         self._missing: set[int] = set()
-        self.frames = self.goals = self.lengths = torch.zeros(0)
+        self.frames = self.goals = self.lengths = self.shifts = torch.zeros(0)
 
     def fill(
         self,
@@ -103,13 +107,15 @@ class Bank:
         later: bool = False,
         thrown: bool = False,
         settled: bool = False,
+        shift: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
         take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`). `settled`, of a
-        tool that is where it comes to rest in the hand."""
+        tool that is where it comes to rest in the hand; each held by a `shift` m further along, drawn evenly."""
         if len(self.frames):
             return
-        if settled:
+        self._shift = shift
+        if settled or self.shifted:
             made = self._made
             at = made.lower[0].double().cpu()
             self._planner = Planner(made.grips[0], made.scene, at)
@@ -121,10 +127,22 @@ class Bank:
         self.goals = torch.zeros(count, relocations, 3, device=self._device)
         #: (P,) int64: the last frame.
         self.lengths = torch.zeros(count, dtype=torch.int64, device=self._device)
+        #: (P,) m: how much further along its lower part the tool is held.
+        self.shifts = torch.zeros(count, device=self._device)
+        self._along = [0.0] * count
+        #: (P, nq) as a plan of a tool that is held further along begins.
+        self.starts = torch.zeros(
+            count if self.shifted else 0, self._made.scene.model.nq, device=self._device
+        )
         self._missing = set(range(count))
         if not later:
             self.need(range(count))
         self._extend()
+
+    @property
+    def shifted(self) -> bool:
+        """Whether a tool is held further along anywhere."""
+        return any(self._shift)
 
     def need(self, rows: Iterable[int]) -> None:
         """Make the plans `rows` that are not there yet; which they are depends on no other."""
@@ -149,13 +167,26 @@ class Bank:
         self.frames = frames
         self.goals = torch.cat([self.goals, self.goals[:1].repeat(count, 1, 1)])
         self.lengths = torch.cat([self.lengths, self.lengths[:1].repeat(count)])
+        self.shifts = torch.cat([self.shifts, self.shifts[:1].repeat(count)])
+        self._along += self._along[:1] * count
 
     def replace(self, row: int) -> None:
         """Put a new plan into a row, in place."""
-        plans = self._plans()
+        if self.shifted:
+            self._hold_further(row)
+        plans = self._plans(self._planner.shifted(self._along[row]))
         for leg, plan in enumerate(plans):
             self.goals[row, leg:] = plan.object[-1, :3].float().to(self._device)
         self._put(row, plans, 0)
+
+    def _hold_further(self, row: int) -> None:
+        """Draw how far along the tool is held in the plan `row`, and how arm and tool begin then."""
+        (low, high), name = self._shift, f"{self._stream}/shift/{self._drawn}"
+        share = float(torch.rand((), generator=random.generator(self._seed, name)))
+        self._along[row] = self.shifts[row] = along = low + (high - low) * share
+        arm = self._planner.shifted(along).start().arm.numpy()
+        start = self._made.further(arm, along)
+        self.starts[row] = torch.tensor(start, dtype=torch.float32, device=self._device)
 
     def again(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
         """The row of `world` itself with the plan `row` made anew at its frame `frame`, without noise: from where arm
@@ -164,7 +195,8 @@ class Bank:
         frame = min(frame, int(self.lengths[row]))
         here = self.frames[row, frame].double().cpu()
         leg = int(here[_LEG])
-        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+        planner = self._planner.shifted(self._along[row])
+        now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
         if abs(float(place[2]) - self._shape.height) > ON_TABLE:
             return None
         known = leg + 1 if self.one_by_one else self._relocations
@@ -174,14 +206,14 @@ class Bank:
         try:
             for k, goal in enumerate(goals):
                 table = Table((self._shape,), (start,), (heading,))
-                plan = self._planner.plan(table.task(0, goal), now, table.without(0), anew=k == 0)
+                plan = planner.plan(table.task(0, goal), now, table.without(0), anew=k == 0)
                 plans.append(plan)
                 now, heading = plan.end, float(rotations.heading(plan.object[-1, 3:]))
                 start = goal
         except NoPlan:
             return None
         own = self.drawn + world
-        self.goals[own] = self.goals[row].clone()
+        self._copy(row, own)
         return own if self._put(own, plans, leg) else None
 
     def onward(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
@@ -225,15 +257,21 @@ class Bank:
         if self._above is not None:
             raise NoPlan("No plan reaches the goal: what lay upon the object may be in the way.")
         start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
-        now = replace(self._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+        planner = self._planner.shifted(self._along[row])
+        now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
         table = Table((self._shape,), (start,), (heading,))
-        plan = self._planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
+        plan = planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
         own, leg = self.drawn + world, int(here[_LEG])
         if not self._put(own, [plan], leg):
             raise NoPlan("No plan reaches the goal in time. Choose another goal.")
-        self.goals[own] = self.goals[row].clone()
+        self._copy(row, own)
         self.goals[own, leg:] = plan.object[-1, :3].float().to(self._device)
         return own
+
+    def _copy(self, row: int, own: int) -> None:
+        """What a plan that is made anew has of the plan `row` before it."""
+        self.goals[own], self.shifts[own] = self.goals[row].clone(), self.shifts[row].clone()
+        self._along[own] = self._along[row]
 
     def way(self, row: int) -> np.ndarray:
         """(T, 3) m: where the object is in the plan `row`."""
@@ -276,14 +314,14 @@ class Bank:
             return Table((self._shape,), (start,), (heading,))
         return Table((self._shape, self._below), (start, goal), (heading, 0.0))
 
-    def _plans(self) -> list[Plan]:
+    def _plans(self, planner: Planner) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
         plans: list[Plan] = []
         for _ in range(1 if self.one_by_one else self._relocations):
-            plans.append(self._plan(plans[-1] if plans else None))
+            plans.append(self._plan(planner, plans[-1] if plans else None))
         return plans
 
-    def _plan(self, before: Plan | None) -> Plan:
+    def _plan(self, planner: Planner, before: Plan | None) -> Plan:
         """The next plan of a stream of random starts and goals; of those that there is none for, none."""
         room = self.frames.shape[1] - (self._relocations - 1) * round(RESTING / DT)
         room //= self._relocations
@@ -305,7 +343,7 @@ class Bank:
             most = 0.25 if self._shape.kind == "capsule" else 0.5
             heading = most * float(torch.rand((), generator=stream)) * np.pi
             error = self._noise * torch.randn(3, generator=stream, dtype=torch.float64)
-            now = self._planner.begin()
+            now = planner.start()
             if before is not None:
                 now, (x, y) = before.end, before.object[-1, :2].tolist()
                 start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
@@ -313,7 +351,7 @@ class Bank:
             try:
                 task = table.task(0, goal, self._upon)
                 task = replace(task, above=self._above, thrown=self._thrown)
-                plan = self._planner.plan(task, now, table.without(0), error)
+                plan = planner.plan(task, now, table.without(0), error)
             except NoPlan as failed:
                 why = str(failed)
                 continue
@@ -331,11 +369,13 @@ class Bank:
     def state_dict(self) -> State:
         return {
             "frames": self.frames, "goals": self.goals, "lengths": self.lengths, "drawn": self._drawn,
+            **({"shifts": self.shifts, "starts": self.starts} if self.shifted else {}),
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
-        for name in ("frames", "goals", "lengths"):
+        for name in self.state_dict().keys() - {"drawn"}:
             getattr(self, name).copy_(state[name])
+        self._along = self.shifts.tolist()
         self._drawn = int(state["drawn"])
 
 
@@ -370,6 +410,9 @@ class Relocations(InitialStates):
         )
         #: whether plans count on the tool where it comes to rest in the hand, and not where its grip was found for
         settled: bool = False
+        #: m: how much further along its lower part the tool is held, drawn evenly for each plan; beyond 0 the hand is nearer
+        #: to the tips (section 5.7.2 has -0.05 to 0.05)
+        shift: tuple[float, float] = (0.0, 0.0)
 
         def __post_init__(self) -> None:
             check_range(self, "plans", least=1, most=100_000)
@@ -382,6 +425,12 @@ class Relocations(InitialStates):
                 )
             least = round(2 * (LEAST + CLOSING) + PRESSING + ASIDE, 6)
             check_range(self, "longest", least=least, most=60.0)
+            low, high = self.shift
+            if not -FARTHEST <= low <= high <= FARTHEST:
+                raise ValueError(
+                    f"shift={[low, high]} is not possible: the first is the lower one, and both are from {-FARTHEST:g} to "
+                    f"{FARTHEST:g} m."
+                )
             if self.refill >= self.plans:
                 raise ValueError(
                     f"refill={self.refill} with plans={self.plans} is not possible: some have to stay."
@@ -404,7 +453,7 @@ class Relocations(InitialStates):
         self._later = context.evaluating and context.device.type == "cpu"
         self.bank.fill(
             options.plans, options.longest, options.relocations, options.noise, self._later,
-            options.thrown, options.settled,
+            options.thrown, options.settled, options.shift,
         )  # fmt: skip
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)
@@ -432,7 +481,8 @@ class Relocations(InitialStates):
         if self._later:
             self.bank.need(row.unique().tolist())
         thing = self.bank.frames[row, 0, _OBJECT]
-        qpos = self._start.repeat(len(row), 1)
+        further = self.bank.shifted
+        qpos = self.bank.starts[row] if further else self._start.repeat(len(row), 1)
         qpos[:, self._at : self._at + 7] = thing
         if self._under is not None:
             qpos[:, self._under : self._under + 2] = self.bank.goals[row, 0, :2]
@@ -508,6 +558,9 @@ class Follow(Fields):
         squeeze: float = 0.12
         #: s by which the arm's targets go ahead of the plan at its speed; null is the servos' own lag, kd / kp
         lead: float | None = None
+        #: Whether arm, hand and sticks have a plan; without one they stay as they begin, and only where the object shall
+        #: be in the end is known (figure 5.22)
+        planner: bool = True
 
         def __post_init__(self) -> None:
             check_range(self, "squeeze", least=0, most=0.2)
@@ -517,6 +570,11 @@ class Follow(Fields):
         self._gripping, self._bank = bank_of(context, "fields 'chopsticks/follow'")
         hinges = self._gripping.scene.hinges
         self.provides = {**self.provides, **planned(hinges)}
+        self._plans = options.planner
+        axis = torch.tensor([1.0, 0.0, 0.0], device=context.device)
+        self._axis = rotations.rotate(
+            self._gripping.lower[:, 3:], axis.expand(len(self._gripping.lower), 3)
+        )
         self._squeeze = options.squeeze
         model, arm = self._gripping.scene.model, len(ARM_POSE)
         # A servo whose velocity target is 0 lags by kd / kp: 25 mm at 0.25 m/s. The release's have the plan's.
@@ -547,6 +605,8 @@ class Follow(Fields):
         share = torch.where(goes, 0.0, time / DT - whole)[:, None]
         frame = whole.long()[:, None] + goes[:, None] * self._steps
         here, after = self._bank.at(row, frame), self._bank.at(row, frame + 1)
+        if not self._plans:
+            here = after = self._unplanned(row, here)
         turning = rate[:, None] * (after[..., 7] - here[..., 7]) / DT
         speed = rate[:, None, None] * (after[..., :7] - here[..., :7]) / DT
         arm = here[..., :7] + share[..., None] * (after[..., :7] - here[..., :7])
@@ -555,6 +615,9 @@ class Follow(Fields):
         pose = torch.cat([arm, hand], dim=-1)
         velocity = torch.cat([speed, slope * turning[..., None]], dim=-1)
         lower = made.lower.expand(*angle.shape, 7)
+        if self._bank.shifted:
+            away = self._bank.shifts[row, None, None] * self._axis
+            lower = torch.cat([lower[..., :3] + away, lower[..., 3:]], dim=-1)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
         held, now = here[:, 0, _HELD] * goes, lower[:, 0]
@@ -588,6 +651,15 @@ class Follow(Fields):
                 dim=-1,
             ),
         }
+
+    def _unplanned(self, row: Tensor, here: Tensor) -> Tensor:
+        """The frames `here` (N, K, _FRAME) of the plans `row` (N,) with arm and sticks as they begin, nothing held, and the object
+        where it shall be in the end."""
+        found = here.clone()
+        found[..., : _OBJECT.start] = self._bank.frames[row, 0, : _OBJECT.start][:, None]
+        found[..., _OBJECT] = self._bank.at(row, self._bank.lengths[row])[:, None, _OBJECT]
+        found[..., _HELD] = 0.0
+        return found
 
 
 class Object(Fields):

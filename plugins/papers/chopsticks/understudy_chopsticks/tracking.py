@@ -73,6 +73,9 @@ class Tracking(Fields):
         self._goals = made.of_worlds(goals)
         self._touches = made.of_worlds(touches)
         self._x = torch.tensor([1.0, 0.0, 0.0], device=device)
+        #: Where the lower part is in the grip, and along what it may be held further (section 5.7.2).
+        self._lower = made.lower
+        self._along = rotations.rotate(made.lower[:, 3:], self._x.expand(len(made.lower), 3))
         self._parts = parts = made.parts
         gripper = GRIPPERS.get(made.scene.options.tool)
         self._zero = 0.0 if gripper is None else gripper.zero
@@ -116,8 +119,11 @@ class Tracking(Fields):
         if self._zero:
             angle = angle - self._zero
         touched = self._sticks.expand(len(xpos), -1)[..., None]
+        # What is held further along has the fingers at other places on it.
+        further = ((planned_lower[:, :3] - self._lower[:, :3]) * self._along).sum(1)
+        places_on = self._goals - further[:, None, None] * self._x
         goals = places[:, 1:].gather(1, touched.expand(-1, -1, 3)) + rotations.rotate(
-            turns[:, 1:].gather(1, touched.expand(-1, -1, 4)), self._goals
+            turns[:, 1:].gather(1, touched.expand(-1, -1, 4)), places_on
         )
         return {
             "stick_state": torch.cat(state, dim=-1),
