@@ -15,6 +15,7 @@ from understudy.setup.composition import load_experiment
 from understudy_cloth.mesh import face_areas
 from understudy_dressing.person import PersonScene, depth_in, neutral_pose
 from understudy_dressing.shirt import ShirtScene
+from understudy_dressing.shirt_state import under_hem
 from understudy_dressing.state import centre_and_normal, passes
 from understudy_sweeps.chain import Chain
 
@@ -123,6 +124,26 @@ def test_the_hand_that_is_at_the_hem_has_gripped(held: tuple[np.ndarray, np.ndar
     assert (table["tucked"] == 0).all()
     assert (table["tuck"] < 0).all(), "the left arm hangs"
     built.environment.close()
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("touched", [True, False])
+@pytest.mark.parametrize("needed", [True, False])
+def test_an_arm_is_under_the_hem(way: float, touched: bool, needed: bool) -> None:
+    """Equation 19 as the 2018 code has it: 1 from below, −1 from above; of its second arm −1 too while nothing touches
+    the fingertip from inside; before that minus the fingertip's distance from the triangle's middle."""
+    triangle = torch.tensor([[[0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [-0.3, -0.3, 0.0]]])
+    arm = torch.tensor(
+        [[[0.0, 0.0, 0.1], [0.0, 0.0, -0.1], [0.0, 0.0, -0.4]]]
+    )  # the fingertip is through
+    arm = arm * torch.tensor([1.0, 1.0, way])
+    tuck, below = under_hem(arm, triangle, torch.tensor([touched]), needed)
+    assert bool(below) is (way > 0)
+    assert float(tuck) == (1.0 if way > 0 and (touched or not needed) else -1.0)
+    arm[..., 2] -= way * 0.5
+    assert float(under_hem(arm, triangle, torch.tensor([touched]), needed)[0]) == pytest.approx(
+        -0.4
+    )
 
 
 def test_grips_that_the_garment_has_not_are_refused() -> None:

@@ -33,6 +33,20 @@ _NECK: tuple[tuple[str, Vector], ...] = (
 )  # fmt: skip
 
 
+def under_hem(
+    arm: Tensor, triangle: Tensor, touched: Tensor, needed: bool
+) -> tuple[Tensor, Tensor]:
+    """Equation 19 of the joints `arm` (N, J, 3) m, from the fingertip on, and a `triangle` (N, 3, 3) m that turns so that
+    its normal is up: 1 while the arm goes through it from below, −1 from above, else minus the fingertip's distance from
+    its middle, m, (N,); and whether it goes through from below, (N,). If a touch from inside is `needed`, through from
+    below without one, `touched` (N,), is −1 (2018 code, of the second arm)."""
+    below = passes(arm, triangle)[0].any(dim=1)
+    above = passes(arm, triangle.flip(1))[0].any(dim=1)
+    away = (arm[:, 0] - triangle.mean(dim=1)).norm(dim=1)
+    counts = torch.where(touched, 1.0, -1.0) if needed else 1.0
+    return torch.where(below, counts, torch.where(above, -1.0, -away)), below
+
+
 class ShirtState(Fields):
     """What subtasks of section 8.1 are about, each field of one number (N,) unless its shape is given.
 
@@ -44,8 +58,9 @@ class ShirtState(Fields):
     ``grip_distance``          m, between the two: equation 18
     ``gripped``                1 where that is less than `near`
     ``tuck``                   equation 19 as the 2018 code has it: 1 while the arm goes through the triangle of
-                               gripping hand and shoulders from below, −1 while it does from above, else minus
-                               the fingertip's distance from its middle, m
+                               gripping hand and shoulders from below, −1 while it does from above, or from below
+                               without what `inside` asks, else minus the fingertip's distance from its middle, m
+    ``tip_sign``               of the fingertip: 1 where it is touched from inside, −1 from outside, 0 from neither
     ``tucked``                 1 while the arm does from below, and its fingertip is touched from inside
     ``dressed``                1 where `progress` is at least `enough`
     ``collar_lost``            1 where the collar holds neither neck nor head
@@ -62,6 +77,9 @@ class ShirtState(Fields):
         near: float = 0.05  #: m, of the grip's target (2018 code)
         enough: float = 0.6  #: progress (2018 code: 0.6 of the first sleeve, 0.5 of the second)
         rest: float = 0.5  #: rad, from the neutral pose (2018 code)
+        #: whether an arm is under the hem only while its fingertip is touched from inside (2018 code: of the second
+        #: arm); without it an arm that goes around the hem counts, too
+        inside: bool = True
 
         def __post_init__(self) -> None:
             check_range(self, "near", "rest", above=0)
@@ -96,8 +114,8 @@ class ShirtState(Fields):
         self._pose = neutral_pose(person).to(device)
         vector: Shape = (3,)
         one: Shape = ()
-        names = ("grip_distance", "gripped", "tuck", "tucked", "dressed", "collar_lost", "backwards",
-                 "pose_distance", "rested")  # fmt: skip
+        names = ("grip_distance", "gripped", "tuck", "tip_sign", "tucked", "dressed", "collar_lost",
+                 "backwards", "pose_distance", "rested")  # fmt: skip
         self.provides = {"hand": vector, "grip_target": vector, **dict.fromkeys(names, one)}
 
     def compute(
@@ -119,11 +137,9 @@ class ShirtState(Fields):
         # forwards and up along its normal: from outside to between the body and what is held before it
         triangle = torch.cat([hand.unsqueeze(1), world(self._shoulders)], dim=1)
         # fingertip to elbow: beyond, the arm ends in a corner of the triangle
-        below = passes(bones[:, :4], triangle)[0].any(dim=1)
-        above = passes(bones[:, :4], triangle.flip(1))[0].any(dim=1)
-        away = (bones[:, 0] - triangle.mean(dim=1)).norm(dim=1)
-        tuck = torch.where(below, 1.0, torch.where(above, -1.0, -away))
-        inside = sensor_sign[:, self._tip] > 0
+        sign = sensor_sign[:, self._tip]
+        inside = sign > 0
+        tuck, below = under_hem(bones[:, :4], triangle, inside, self.options.inside)
 
         lost = ~passes(world(self._neck), cloth_position[:, self._collar])[0].any(dim=1)
         backwards = passes(bones, cloth_position[:, self._end])[0].any(dim=1)
@@ -134,6 +150,7 @@ class ShirtState(Fields):
             "grip_distance": distance,
             "gripped": (distance < self.options.near).float(),
             "tuck": tuck,
+            "tip_sign": sign,
             "tucked": (below & inside).float(),
             "dressed": (progress >= self.options.enough).float(),
             "collar_lost": lost.float(),
