@@ -13,14 +13,22 @@ from understudy_report.progress import ProgressLine, clock, ending, share
 @pytest.mark.parametrize(
     ("budget", "expected"),
     [
-        ({"samples": 1000, "minutes": None}, (0.25, 30.0)),
+        ({"samples": 1000, "minutes": None}, (0.25, 15.0)),  # at 50/s; the first 50 took 6 s
         ({"samples": 1000, "minutes": 1.0 / 3}, (0.5, 10.0)),  # the nearer end counts
+        ({"samples": 1000, "minutes": 1.0}, (0.25, 15.0)),
         ({"samples": None, "minutes": None}, (0.0, None)),
         ({"samples": 100, "minutes": None}, (1.0, 0.0)),
     ],
 )
 def test_share(budget: dict[str, float | None], expected: tuple[float, float | None]) -> None:
-    assert share(budget, {"samples": 250, "seconds": 10.0}) == pytest.approx(expected)
+    first = {"samples": 50, "seconds": 6.0}
+    assert share(budget, {"samples": 250, "seconds": 10.0}, first) == pytest.approx(expected)
+
+
+def test_no_time_is_told_from_the_iteration_that_compiled() -> None:
+    row = {"samples": 32_768, "seconds": 26.0}  # not "at most 11:00:13 left" of 3.4 minutes
+    assert share({"samples": 50_000_000, "minutes": None}, row, row)[1] is None
+    assert share({"samples": 50_000_000, "minutes": 5.0}, row, row)[1] == pytest.approx(274.0)
 
 
 @pytest.mark.parametrize(
@@ -58,6 +66,7 @@ def test_a_line_now_and_then(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     line = ProgressLine()
     line.started(run)
     row = {"iteration": 3, "samples": 250, "seconds": 10.0, "samples_per_second": 25.0}
+    line._first = {"samples": 50, "seconds": 2.0}
     line.iteration(run, {**row, "episode/return": 2.0, "episode/episode_seconds": 1.5}, "stage 2")
     line.iteration(run, row, "stage 3")  # too soon
     line.finished(run, "budget")

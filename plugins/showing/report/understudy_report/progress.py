@@ -29,6 +29,7 @@ class ProgressLine(RunObserver):
         self._live: Progress | None = None
         self._task = TaskID(0)
         self._printed = 0.0
+        self._first: Mapping[str, float] | None = None
 
     def started(self, run: Run) -> None:
         where = shlex.quote(str(run.path))
@@ -42,7 +43,8 @@ class ProgressLine(RunObserver):
             self._task = self._live.add_task("training", total=1.0, note="")
 
     def iteration(self, run: Run, row: Mapping[str, float], stage: str) -> None:
-        done, left = share(run.config["budget"], row)
+        self._first = self._first or row
+        done, left = share(run.config["budget"], row, self._first)
         ends = ending(run.config, row, left)
         parts = [
             f"iteration {row['iteration']}",
@@ -68,17 +70,21 @@ class ProgressLine(RunObserver):
             self._live.stop()
 
 
-def share(budget: Mapping[str, Any], row: Mapping[str, float]) -> tuple[float, float | None]:
-    """The share of the budget that is spent, and the seconds left at this speed."""
-    shares = []
+def share(
+    budget: Mapping[str, Any], row: Mapping[str, float], first: Mapping[str, float]
+) -> tuple[float, float | None]:
+    """The share of the budget that is spent, and the seconds left at the speed since the iteration `first`, which compiled."""
+    shares, left = [], []
     if budget["samples"]:
         shares.append(row["samples"] / budget["samples"])
+        done = row["samples"] - first["samples"]
+        if done > 0:
+            pace = (row["seconds"] - first["seconds"]) / done
+            left.append((budget["samples"] - row["samples"]) * pace)
     if budget["minutes"]:
         shares.append(row["seconds"] / (60 * budget["minutes"]))
-    if not shares:
-        return 0.0, None
-    done = min(1.0, max(shares))
-    return done, row["seconds"] * (1 - done) / max(done, 1e-9)
+        left.append(60 * budget["minutes"] - row["seconds"])
+    return min(1.0, max(shares, default=0.0)), max(0.0, min(left)) if left else None
 
 
 def ending(config: Mapping[str, Any], row: Mapping[str, float], left: float | None) -> str:
