@@ -57,6 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
+    # Names of files that are no options.
+    arguments = [f"./{w}" if re.match("-.*[.]", w) and Path(w).exists() else w for w in arguments]
     parser = _parser(arguments)
     for word in arguments:
         held = re.fullmatch(r"(?:.*=)?(<[^<>=]+>)", word)
