@@ -130,3 +130,16 @@ def test_a_folder_that_is_gone_under_a_training(
     assert {f: f.read_bytes() for f in path.rglob("*") if f.is_file()} == before
     with pytest.raises(RunError, match="was removed or replaced while"):
         training.train()
+
+
+def test_a_working_folder_that_is_gone(tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    words = 'cd gone && rmdir ../gone && exec "$@"'
+    ended = subprocess.run(
+        ["sh", "-c", words, "sh", sys.executable, "-m", "understudy", "runs"], cwd=tmp_path, capture_output=True, text=True,
+        env=child_environment(),
+    )  # fmt: skip
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "understudy: The working folder is not there any more. Change to another.\n"
+    )
