@@ -134,7 +134,7 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
 def _not_of(kinds: Sequence[Any], value: Any, where: str) -> ConfigError:
     expected = " or ".join(dict.fromkeys(in_words(kind) for kind in kinds))
     text = str in kinds and isinstance(value, (int, float))
-    hint = f" As text it is quoted twice: {where}=\"'{value}'\"." if text else ""
+    hint = f" As text it is quoted twice: {where}=\"'{as_yaml(value)}'\"." if text else ""
     return ConfigError(f"{where}={as_yaml(value)} is not possible: it takes {expected}.{hint}")
 
 

@@ -7,13 +7,14 @@ import os
 import resource
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
 import torch
 from commands import forked
-from worlds import CLI, SMALL, make_training, resumed
+from worlds import CLI, SMALL, child_environment, make_training, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint
@@ -146,3 +147,17 @@ def test_a_log_that_cannot_be_written_is_left_out(plugins: Plugins, tmp_path: Pa
     assert training.train() == "budget"
     assert log.calls == 1
     assert messages == ["The observer Log is left out: OSError: [Errno 28] No space left on device"]
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("words", ["runs .", "describe learner/ppo"])
+def test_what_is_printed_onto_a_full_disk(tmp_path: Path, words: str, unbuffered: str) -> None:
+    """As by ``understudy cite RUN > refs.bib``: one line that says so, and status 2."""
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "understudy", *words.split()], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True,
+            env={**child_environment(), "PYTHONUNBUFFERED": unbuffered},
+        )  # fmt: skip
+    assert ended.returncode == 2
+    said = "understudy: What is printed cannot be written: No space left on device.\n"
+    assert ended.stderr == said

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import forked
 from worlds import CLI, SMALL, make_training, resumed
@@ -16,6 +17,7 @@ from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
+from understudy_report.video import write_video
 
 
 @pytest.mark.parametrize("where", ["file/run", "/proc/run"])
@@ -128,3 +130,30 @@ def test_a_folder_that_is_gone_under_a_training(
     assert {f: f.read_bytes() for f in path.rglob("*") if f.is_file()} == before
     with pytest.raises(RunError, match="was removed or replaced while"):
         training.train()
+
+
+def test_a_working_folder_that_is_gone(tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    words = 'cd gone && rmdir ../gone && exec "$@"'
+    ended = subprocess.run(
+        ["sh", "-c", words, "sh", sys.executable, "-m", "understudy", "runs"], cwd=tmp_path, capture_output=True, text=True,
+        env=child_environment(),
+    )  # fmt: skip
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "understudy: The working folder is not there any more. Change to another.\n"
+    )
+
+
+@pytest.mark.parametrize("place", [".", "there", "there/."])
+def test_a_file_where_a_folder_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    """As by ``--page .`` and ``--video .``."""
+    (tmp_path / "there").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RunError, match="could not be written"):
+        checkpoint.write_atomically(Path(place), b"a page")
+    with pytest.raises(RunError, match="could not be written"):
+        write_video(Path(place), iter([np.zeros((4, 4, 3), np.uint8)]), 10.0)
+    assert [p.name for p in tmp_path.rglob("*")] == ["there"]

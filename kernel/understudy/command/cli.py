@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import io
 import os
 import re
@@ -32,6 +33,9 @@ from understudy.signals import StopRequest
 
 __all__ = ["main"]
 
+#: What a full disk, or a full share of it, says of what is written to it.
+_UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status. Without `arguments`, the process ends with it."""
@@ -41,7 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # a terminal may not have every letter
     with StopRequest(at_once=True, for_good=own) as stop:
         try:
-            return _run(list(sys.argv[1:] if own else arguments) or ["--help"])
+            status = _run(list(sys.argv[1:] if own else arguments) or ["--help"])
+            if own and sys.stdout is not None:
+                sys.stdout.flush()  # here, where it can still be said that it was not written
+            return status
         except (Exception, KeyboardInterrupt) as error:
             if stop.received is not None and not isinstance(error, PreemptedError):
                 name = signal.Signals(stop.received).name  # whatever a library made of it
@@ -49,6 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, BrokenPipeError):
                 sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the reader went away
                 return 0
+            if isinstance(error, OSError) and error.filename is None and error.errno in _UNPRINTED:
+                sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - nothing more goes there
+                error = FileError(f"What is printed cannot be written: {error.strerror}.")
             if not isinstance(error, UnderstudyError):
                 raise
             with contextlib.suppress(OSError):  # the terminal may have been closed
@@ -57,6 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
+    try:
+        os.getcwd()
+    except OSError as error:  # without one libraries end the process
+        raise FileError("The working folder is not there any more. Change to another.") from error
+    # Names of files that are no options.
+    arguments = [f"./{w}" if re.match("-.*[.]", w) and Path(w).exists() else w for w in arguments]
     parser = _parser(arguments)
     for word in arguments:
         held = re.fullmatch(r"(?:.*=)?(<[^<>=]+>)", word)

@@ -57,7 +57,7 @@ def write_atomically(path: Path, data: bytes) -> None:
     RunError
         if the disk is full or the folder cannot be written; the old file is untouched.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    temporary = path.parent / f".{path.name}.{os.getpid()}.partial"
     try:
         with open(temporary, "wb") as file:
             file.write(data)

@@ -213,6 +213,8 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
             form = f"{{NAME: {one}}}" if slots[stray[1]].many else one
             return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
         return unknown_key(stray[1], plugins.registry)
+    if unknown := re.search(r"Interpolation key '([^']*)' not found", text):
+        return f"${{{unknown[1]}}} stands for a key that there is not. As text it has a backslash: \\${{{unknown[1]}}}."
     return text or type(error).__name__
 
 
@@ -340,9 +342,19 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     assert isinstance(raw, dict)
     refuse_code(raw)
     given = _as_given({str(k): v for k, v in raw.items()}, kept) | dict.fromkeys(emptied)
-    for path in sorted(OmegaConf.missing_keys(OmegaConf.create(given))):
+    for path in sorted(_missing(given)):
         raise ConfigError(_not_set(path, overrides, plugins))
     return given
+
+
+def _missing(value: Any, path: str = "") -> Iterator[str]:
+    """Where ``???`` stands in plain data."""
+    parts = value.items() if isinstance(value, Mapping) else ()
+    parts = enumerate(value) if isinstance(value, list) else parts
+    for key, part in parts:
+        yield from _missing(part, f"{path}.{key}".lstrip("."))
+    if value == "???":
+        yield path
 
 
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:

@@ -12,8 +12,10 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 from commands import begin_on
+from motion_files import walker
 
 from understudy.command.cli import main
+from understudy_motion.writers.bvh import BvhWriter
 
 QUICK = (
     "experiment=spacetime/walk",
@@ -259,6 +261,16 @@ def test_a_process_that_is_told_to_print_ascii() -> None:
     done = subprocess.run([*command, "experiments"], capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.decode("ascii")) > 100
+
+
+@pytest.mark.parametrize("name", ["-walk.bvh", "--walk.bvh", "-h.bvh"])
+def test_a_file_named_like_an_option(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    BvhWriter().write(walker(), Path(name))
+    assert main(["motion", "check", name]) in (0, 1)
+    assert "6 frames at 30 frames/s" in capsys.readouterr().out
 
 
 def test_names_that_are_no_text_are_shown(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -358,7 +359,19 @@ def test_what_begins_like_a_structure_is_not_taken_for_a_name(value: str) -> Non
         compose_raw(["experiment=spacetime/walk", f"motion.file={value}"])
 
 
+def test_text_like_a_reference_has_a_backslash() -> None:
+    with pytest.raises(ConfigError) as refused:
+        compose_raw(["experiment=spacetime/walk", "motion.file=${x}.bvh"])
+    said = re.search(r"As text it has a backslash: (\S+)\.$", str(refused.value))
+    assert said
+    assert said[1] == r"\${x}"  # and what it says works
+    raw = compose_raw(["experiment=spacetime/walk", f"motion.file={said[1]}.bvh"])
+    assert raw["motion"]["file"] == "${x}.bvh"
+
+
 def test_a_number_where_text_is_wanted() -> None:
+    with pytest.raises(ConfigError, match=r"quoted twice: run\.dir=\"'true'\""):
+        load_experiment(["experiment=spacetime/walk", "run.dir=true"])
     with pytest.raises(ConfigError, match=r"As text it is quoted twice: run\.dir=\"'2024'\""):
         load_experiment(["experiment=spacetime/walk", "run.dir=2024"])
     assert load_experiment(["experiment=spacetime/walk", "run.dir='2024'"]).root.run.dir == "2024"

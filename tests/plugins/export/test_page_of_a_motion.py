@@ -69,6 +69,20 @@ def test_it_goes_on_whatever_a_frame_is_dated(tmp_path: Path, run: Path, browser
     page.close()
 
 
+def test_its_name_ends_as_pages_do(
+    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add_figures(run)
+    for name in ("page.htm", "PAGE.HTML"):
+        assert main(["export", str(run), str(tmp_path / name)]) == 0
+        assert "<html" in (tmp_path / name).read_text()
+    for name in ("page", "page.xyz"):
+        assert main(["export", str(run), str(tmp_path / name)]) == 2
+        said = capsys.readouterr().err
+        assert "no format is written to" in said
+        assert "Of a run also .onnx, its policy, and .html, a page that plays it." in said
+
+
 def test_refused(tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "p.html"
     assert main(["export", str(run), str(page)]) == 2

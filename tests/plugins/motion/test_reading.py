@@ -70,9 +70,12 @@ def test_other_content_is_nobodys(tmp_path: Path, registry: Registry, content: b
     for name in ("clip.bvh", "clip.json", "clip.npz", "clip.csv", "clip.amc"):
         path = tmp_path / name
         path.write_bytes(content)
-        with pytest.raises(
-            UnknownFormatError, match=r"not a format that is read here \(amc, angles, bvh"
-        ):
+        said = r"not a format that is read here \(amc, angles, bvh"
+        if not content:
+            said = "the file is empty"
+        elif content.startswith(b"PK") and path.suffix == ".npz":
+            said = "a damaged NPZ"
+        with pytest.raises(UnknownFormatError, match=said):
             read_clip(path, registry)
 
 
@@ -123,6 +126,22 @@ def test_what_a_file_says_itself_is_not_given(
     with pytest.raises(FileError, match=said):
         read_clip(path, registry, ReadOptions(**options))
     assert read_clip(path, registry, ReadOptions(**readers(registry)[name].fixed)).num_frames > 1
+
+
+def test_what_an_npz_lacks_is_said(tmp_path: Path, registry: Registry) -> None:
+    path = tmp_path / "clip.npz"
+    np.savez(path, **{"motion/poses": np.zeros((6, 66)), "fps": 30})
+    with pytest.raises(
+        UnknownFormatError, match="It has 'fps', 'motion/poses'; AMASS and its like"
+    ):
+        read_clip(path, registry)
+    np.savez(path, poses=np.zeros((6, 66)), trans=np.zeros((6, 3)), fps=30)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(UnknownFormatError, match="a damaged NPZ, perhaps one that was not fetched"):
+        read_clip(path, registry)
+    path.write_bytes(b"")
+    with pytest.raises(UnknownFormatError, match="the file is empty"):
+        read_clip(path, registry)
 
 
 def test_a_skeleton_alone(tmp_path: Path, registry: Registry) -> None:

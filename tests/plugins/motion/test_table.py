@@ -390,6 +390,34 @@ def test_columns_of_joints_are_never_a_robots(tmp_path: Path) -> None:
         CsvReader().read(path)
 
 
+@pytest.mark.parametrize(
+    "form", ["{}_q{}", "{} q{}", "{}/q{}", "{}_quat_{}", "{}_quat{}", "{}:q{}", "{}_Q{}"]
+)
+def test_quaternions_as_people_name_them_are_no_angles(tmp_path: Path, form: str) -> None:
+    """They were a robot's angles, silently."""
+    names = [f"{joint}.q{part}" for joint in ("hips", "left knee") for part in "wxyz"]
+    numbers = "0,0,0.9,1,0,0,0,1,0,0,0"
+    plain = ",".join(("root.px,root.py,root.pz", *names))
+    expected = read_csv(tmp_path, f"# rate: 50\n{plain}\n{numbers}\n{numbers}\n")
+    other = [form.format(*name.split(".q")) for name in names]
+    text = "\n".join(("# rate: 50", ",".join(("root_x,root_y,root_z", *other)), numbers, numbers))
+    clip = read_csv(tmp_path, text)
+    path = tmp_path / "clip.csv"
+    assert not AnglesReader().recognises(path.read_bytes(), path)
+    assert CsvReader().recognises(path.read_bytes(), path)
+    assert clip.joint_names == expected.joint_names == ("hips", "left knee")
+    assert torch.equal(clip.rotations, expected.rotations)
+
+
+def test_a_frame_without_numbers_is_no_frame_only_where_times_say_so(tmp_path: Path) -> None:
+    rows = (*ROWS, "," * 9, ROWS[1].replace("0.1", "0.2"))
+    with pytest.raises(FileError, match="line 7: a frame without numbers, and no column 'time'"):
+        read_csv(tmp_path, table(HEAD, *rows))
+    timed = (f"{time},{row}" for time, row in zip(("0", "0.02", "", "0.06"), rows, strict=True))
+    clip = read_csv(tmp_path, table(f"time,{HEAD}", *timed))
+    assert clip.times.tolist() == pytest.approx([0.0, 0.02, 0.06])
+
+
 def test_columns_in_any_order(tmp_path: Path) -> None:
     rows = [line.split(",") for line in CSV.splitlines()[3:]]
     reordered = "\n".join(",".join(reversed(row)) for row in rows)

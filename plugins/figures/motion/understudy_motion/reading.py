@@ -179,6 +179,10 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
             "holds as a table or an NPZ where it was made (docs/motion.md): of a robot, its root's "
             "position, its quaternion as xyzw and its angles as the columns of a CSV."
         )
+    if not head:
+        raise UnknownFormatError(f"Clip {path}: the file is empty.")
+    if head.startswith(b"PK\x03\x04") and path.suffix.lower() == ".npz":
+        raise UnknownFormatError(f"Clip {path}: {_of_archive(path)}{registry.absent()}")
     if head.startswith(b"\x93NUMPY"):
         raise UnknownFormatError(
             f"Clip {path}: one array without names. Save what it holds as a table or an NPZ (docs/motion.md)."
@@ -191,6 +195,23 @@ def reader_of(path: Path, registry: Registry) -> ClipReader:
     formats = ", ".join(known) or "none"
     raise UnknownFormatError(
         f"Clip {path}: not a format that is read here ({formats}).{registry.absent()}"
+    )
+
+
+def _of_archive(path: Path) -> str:
+    """What is the matter with the NPZ at `path`, which no reader recognises."""
+    from understudy_motion.readers.npz import Archive  # which reads by what is here
+
+    try:
+        names = sorted(Archive(path).names)[:12]
+    except FileError:
+        return (
+            "a damaged NPZ, perhaps one that was not fetched to its end; fetch or export it again."
+        )
+    there = ", ".join(repr(name[:40]) for name in names) or "nothing"
+    return (
+        f"an NPZ of no kind that is read here. It has {there}; AMASS and its like have poses, trans and "
+        "mocap_framerate."
     )
 
 

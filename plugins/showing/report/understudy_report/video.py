@@ -31,7 +31,7 @@ def write_video(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
     first = next(frames, None)
     if first is None:
         raise RunError(f"{path} was not written: there are no frames to show.")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    temporary = path.parent / f".{path.name}.{os.getpid()}.partial"
     try:
         reason = _encode(temporary, chain([first], frames), first.shape, fps)
         if reason is None:

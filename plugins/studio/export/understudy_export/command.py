@@ -36,7 +36,7 @@ from understudy_skills.folder import run_folder
 
 BONES = "none"
 ONNX = ".onnx"
-PAGE = ".html"
+PAGES = (".html", ".htm")
 REFERENCE_TABLE = ".reference.npz"
 """The ending of what is written beside a policy that follows a motion."""
 OF_MOTIONS = (
@@ -104,10 +104,11 @@ class Export(Command):
         if options.destination.suffix.lower() == ONNX:
             return _policy(options)
         registry = installed().registry
-        if options.destination.suffix.lower() != PAGE:
-            writer_of(options.destination, registry)  # before a skill is recorded, which takes time
+        page = options.destination.suffix.lower() in PAGES
+        if not page:  # before a skill is recorded, which takes time
+            _check_format(options.destination, registry)
         options.source = run_folder(options.source, recorded=True)
-        if options.destination.suffix.lower() == PAGE:
+        if page:
             return _page(options)
         from understudy_export.cloth import garment_of, write_cloth
 
@@ -159,6 +160,15 @@ def _refuse_options(options: argparse.Namespace, why: str, but: Sequence[str] = 
             raise ConfigError(
                 f"--{name.replace('_', '-')} is of motions, and {options.destination} {why}: leave it out."
             )
+
+
+def _check_format(destination: Path, registry: Registry) -> None:
+    try:
+        writer_of(destination, registry)
+    except FileError as error:
+        raise FileError(
+            f"{error} Of a run also {ONNX}, its policy, and {PAGES[0]}, a page that plays it."
+        ) from error
 
 
 def _policy(options: argparse.Namespace) -> int:

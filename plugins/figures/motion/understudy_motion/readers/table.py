@@ -146,6 +146,11 @@ class CsvReader(ClipReader):
         body = [_row(line, len(columns), delimiter) for line in body]
         names = _with_units(names, body, delimiter)
         columns, body = _plain(path, columns, body, delimiter)
+        if "time" not in columns and (gap := _gap(lines[start + 1 :], body)) is not None:
+            raise FileError(
+                f"Clip {path}: line {start + 2 + gap}: a frame without numbers, and no column 'time' says how long "
+                "it takes; fill it in, or add the times."
+            )
         scales = {plain_name(name): scale_of(name) for name in names}
         joints = _joint_columns(path, columns)
         num_frames = sum(1 for line in body if line.strip())
@@ -220,6 +225,16 @@ def _with_units(names: Sequence[str], body: list[str], delimiter: str) -> list[s
         f"{name} [{unit}]" if unit and plain_name(f"{name} [{unit}]") == plain_name(name) else name
         for name, unit in zip(names, units, strict=True)
     ]
+
+
+def _gap(raw: Sequence[str], body: Sequence[str]) -> int | None:
+    """The first row that has delimiters and no cells, between others that have some."""
+    full = [i for i, line in enumerate(body) if line.strip()]
+    between = range(full[0], full[-1]) if full else ()
+    return next(
+        (i for i in between if not body[i].strip() and raw[i].strip(' "')[:1] in tuple(DELIMITERS)),
+        None,
+    )
 
 
 def _timed(

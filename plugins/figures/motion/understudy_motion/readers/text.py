@@ -85,7 +85,8 @@ def rate_of(path: Path, word: str) -> float:
 
 
 _COLUMN = re.compile(
-    r"(?:(root)[._/ -](?:p|t|pos[._]?|position[._]?|trans[._]?)?([xyz])|(.*)\.(q[wxyz]|r[xyz]))"
+    r"(?:(root)[._/ -](?:p|t|pos[._]?|position[._]?|trans[._]?)?([xyz])|(.*)\.(q[wxyz]|r[xyz])"
+    r"|(?!root|base|pelvis)(.+)[_/ :-](?:q|quat[._ ]?)([wxyz]))"
     r"(?:\s*[\[(]\s*(m|cm|mm|rad|deg|degrees?|°)?\s*[\])])?",
     re.IGNORECASE,
 )
@@ -131,15 +132,19 @@ def plain_name(column: str) -> str:
     if _TIME.fullmatch(column):
         return "time"
     if found := _COLUMN.fullmatch(column):
-        root, position, joint, rotation = found.groups()[:4]
-        return f"root.p{position.lower()}" if root else f"{joint}.{rotation.lower()}"
+        root, position, joint, rotation, other, part = found.groups()[:6]
+        if root:
+            return f"root.p{position.lower()}"
+        return f"{other}.q{part.lower()}" if other else f"{joint}.{rotation.lower()}"
     return column
 
 
 def names_joints(columns: Iterable[str]) -> bool:
     """Whether `columns` have rotations of a joint beside the root, NAME.qw or NAME.rx, as no robot's table has."""
     found = (_COLUMN.fullmatch(column) for column in columns)
-    return any(f and f[3] and f[3].lower() not in ("root", "base", "pelvis") for f in found)
+    return any(
+        f and (f[5] or (f[3] and f[3].lower() not in ("root", "base", "pelvis"))) for f in found
+    )
 
 
 def scale_of(column: str) -> float:
