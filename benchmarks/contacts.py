@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from held import measured
+from held import JUMP, measured
 
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
@@ -25,11 +25,17 @@ from understudy.setup.composition import load_experiment
 from understudy_gripping.grip import load_grip, long, standard, tri_finger
 from understudy_hand.scene import HandScene
 from understudy_mujoco.contact import Contact
+from understudy_play.command import record
+from understudy_play.player import Player
+from understudy_skills.skill import open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "contacts.jsonl"
 GRIPS = {"standard": standard(), "long": long(), "tri_finger": tri_finger()}
 PLANS = {"standard": "relocate", "long": "relocate_long", "tri_finger": "relocate_tri_finger"}
 SECONDS, SETTLE = 10.0, 1.0
+SKILL = "chopsticks/relocate"
+#: What makes a row another one.
+KEYS = ("of", "grip", "setting", "step_ms")
 #: By what is changed: scene.contact, and s of a step. The first is how hands are trained on a GPU.
 OURS = {"impratio": 30.0, "iterations": 10, "ls_iterations": 10, "solimp": (0.99, 0.99, 0.01)}
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -104,6 +110,28 @@ def of_plans(name: str, contact: Mapping[str, Any], substeps: int, count: int) -
     }
 
 
+def of_skill(setting: str, substeps: int) -> dict[str, Any]:
+    """The packaged skill of relocation, played for some seconds; mm."""
+    words = [f"control.substeps={substeps}"]
+    if (share := setting.rpartition(" ")[2]).startswith("0."):
+        words.append(f"scene.contact.solimp=[{share}, {share}, 0.01]")
+    skill = open_skill(SKILL, words)
+    player = Player(skill)
+    try:
+        tracks, scene, dt, failures = record(player, 8.0), player.scene, player.dt, player.falls
+    finally:
+        player.close()
+    assert isinstance(scene, HandScene)
+    qpos = tracks["qpos"]
+    jumps = np.abs(np.diff(qpos[:, : scene.hinges], axis=0)).max(1) > JUMP
+    parts = [part for part in np.split(qpos, np.flatnonzero(jumps) + 1) if len(part) > 3]
+    each = [measured(scene, part, dt) for part in parts]
+    return {
+        "frames": len(qpos), "failures": failures,
+        "fingers": max(one["fingers"] for one in each), "object": max(one["object"] for one in each),
+    }  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
@@ -115,7 +143,23 @@ def main() -> None:
     torch.set_num_threads(1)
     lines = given.out.read_text().splitlines() if given.out.exists() else []
     rows = [json.loads(line) for line in lines]
-    there = {(row["of"], row["grip"], row["setting"], row["step_ms"]) for row in rows}
+    there = {tuple(row[key] for key in KEYS) for row in rows}
+
+    def add(row: dict[str, Any], found: dict[str, Any]) -> None:
+        rows.append(
+            {
+                **row, "when": datetime.date.today().isoformat(), "device": "cpu", "machine": given.machine,
+                "simulator": "mujoco", **found,
+            }
+        )  # fmt: skip
+        given.out.write_text("".join(json.dumps(r) + "\n" for r in rows), encoding="utf-8")
+        print(json.dumps(rows[-1]), flush=True)
+
+    for setting in ("as packaged", "solimp 0.995", "solimp 0.998"):
+        for substeps in (2, 4):
+            key = ("skill", "standard", setting, 10.0 / substeps)
+            if key not in there:
+                add(dict(zip(KEYS, key, strict=True)), of_skill(setting, substeps))
     for grip, path in GRIPS.items():
         for setting, contact in SETTINGS.items():
             for substeps in (2, 1, 4):
@@ -133,16 +177,7 @@ def main() -> None:
                         if of == "grip"
                         else of_plans(PLANS[grip], contact, substeps, given.plans)
                     )
-                    row = {
-                        "of": of, "grip": grip, "setting": setting, "step_ms": 1e3 * step,
-                        "when": datetime.date.today().isoformat(), "device": "cpu", "machine": given.machine,
-                        "simulator": "mujoco", **found,
-                    }  # fmt: skip
-                    rows.append(row)
-                    given.out.write_text(
-                        "".join(json.dumps(r) + "\n" for r in rows), encoding="utf-8"
-                    )
-                    print(json.dumps(row), flush=True)
+                    add(dict(zip(KEYS, (of, grip, setting, 1e3 * step), strict=True)), found)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins
 from understudy.task import Rollout
 from understudy_chopsticks.again import Again
+from understudy_chopsticks.plan import gripping
 from understudy_chopsticks.relocate import (
     Bank,
     Follow,
@@ -119,9 +120,9 @@ def test_sticks_are_held_further_along_and_their_tips_still_take_the_object(
     made = build_environment(load_experiment([*WORDS[:1], *words], plugins))
     made.environment.reset(seed=2)
     _, bank = parts(made)
-    gripping = made.context.once("gripping", lambda: None)
-    axis = rotations.rotate(gripping.lower[0, 3:], torch.tensor([1.0, 0.0, 0.0]))
-    away = field(made, "planned_lower")[:, :3] - gripping.lower[:, :3]
+    lower_part = gripping(made.context, "this test").lower
+    axis = rotations.rotate(lower_part[0, 3:], torch.tensor([1.0, 0.0, 0.0]))
+    away = field(made, "planned_lower")[:, :3] - lower_part[:, :3]
     torch.testing.assert_close(away, (along * axis).expand(2, 3))
     torch.testing.assert_close(bank.shifts, torch.full((2,), along))
     jaws = Jaws("sticks")
@@ -188,14 +189,10 @@ def test_without_a_planner_only_the_goal_is_known(plugins: Plugins) -> None:
     ahead = field(made, "object_ahead")
     torch.testing.assert_close(ahead, ahead[:, :1].expand_as(ahead))
     palm, turn = field(made, "xpos"), field(made, "xquat")
-    row = bank_palm(made)
+    row = int(gripping(made.context, "this test").scene.model.body("palm").id)
     seen = rotations.rotate(turn[:, row], ahead[:, 0, :3]) + palm[:, row]
     torch.testing.assert_close(seen, field(made, "plan_goal"), atol=1e-5, rtol=1e-5)
     made.environment.close()
-
-
-def bank_palm(built: Built) -> int:
-    return int(built.context.once("gripping", lambda: None).scene.model.body("palm").id)
 
 
 def test_sticks_press_while_they_hold(plugins: Plugins) -> None:
