@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import forked
-from worlds import CLI, SMALL, make_training, resumed
+from worlds import CLI, SMALL, child_environment, make_training, resumed
 
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
