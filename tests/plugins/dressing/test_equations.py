@@ -224,6 +224,8 @@ BESIDE = {
     "shirt_finish": (0, 2, -500),
     "sleeve": (5, 1, 0),
 }
+#: The 2018 code's beside: a hand behind the torso, and what the fingertip is touched from.
+FELT = {"shirt_grip": (-10, 0), "shirt_tuck": (-15, 3), "shirt_tuck_second": (0, 6)}
 #: As the collar, where the arm goes in by the sleeve's end.
 BACKWARDS = {"shirt_sleeve": -2_000, "shirt_sleeve_second": -500}
 
@@ -238,6 +240,7 @@ def test_weights(task: str) -> None:
     wanted |= {term: weight for (of, term), weight in CODE.items() if of == task}
     wanted |= dict(zip(("upright", "head", "collar"), BESIDE[task], strict=True))
     wanted["backwards"] = BACKWARDS.get(task, 0)
+    wanted |= dict(zip(("behind", "sign"), FELT.get(task, (0, 0)), strict=True))
     words = [f"experiment=dressing/{task}"]
     if task.removeprefix("shirt_") in LATER:
         words.append("initial_states.file=bank")

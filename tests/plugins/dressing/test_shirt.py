@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -13,13 +14,15 @@ from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy_cloth.mesh import face_areas
-from understudy_dressing.person import PersonScene, depth_in, neutral_pose
+from understudy_dressing.person import TIP, PersonScene, depth_in, neutral_pose
 from understudy_dressing.shirt import ShirtScene
 from understudy_dressing.shirt_state import under_hem
 from understudy_dressing.state import centre_and_normal, passes
 from understudy_sweeps.chain import Chain
+from understudy_tensors import rotations
 
 pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+MODEL = PersonScene(PersonScene.Options()).spec().compile()
 SHIRT = ShirtScene(ShirtScene.Options(edge=0.032))
 #: As `_shirt` is, on a CPU.
 SMALL = ["device=cpu", "simulators.person.name=mujoco", "scenes.cloth.edge=0.032", "num_worlds=2",
@@ -123,6 +126,12 @@ def test_the_hand_that_is_at_the_hem_has_gripped(held: tuple[np.ndarray, np.ndar
     assert (table["grip_distance"] < 0.09).all()
     assert (table["tucked"] == 0).all()
     assert (table["tuck"] < 0).all(), "the left arm hangs"
+    names = [mujoco.mj_id2name(MODEL, mujoco.mjtObj.mjOBJ_BODY, i) for i in range(MODEL.nbody)]
+    hand, torso = names.index("left_hand"), names.index("torso")
+    tip = rotations.rotate(table["xquat"][:, hand], torch.tensor(TIP).expand(2, -1))
+    from_torso = table["xpos"][:, hand] + tip - table["xpos"][:, torso]
+    before = rotations.inverse_rotate(table["xquat"][:, torso], from_torso)[:, 0]
+    assert torch.allclose(table["behind"], (-before).clamp(min=0.0), atol=1e-5)
     built.environment.close()
 
 

@@ -60,6 +60,7 @@ class ShirtState(Fields):
     ``tuck``                   equation 19 as the 2018 code has it: 1 while the arm goes through the triangle of
                                gripping hand and shoulders from below, −1 while it does from above, or from below
                                without what `inside` asks, else minus the fingertip's distance from its middle, m
+    ``behind``                 m, by which the fingertip of the arm that goes in is behind the torso's middle, 0 before it
     ``tip_sign``               of the fingertip: 1 where it is touched from inside, −1 from outside, 0 from neither
     ``tucked``                 1 while the arm does from below, and its fingertip is touched from inside
     ``dressed``                1 where `progress` is at least `enough`
@@ -104,6 +105,7 @@ class ShirtState(Fields):
 
         self._hand, self._limb = places([(f"{options.hand}_hand", TIP)]), places(limb(options.side))
         self._neck = places(_NECK)
+        self._torso = places([("torso", (0, 0, 0)), ("torso", (1, 0, 0))])
         self._shoulders = places([(f"{side}_upper_arm", (0, 0, 0)) for side in ("left", "right")])
         patch = shirt.garment.patches[f"{options.hand}_hem"]
         self._patch, self._collar = numbers(patch), numbers(shirt.collar)
@@ -114,8 +116,8 @@ class ShirtState(Fields):
         self._pose = neutral_pose(person).to(device)
         vector: Shape = (3,)
         one: Shape = ()
-        names = ("grip_distance", "gripped", "tuck", "tip_sign", "tucked", "dressed", "collar_lost",
-                 "backwards", "pose_distance", "rested")  # fmt: skip
+        names = ("grip_distance", "gripped", "tuck", "behind", "tip_sign", "tucked", "dressed",
+                 "collar_lost", "backwards", "pose_distance", "rested")  # fmt: skip
         self.provides = {"hand": vector, "grip_target": vector, **dict.fromkeys(names, one)}
 
     def compute(
@@ -137,6 +139,8 @@ class ShirtState(Fields):
         # forwards and up along its normal: from outside to between the body and what is held before it
         triangle = torch.cat([hand.unsqueeze(1), world(self._shoulders)], dim=1)
         # fingertip to elbow: beyond, the arm ends in a corner of the triangle
+        torso = world(self._torso)
+        before = ((bones[:, 0] - torso[:, 0]) * (torso[:, 1] - torso[:, 0])).sum(dim=1)
         sign = sensor_sign[:, self._tip]
         inside = sign > 0
         tuck, below = under_hem(bones[:, :4], triangle, inside, self.options.inside)
@@ -150,6 +154,7 @@ class ShirtState(Fields):
             "grip_distance": distance,
             "gripped": (distance < self.options.near).float(),
             "tuck": tuck,
+            "behind": (-before).clamp(min=0.0),
             "tip_sign": sign,
             "tucked": (below & inside).float(),
             "dressed": (progress >= self.options.enough).float(),
