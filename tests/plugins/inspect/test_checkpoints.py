@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from understudy_inspect.judging import _best, _share
+from understudy_inspect.judging import _best, _nearest, _share
 
 
 def run(*rows: dict[str, float]) -> Any:
@@ -45,3 +45,11 @@ def test_without_evaluations_returns_decide() -> None:
 )  # fmt: skip
 def test_shares(text: str, share: float | None) -> None:
     assert _share(text) == share
+
+
+@pytest.mark.parametrize(
+    ("share", "nearest"), [(0.5, 24), (0.49, 0), (1.0, 24), (0.0, 0), (0.51, 24)]
+)
+def test_of_two_as_near_the_later_is_a_share(share: float, nearest: int) -> None:
+    """An untrained one is no half of a training of which first and last are kept."""
+    assert _nearest([0, 24], share) == nearest

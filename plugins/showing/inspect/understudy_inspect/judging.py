@@ -242,7 +242,12 @@ def _checkpoint(run: Run, chosen: str) -> tuple[tuple[Any, Any], str]:
     elif kept and chosen == "best":
         name = str(_best(run, kept))
     elif kept and share is not None:
-        name = str(min(kept, key=lambda iteration: abs(iteration - share * kept[-1])))
+        name = str(_nearest(kept, share))
+        if name != str(round(share * kept[-1])):
+            tell(
+                f"checkpoint={chosen} is iteration {name} of {kept[-1]}, the nearest that is kept; "
+                "checkpoint.keep=20 keeps more in a training."
+            )
     name = name.zfill(8) if name.isdigit() else name
     if name not in there:
         raise RunError(
@@ -259,6 +264,11 @@ def _share(text: str) -> float | None:
         return None
     share = float(number) / (100.0 if percent else 1.0)
     return share if share <= 1.0 else None
+
+
+def _nearest(kept: Sequence[int], share: float) -> int:
+    """Of the iterations with a checkpoint the one nearest to this `share` of the last; of two the later."""
+    return min(kept, key=lambda iteration: (abs(iteration - share * kept[-1]), -iteration))
 
 
 def _best(run: Run, kept: Sequence[int]) -> int:
