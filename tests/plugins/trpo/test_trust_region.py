@@ -28,7 +28,7 @@ def make(space: ActionSpace = STEP, learn_noise: bool = False, **options: Any) -
     context = line_context(space)
     chosen = MLPPolicy.Options(hidden=(32,), noise=Schedule(0.5, 0.5), learn_noise=learn_noise)
     policy = make_policy(MLPPolicy, chosen, context)
-    learner = TRPO(TRPO.Options(rollout_steps=STEPS, **options), context, policy)
+    learner = TRPO(TRPO.Options(**{"rollout_steps": STEPS, **options}), context, policy)
     return Line(context, policy), learner
 
 
@@ -115,3 +115,14 @@ def test_nothing_to_improve_is_no_fault() -> None:
 def test_refuses_a_batch_that_the_iteration_does_not_hold() -> None:
     with pytest.raises(ConfigError, match=r"value_batch_size=5000 is more than .* = 1024"):
         make(value_batch_size=5000)
+
+
+@pytest.mark.parametrize(("steps", "given", "batches"), [(16, None, 8), (16, 64, 16), (256, None, 64), (256, 128, 128), (1, None, 1)])  # fmt: skip
+def test_an_epoch_of_the_critic_has_at_most_64_steps_unless_asked(
+    steps: int, given: int | None, batches: int
+) -> None:
+    """Of 64 worlds: 1 024 samples in batches of 128 as ever; 16 384 in 64 batches and not in 128; 64 in one."""
+    _, learner = make(value_batch_size=given, rollout_steps=steps)
+    parts = list(learner._minibatches(torch.zeros(steps * 64)))
+    assert len(parts) == batches
+    assert sorted(torch.cat(parts).tolist()) == list(range(steps * 64))

@@ -25,6 +25,10 @@ from understudy_trpo.natural_gradient import (
     line_search,
 )
 
+#: Samples of a critic's step at least, and its steps of an epoch at most, unless said otherwise: with more, thousands of
+#: worlds spend the time of an iteration on steps that a GPU does in no less than a small one's time.
+_VALUE_BATCH, _VALUE_STEPS = 128, 64
+
 
 class TRPO(Learner):
     """One natural-gradient step of the policy an iteration, within a KL limit; a critic by Adam.
@@ -48,7 +52,8 @@ class TRPO(Learner):
         line_search_steps: int = 10  #: tries at most, from 1
         line_search_shrink: float = 0.8  #: by which a step is shortened, in (0, 0.99]
         value_epochs: int = 10  #: over the iteration's samples, to fit the critic
-        value_batch_size: int = 128  #: samples of one of its steps, in each process
+        #: samples of one of its steps, in each process; null: 128, or a 64th of an iteration's if that is more
+        value_batch_size: int | None = None
         critic_learning_rate: float = 1e-3  #: of Adam, above 0
         #: Updates in a row with a non-finite step after which the training stops.
         patience: int = 3
@@ -56,7 +61,9 @@ class TRPO(Learner):
         def __post_init__(self) -> None:
             check_range(self, "rollout_steps", least=1, most=100_000)
             check_range(self, "conjugate_gradient_steps", least=1)
-            check_range(self, "line_search_steps", "value_epochs", "value_batch_size", least=1)
+            check_range(self, "line_search_steps", "value_epochs", least=1)
+            if self.value_batch_size is not None:
+                check_range(self, "value_batch_size", least=1)
             check_range(self, "patience", least=1)
             check_range(self, "gamma", "gae_lambda", "td_lambda", least=0, most=1)
             check_range(self, "kl_limit", "critic_learning_rate", above=0)
@@ -70,14 +77,15 @@ class TRPO(Learner):
             raise ConfigError(
                 "One sample an iteration is too few: raise num_worlds or learner.rollout_steps."
             )
-        if options.value_batch_size > samples:
+        batch = options.value_batch_size or min(samples, max(_VALUE_BATCH, samples // _VALUE_STEPS))
+        if batch > samples:
             raise ConfigError(
-                f"learner.value_batch_size={options.value_batch_size} is more than the samples of an "
+                f"learner.value_batch_size={batch} is more than the samples of an "
                 f"iteration: num_worlds × learner.rollout_steps = {samples}."
             )
         set_precision(policy, "float32", twice=True)
         self.options, self.policy = options, policy
-        self.rollout_steps = options.rollout_steps
+        self.rollout_steps, self._value_batch = options.rollout_steps, batch
         self._actor = list(policy.actor_parameters())
         self._critic = list(policy.critic_parameters())
         rate = torch.tensor(options.critic_learning_rate, device=context.device)
@@ -176,7 +184,7 @@ class TRPO(Learner):
     def _minibatches(self, like: Tensor) -> Iterator[Tensor]:
         """One epoch's rows in a random order, in parts; the last one may be smaller."""
         order = torch.randperm(like.shape[0], generator=self._generator, device=like.device)
-        return iter(order.split(self.options.value_batch_size))
+        return iter(order.split(self._value_batch))
 
     def _note_faults(self, batch: Mapping[str, Tensor], skipped: float) -> None:
         """Hand out the first batch that had a non-finite step; refuse too many in a row."""
