@@ -42,3 +42,18 @@ def test_a_chain_trains_what_others_build_on_first() -> None:
 def test_a_chain_names_only_stages_before() -> None:
     with pytest.raises(ValueError, match="'walk', which is no stage before it"):
         Chain.Options({"sit": ("start.run={walk}",), "walk": ("x=1",)})
+
+
+def test_what_every_experiment_of_a_chain_has() -> None:
+    """A harvest has its run's configuration, so it gets none of it; a stage's own words come later, and so count."""
+    stages = {"a": ("experiment=e", "num_worlds=64"), "ends": ("job=harvest", "job.run='{a}'")}
+    chain = Chain(Chain.Options(stages, each=("num_worlds=2048", "edge=0.03")), seed=0)
+    first = chain.ask(0)
+    assert first is not None
+    assert first.overrides == ("num_worlds=2048", "edge=0.03", "experiment=e", "num_worlds=64")
+    chain.tell(Report("a", "ok", run="runs/a"))
+    second = chain.ask(1)
+    assert second is not None
+    assert second.overrides == ("job=harvest", "job.run='runs/a'")
+    with pytest.raises(ValueError, match="each names the stage 'a'"):
+        Chain.Options(stages, each=("start.run={a}",))

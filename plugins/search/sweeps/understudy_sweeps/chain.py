@@ -13,6 +13,7 @@ from understudy_sweeps.loops import OuterLoop, Report, Trial
 __all__ = ["Chain"]
 
 _NAMED = re.compile(r"\{(\w+)\}")
+_EXPERIMENT = re.compile(r"\+*experiment=")
 
 
 class Chain(OuterLoop):
@@ -28,10 +29,17 @@ class Chain(OuterLoop):
     class Options:
         #: by name, the overrides of each
         stages: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+        each: tuple[
+            str, ...
+        ] = ()  #: overrides of every stage that names an experiment, before its own
 
         def __post_init__(self) -> None:
             if not self.stages:
                 raise ValueError("stages={} is not possible: give at least one.")
+            if named := _named(self.each):
+                raise ValueError(
+                    f"each names the stage '{named[0]}': stages name others, each does not."
+                )
             known: set[str] = set()
             for stage, overrides in self.stages.items():
                 for name in _named(overrides):
@@ -43,7 +51,10 @@ class Chain(OuterLoop):
                 known.add(stage)
 
     def __init__(self, options: Options, seed: int = 0) -> None:
-        self._stages = options.stages
+        self._stages = {
+            stage: (*options.each, *own) if any(_EXPERIMENT.match(text) for text in own) else own
+            for stage, own in options.stages.items()
+        }
         self._tries: dict[str, int] = {}
         self._replayed = False
         self._failed: set[str] = set()  #: before this call of the sweep
