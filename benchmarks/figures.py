@@ -50,7 +50,9 @@ VERDICTS = (HOLDS, FAILS, UNDECIDED, ONE)
 
 _PLACE = re.compile(r"(<!-- figures: (\S+) -->)(.*?)(<!-- /figures -->)", re.S)
 _TABLE = re.compile(r"((?:^<!--.*?-->\n+)?)((?:^\|.*\n)+)", re.M)
-_RESULT = re.compile(r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d|\d[^|\[]{0,6} \[[-−+]?\d")
+_RESULT = re.compile(
+    r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d|\d[^|\[]{0,6} \[[-−+]?\d"
+)
 _NUMBER = re.compile(r"(?<![\w.])\d[\d ]*(?:\.\d+)?(?:e\d+)?")
 #: What a number on a page may be of one in a record: itself, in per cent, in ms or mm, in k, in M, in minutes.
 _SCALES = (1.0, 100.0, 1e3, 1e-3, 1e-6, 1 / 60)
