@@ -35,9 +35,9 @@ def answer(folder: Path, fidelity: Fidelity, scale: float) -> tuple[Trial, float
     journal = Journal.read(folder / "journal.jsonl")
     asked = {event.key: event for event in journal.events if isinstance(event, Trial)}
     found = [
-        (asked[key], report.objective * math.exp(-report.cost / scale))
+        (asked[key], (report.objective or 0.0) * math.exp(-report.cost / scale))
         for key, report in journal.finished.items()
-        if report.status == "ok" and fidelity.z(asked[key]) >= 1
+        if report is not None and report.status == "ok" and fidelity.z(asked[key]) >= 1
     ]
     return max(found, key=lambda pair: pair[1], default=None)
 
@@ -51,7 +51,7 @@ def anew(
         *_, report = run_trial(Trial("anew", point=own, seed=seed), Work(tuple(words), folder))
     if report.status != "ok":
         raise RuntimeError(report.status)
-    value = report.objective * math.exp(-report.cost / scale)
+    value = (report.objective or 0.0) * math.exp(-report.cost / scale)
     return {"samples": report.cost, "objective": report.objective, "y": value}
 
 
@@ -93,6 +93,16 @@ def main() -> None:
                 }  # fmt: skip
                 with RESULTS.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
+    rows = [json.loads(line) for line in RESULTS.read_text(encoding="utf-8").splitlines()]
+    groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["table"], row["column"], row["search"]), []).append(row)
+    means = [
+        {"table": t, "column": c, "seed": s, "when": of[-1]["when"], "trainings": len(of), "y": sum(r["y"] for r in of) / len(of)}
+        for (t, c, s), of in groups.items()
+    ]  # fmt: skip
+    text = "".join(json.dumps(row) + "\n" for row in means)
+    RESULTS.with_name("answers_means.jsonl").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
