@@ -32,7 +32,7 @@ RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "answers.jsonl"
 
 def answer(folder: Path, fidelity: Fidelity, scale: float) -> tuple[Trial, float] | None:
     """The whole trial of the highest y in the journal of `folder`, and that y."""
-    journal = Journal.read(folder / "journal.jsonl")
+    journal: Any = Journal.read(folder / "journal.jsonl")
     asked = {event.key: event for event in journal.events if isinstance(event, Trial)}
     found = [
         (asked[key], (report.objective or 0.0) * math.exp(-report.cost / scale))
@@ -48,6 +48,7 @@ def anew(
     """What the point of `trial` comes to from nothing, as a whole trial."""
     own = {name: value for name, value in trial.point.items() if name != fidelity.option}
     with tempfile.TemporaryDirectory() as folder:
+        report: Any
         *_, report = run_trial(Trial("anew", point=own, seed=seed), Work(tuple(words), folder))
     if report.status != "ok":
         raise RuntimeError(report.status)
