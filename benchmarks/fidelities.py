@@ -131,7 +131,7 @@ def worth(objective: float, samples: float, scale: float) -> float:
 
 def related(cheap: Sequence[float], whole: Sequence[float]) -> dict[str, Any]:
     """How alike the order of the points is by each."""
-    rank = stats.spearmanr(cheap, whole)
+    rank: Any = stats.spearmanr(cheap, whole)
     best = max(range(len(cheap)), key=cheap.__getitem__)
     return {
         "points": len(cheap),
@@ -144,7 +144,8 @@ def related(cheap: Sequence[float], whole: Sequence[float]) -> dict[str, Any]:
 
 def of_task(name: str) -> list[dict[str, Any]]:
     """A row for each kind, and one of whole trainings by others."""
-    task, by_kind = TASKS[name], {}
+    task = TASKS[name]
+    by_kind: dict[str, dict[int, list[dict[str, Any]]]] = {}
     for row in trained():
         if row["task"] == name:
             by_kind.setdefault(row["kind"], {}).setdefault(row["point"], []).append(row)
@@ -197,7 +198,7 @@ def of_journals() -> list[dict[str, Any]]:
     for what, (path, scale) in JOURNALS.items():
         easy, whole = (reports(path.format(name)) for name in ("cmfbo", "gp_ucb"))
         both = [(one, whole[place]) for place, one in easy.items() if place in whole]
-        values = [[worth(r.objective, r.cost, scale) for r in pair] for pair in both]
+        values = [[worth(r.objective or 0.0, r.cost, scale) for r in pair] for pair in both]
         samples = [fmean(pair[i].cost for pair in both) for i in range(2)]
         answer = related(*zip(*values, strict=True))
         answer |= {"samples": samples[0], "cost_in_samples": samples[0] / samples[1]}
