@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from held import JUMP, measured
+from held import episodes, measured
 
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
@@ -25,8 +25,6 @@ from understudy.setup.composition import load_experiment
 from understudy_gripping.grip import load_grip, long, standard, tri_finger
 from understudy_hand.scene import HandScene
 from understudy_mujoco.contact import Contact
-from understudy_play.command import record
-from understudy_play.player import Player
 from understudy_skills.skill import open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "contacts.jsonl"
@@ -115,19 +113,9 @@ def of_skill(setting: str, substeps: int) -> dict[str, Any]:
     words = [f"control.substeps={substeps}"]
     if (share := setting.rpartition(" ")[2]).startswith("0."):
         words.append(f"scene.contact.solimp=[{share}, {share}, 0.01]")
-    skill = open_skill(SKILL, words)
-    player = Player(skill)
-    try:
-        tracks, scene, dt, failures = record(player, 8.0), player.scene, player.dt, player.falls
-    finally:
-        player.close()
-    assert isinstance(scene, HandScene)
-    qpos = tracks["qpos"]
-    jumps = np.abs(np.diff(qpos[:, : scene.hinges], axis=0)).max(1) > JUMP
-    parts = [part for part in np.split(qpos, np.flatnonzero(jumps) + 1) if len(part) > 3]
-    each = [measured(scene, part, dt) for part in parts]
+    each, frames, failures = episodes(open_skill(SKILL, words), 8.0)
     return {
-        "frames": len(qpos), "failures": failures,
+        "frames": frames, "failures": failures,
         "fingers": max(one["fingers"] for one in each), "object": max(one["object"] for one in each),
     }  # fmt: skip
 

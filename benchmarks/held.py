@@ -20,7 +20,7 @@ from understudy_hand.scene import HandScene
 from understudy_hand.tools import BODIES
 from understudy_play.command import record
 from understudy_play.player import Player
-from understudy_skills.skill import names, open_skill
+from understudy_skills.skill import Skill, names, open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "held.jsonl"
 SECONDS = 8.0
@@ -64,19 +64,25 @@ def measured(scene: HandScene, qpos: np.ndarray, dt: float) -> dict[str, float]:
     }
 
 
-def row(name: str) -> dict[str, Any]:
-    """The skill `name`, played from where it begins; whole episodes are apart, since a hand jumps from one to the next."""
-    skill = open_skill(name)
+def episodes(skill: Skill, seconds: float) -> tuple[list[dict[str, float]], int, int]:
+    """What is measured of each whole episode that a hand plays within the time, which are apart since it jumps from one
+    to the next; their frames; and how many failed."""
     player = Player(skill)
     try:
-        tracks, scene, dt, failures = record(player, SECONDS), player.scene, player.dt, player.falls
+        tracks, scene, dt, failures = record(player, seconds), player.scene, player.dt, player.falls
     finally:
         player.close()
     assert isinstance(scene, HandScene)
     qpos = tracks["qpos"]
     jumps = np.abs(np.diff(qpos[:, : scene.hinges], axis=0)).max(1) > JUMP
     parts = [part for part in np.split(qpos, np.flatnonzero(jumps) + 1) if len(part) > 3]
-    found = [measured(scene, part, dt) for part in parts]
+    return [measured(scene, part, dt) for part in parts], len(qpos), failures
+
+
+def row(name: str) -> dict[str, Any]:
+    """The skill `name`, played from where it begins."""
+    skill = open_skill(name)
+    found, _, failures = episodes(skill, SECONDS)
     played = {key: max(one[key] for one in found) for key in (*THRESHOLDS, "jerk")}
     return {
         "skill": name,
@@ -85,7 +91,7 @@ def row(name: str) -> dict[str, Any]:
         "seed": 0,
         "samples": skill.samples,
         "success": skill.card["evaluation"]["success_rate"],
-        "episodes": len(parts),
+        "episodes": len(found),
         "failures": failures,
         "played": played,
         "beyond": ", ".join(k for k, most in THRESHOLDS.items() if played[k] > most) or "–",
