@@ -74,14 +74,14 @@ def main() -> None:
     comparison = Comparison(given.table, table, given.folder, [])
     for column in table.columns:
         for search in table.seeds:
-            words = comparison._overrides(given.row, column, search)
+            words = comparison.overrides_of(given.row, column, search)
             loop = load_experiment(words, installed()).need("outer_loop").effective()
             fidelity, scale = (
                 Fidelity(**(loop.get("fidelity") or {})),
                 float(loop["sample_scale"] or math.inf),
             )
             if (
-                best := answer(comparison._place(given.row, column, search), fidelity, scale)
+                best := answer(comparison.place_of(given.row, column, search), fidelity, scale)
             ) is None:
                 continue
             for seed in given.seeds:

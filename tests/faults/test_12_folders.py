@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from commands import forked
 from worlds import CLI, SMALL, child_environment, make_training, resumed
 
+from understudy.command.cli import main
 from understudy.errors import RunError
 from understudy.records import checkpoint, runs
 from understudy.setup.plugins import Plugins
@@ -157,3 +160,42 @@ def test_a_file_where_a_folder_is(
     with pytest.raises(RunError, match="could not be written"):
         write_video(Path(place), iter([np.zeros((4, 4, 3), np.uint8)]), 10.0)
     assert [p.name for p in tmp_path.rglob("*")] == ["there"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["evaluate", "NAME"], ["play", "NAME"], ["compare", "NAME", "NAME"], ["cite", "NAME"], ["render", "NAME"],
+        ["licence", "NAME", "--for", "commercial"], ["export", "NAME", "walk.glb"], ["export", "spacetime/walk", "NAME.html"],
+        ["motion", "check", "NAME"], ["describe", "NAME"], ["runs", "NAME"], ["train", "motion.file=NAME"], ["-NAME"],
+        ["train", "<NAME>"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_name_that_no_file_can_have_ends_in_a_line(
+    words: list[str],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([word.replace("NAME", 300 * "a" + ".x") for word in words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("understudy: ") == 1
+    assert "Traceback" not in said
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_folder_that_may_not_be_entered_ends_in_a_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stat = os.stat
+
+    def forbidden(path: Any, **how: Any) -> os.stat_result:
+        if str(path).startswith("/private"):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return stat(path, **how)
+
+    monkeypatch.setattr(os, "stat", forbidden)
+    assert main(["evaluate", "/private/run"]) == 2
+    assert "cannot be looked for: Permission denied." in capsys.readouterr().err

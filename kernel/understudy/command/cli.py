@@ -15,7 +15,6 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NoReturn
 
 from understudy import __version__
@@ -35,6 +34,8 @@ __all__ = ["main"]
 
 #: What a full disk, or a full share of it, says of what is written to it.
 _UNPRINTED = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+#: Why it cannot even be told whether a file is there.
+_UNSEEN = (errno.ENAMETOOLONG, errno.EACCES, errno.EPERM)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,6 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, OSError) and error.filename is None and error.errno in _UNPRINTED:
                 sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - nothing more goes there
                 error = FileError(f"What is printed cannot be written: {error.strerror}.")
+            if isinstance(error, OSError) and error.filename and error.errno in _UNSEEN:
+                file = str(error.filename)[:100]
+                error = FileError(f"{file} cannot be looked for: {error.strerror}.")
             if not isinstance(error, UnderstudyError):
                 raise
             with contextlib.suppress(OSError):  # the terminal may have been closed
@@ -72,11 +76,11 @@ def _run(arguments: list[str]) -> int:
     except OSError as error:  # without one libraries end the process
         raise FileError("The working folder is not there any more. Change to another.") from error
     # Names of files that are no options.
-    arguments = [f"./{w}" if re.match("-.*[.]", w) and Path(w).exists() else w for w in arguments]
+    arguments = [f"./{w}" if re.match("-.*[.]", w) and os.path.exists(w) else w for w in arguments]
     parser = _parser(arguments)
     for word in arguments:
         held = re.fullmatch(r"(?:.*=)?(<[^<>=]+>)", word)
-        if held and not Path(held[1]).exists():
+        if held and not os.path.exists(held[1]):
             raise ConfigError(
                 f"{held[1]} in '{word}' stands for your own: write that in its place."
             )

@@ -214,7 +214,7 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
             return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
         return unknown_key(stray[1], plugins.registry)
     if unknown := re.search(r"Interpolation key '([^']*)' not found", text):
-        return f"${{{unknown[1]}}} stands for a key that there is not. As text it has a backslash: \\${{{unknown[1]}}}."
+        return f"${{{unknown[1]}}} takes the value of a key, and there is none of this name. As text it has a backslash: \\${{{unknown[1]}}}."
     return text or type(error).__name__
 
 

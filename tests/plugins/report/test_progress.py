@@ -66,7 +66,10 @@ def test_a_line_now_and_then(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     line = ProgressLine()
     line.started(run)
     row = {"iteration": 3, "samples": 250, "seconds": 10.0, "samples_per_second": 25.0}
-    line._first = {"samples": 50, "seconds": 2.0}
+    line.iteration(
+        run, {"iteration": 1, "samples": 50, "seconds": 2.0, "samples_per_second": 25.0}, ""
+    )
+    line._printed = 0.0  # some time later
     line.iteration(run, {**row, "episode/return": 2.0, "episode/episode_seconds": 1.5}, "stage 2")
     line.iteration(run, row, "stage 3")  # too soon
     line.finished(run, "budget")

@@ -104,7 +104,7 @@ def test_every_search_of_a_table_can_be_composed(name: str, tmp_path: Path) -> N
     comparison = Comparison(name, load_table(name, installed()), tmp_path, [])
     loops = {}
     for row, column in comparison._cells():
-        experiment = load_experiment(comparison._overrides(row, column, 3))
+        experiment = load_experiment(comparison.overrides_of(row, column, 3))
         loops[column] = experiment.need("outer_loop").component.name
         assert experiment.root.seed == 3
         loop = experiment.need("outer_loop").build(3)

@@ -138,11 +138,11 @@ class ShirtState(Fields):
 
         # forwards and up along its normal: from outside to between the body and what is held before it
         triangle = torch.cat([hand.unsqueeze(1), world(self._shoulders)], dim=1)
-        # fingertip to elbow: beyond, the arm ends in a corner of the triangle
         torso = world(self._torso)
         before = ((bones[:, 0] - torso[:, 0]) * (torso[:, 1] - torso[:, 0])).sum(dim=1)
         sign = sensor_sign[:, self._tip]
         inside = sign > 0
+        # fingertip to elbow: beyond, the arm ends in a corner of the triangle
         tuck, below = under_hem(bones[:, :4], triangle, inside, self.options.inside)
 
         lost = ~passes(world(self._neck), cloth_position[:, self._collar])[0].any(dim=1)

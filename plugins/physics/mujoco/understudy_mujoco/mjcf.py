@@ -172,9 +172,8 @@ class _Reader:
             root = ElementTree.fromstring(text)
         except (ElementTree.ParseError, ValueError) as error:
             raise FileError(f"The model {path} does not load: no XML: {error}.") from error
-        for (
-            element
-        ) in root.iter():  # without the name of a namespace, which MuJoCo does not know either
+        # Without the name of a namespace, which MuJoCo does not know either.
+        for element in root.iter():
             element.tag = element.tag.rpartition("}")[2]
         return root
 

@@ -94,7 +94,7 @@ class Comparison:
         """All searches of the first seed, then those of the next."""
         for seed in self.table.seeds:
             for row, column in self._cells():
-                sweep(self._overrides(row, column, seed))
+                sweep(self.overrides_of(row, column, seed))
 
     def read(self) -> None:
         """What the journals tell by now."""
@@ -105,26 +105,26 @@ class Comparison:
         pairs = ((row, column) for row in self.table.rows for column in self.table.columns)
         return [pair for pair in pairs if variant_name(*pair) in named]
 
-    def _overrides(self, row: str, column: str, seed: int) -> list[str]:
+    def overrides_of(self, row: str, column: str, seed: int) -> list[str]:
         own: list[str] = []
         for more in (self.table.overrides, self.table.rows[row], self.table.columns[column]):
             own = replaced(own, list(more))
-        place = self._place(row, column, seed)
+        place = self.place_of(row, column, seed)
         return replaced(
             replaced(own, self._given), [f"seed={seed}", f"run.dir={written(str(place))}"]
         )
 
-    def _place(self, row: str, column: str, seed: int) -> Path:
+    def place_of(self, row: str, column: str, seed: int) -> Path:
         return self.folder / row / column / f"seed{seed}"
 
     def _read(self, row: str, column: str) -> Iterator[Found]:
         chosen = None
         for seed in self.table.seeds:
-            journal = Journal.read(self._place(row, column, seed) / "journal.jsonl")
+            journal = Journal.read(self.place_of(row, column, seed) / "journal.jsonl")
             if not journal.finished:
                 continue
             if chosen is None:  # seeds change nothing of it
-                raw = compose_raw(self._overrides(row, column, seed))
+                raw = compose_raw(self.overrides_of(row, column, seed))
                 alone = {"outer_loop": raw["outer_loop"]}  # what trains need not be installed here
                 chosen = validate(alone, installed().registry).need("outer_loop")
             yield found_by(chosen.build(seed), journal, seed)

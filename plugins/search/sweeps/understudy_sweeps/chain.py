@@ -29,9 +29,8 @@ class Chain(OuterLoop):
     class Options:
         #: by name, the overrides of each
         stages: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-        each: tuple[
-            str, ...
-        ] = ()  #: overrides of every stage that names an experiment, before its own
+        #: overrides of every stage that names an experiment, before its own
+        each: tuple[str, ...] = ()
 
         def __post_init__(self) -> None:
             if not self.stages:
