@@ -3,9 +3,9 @@
 ``python benchmarks/jumps.py noise --jobs 14 --minutes 20`` trains take-offs drawn at random, each several times with other seeds of
 the training: how many succeed, and how much a measure of the same take-off differs from one training to the next.
 ``search`` runs Bayesian diversity search, random search and MAP-Elites (pyribs), five seeds each; a trial is ``--repeats``
-trainings of its take-off, whose measures are averaged. Both append every training to a file in ``docs/benchmarks/jumps``
-and go on from there, so they may be run in pieces: a training that ``--minutes`` cuts off is begun anew. ``table`` prints what
-there is and writes ``summary.jsonl``.
+trainings of its take-off beside each other, whose measures are averaged. Both append every training to a file in
+``docs/benchmarks/jumps`` and go on from there, so they may be run in pieces: a training that ``--minutes`` cuts off goes on from
+its folder in ``--runs``. ``table`` prints what there is and writes ``summary.jsonl``.
 
 A jump is ``experiment=jumping/high_small`` over 50 cm on one CPU core, of 150 000 samples at most. Strategies are told apart by how the root is turned above
 the bar (section 4.6.1), an angle in rad between two rotations.
@@ -14,14 +14,16 @@ the bar (section 4.6.1), an angle in rad between two rotations.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import datetime
 import importlib
 import json
 import math
-import tempfile
+import shutil
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,7 @@ import torch
 
 from understudy import random
 from understudy.options import make_options
+from understudy.records.runs import open_run
 from understudy_bayes import draws
 from understudy_diversity.strategies import alike, distances, nearest_rotation
 from understudy_sweeps.intervals import mean_of
@@ -50,7 +53,7 @@ OVERRIDES = (
     "experiment=jumping/high_small", "difficulty=0.0", "budget.samples=150000",
     "budget.minutes=null", "evaluation.criterion=0.9", "evaluation.every_samples=15000",
     "evaluation.final_episodes=256", "evaluation.objective=cleared_height", "simulator.threads=1",
-    "run.video_seconds=0", "checkpoint.minutes=30",
+    "run.video_seconds=0", "checkpoint.minutes=1",
 )  # fmt: skip
 ROTATION = [f"strategy_{axis}_{i}" for axis in ("forward", "up") for i in "xyz"]
 SUCCESS = 0.5  #: share of attempts from which on a take-off shows a strategy
@@ -63,42 +66,61 @@ LOOPS = {
 
 
 class Jumps:
-    """The trainings of one file, made where they are missing; None once the time is over."""
+    """The trainings of one file, made in the processes of `pool` where they are missing."""
 
-    def __init__(self, name: str, until: float) -> None:
-        self._file, self._until = RESULTS / f"{name}.jsonl", until
+    def __init__(self, name: str, pool: Executor, runs: Path, until: float) -> None:
+        self._name, self._pool, self._runs, self._until = name, pool, runs, until
+        self._file = RESULTS / f"{name}.jsonl"
         lines = self._file.read_text().splitlines() if self._file.exists() else []
         self._known = {(row["take_off"], row["repeat"]): row for row in map(json.loads, lines)}
 
     def point(self, take_off: int) -> dict[str, float] | None:
         """Where the take-off of this number was."""
-        row = self._known.get((take_off, 0))
-        return row["point"] if row else None
+        return next((row["point"] for (n, _), row in self._known.items() if n == take_off), None)
 
-    def train(self, take_off: int, repeat: int, seed: int, point: Mapping[str, float]) -> Any:
-        """The row of training `repeat` of a take-off."""
-        if (row := self._known.get((take_off, repeat))) is not None:
-            return row
-        torch.set_num_threads(1)
-        began, report = time.monotonic(), None
-        with tempfile.TemporaryDirectory() as folder:
-            trial = Trial("jump", point=point, seed=seed)
-            for report in run_trial(trial, Work(OVERRIDES, folder)):  # noqa: B007  the last counts
-                if time.monotonic() > self._until:
-                    return None
-        assert report is not None
-        if report.status != "ok":
-            raise RuntimeError(report.status)
-        row = {
-            "take_off": take_off, "repeat": repeat, "seed": seed, "point": dict(point),
-            "samples": report.cost, "seconds": round(time.monotonic() - began, 1),
-            "measures": dict(report.measures),
+    def train(
+        self, take_off: int, seeds: Sequence[int], point: Mapping[str, float]
+    ) -> list[dict[str, Any]]:
+        """The rows of a take-off's trainings, beside each other, one for each seed; without those that the time cut."""
+        missing = {
+            self._pool.submit(train, self._runs / f"{self._name}_{take_off}_{i}", seed, point, self._until): i
+            for i, seed in enumerate(seeds)
+            if (take_off, i) not in self._known
         }  # fmt: skip
-        RESULTS.mkdir(parents=True, exist_ok=True)
-        with self._file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-        self._known[take_off, repeat] = row
-        return row
+        for end in as_completed(missing):
+            if (found := end.result()) is None:
+                continue
+            row = {"take_off": take_off, "repeat": missing[end], **found}
+            RESULTS.mkdir(parents=True, exist_ok=True)
+            with self._file.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+            self._known[take_off, missing[end]] = row
+            shutil.rmtree(self._runs / f"{self._name}_{take_off}_{missing[end]}")
+        known = (self._known.get((take_off, i)) for i in range(len(seeds)))
+        return [row for row in known if row is not None]
+
+
+def train(
+    folder: Path, seed: int, point: Mapping[str, float], until: float
+) -> dict[str, Any] | None:
+    """One training, or what is left of it, in `folder`; None where the time cuts it, and it is saved."""
+    torch.set_num_threads(1)
+    began, report = time.monotonic(), None
+    if (folder / "run.json").exists():
+        began -= max((row["seconds"] for row in open_run(folder).metrics()), default=0.0)
+    trial = Trial(folder.name, point=point, seed=seed)
+    reports = run_trial(trial, Work(OVERRIDES, str(folder.parent)))
+    with contextlib.closing(reports):
+        for report in reports:  # the last counts
+            if time.monotonic() > until and not (report and report.final):
+                return None
+    assert report is not None
+    if report.status != "ok":
+        raise RuntimeError(report.status)
+    return {
+        "seed": seed, "point": dict(point), "samples": report.cost,
+        "seconds": round(time.monotonic() - began, 1), "measures": dict(report.measures),
+    }  # fmt: skip
 
 
 def averaged(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -113,16 +135,14 @@ def averaged(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     return mean
 
 
-def noise(take_off: int, repeats: int, until: float) -> int:
+def noise(jumps: Jumps, take_off: int, repeats: int) -> int:
     """How many trainings there are of one take-off, drawn at random."""
-    jumps = Jumps(f"noise_{take_off}", until)
     place = draws.uniform(1_000, take_off, len(PARAMETERS))
     point = {
         name: float(bounds["low"] + u * (bounds["high"] - bounds["low"]))
         for (name, bounds), u in zip(PARAMETERS.items(), place, strict=True)
     }
-    rows = (jumps.train(take_off, seed, seed, point) for seed in range(repeats))
-    return sum(row is not None for row in rows)
+    return len(jumps.train(take_off, range(repeats), point))
 
 
 def loop_of(name: str, seed: int, trials: int, distinct: float) -> OuterLoop:
@@ -137,10 +157,9 @@ def loop_of(name: str, seed: int, trials: int, distinct: float) -> OuterLoop:
     return loop(make_options(loop.Options, given, "outer_loop"), seed)
 
 
-def search(name: str, seed: int, trials: int, repeats: int, distinct: float, until: float) -> int:
+def search(jumps: Jumps, name: str, seed: int, trials: int, repeats: int, distinct: float) -> int:
     """How many trials of one search are finished."""
-    torch.set_num_threads(1)
-    jumps, loop = Jumps(f"{name}_{seed}", until), loop_of(name, seed, trials, distinct)
+    loop = loop_of(name, seed, trials, distinct)
     for number in range(trials):
         if (before := jumps.point(number)) is not None:
             trial = Trial(f"trial{number}", point=before)
@@ -149,12 +168,10 @@ def search(name: str, seed: int, trials: int, repeats: int, distinct: float, unt
             asked = loop.ask(number)
             assert asked is not None
             trial = asked
-        rows = []
-        for repeat in range(repeats):
-            luck = random.derive_seed(seed, f"{name}/{number}/{repeat}") % 2**31
-            rows.append(jumps.train(number, repeat, luck, trial.point))
-            if rows[-1] is None:
-                return number
+        luck = [random.derive_seed(seed, f"{name}/{number}/{i}") % 2**31 for i in range(repeats)]
+        rows = jumps.train(number, luck, trial.point)
+        if len(rows) < repeats:
+            return number
         measures = averaged(rows)
         cost = sum(row["samples"] for row in rows)
         loop.tell(Report(trial.key, "ok", measures["cleared_height"], measures, cost))
@@ -272,6 +289,9 @@ def main() -> None:
     parser.add_argument("what", choices=("noise", "search", "table"))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=20.0, help="then no training goes on")
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs/jumps"), help="what is not finished"
+    )
     parser.add_argument("--take-offs", type=int, default=28, help="of noise")
     parser.add_argument("--searches", nargs="+", choices=list(LOOPS), default=list(LOOPS))
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(5)))
@@ -282,17 +302,30 @@ def main() -> None:
     until = time.monotonic() + 60 * given.minutes
     if given.what == "table":
         return table(given.seeds, given.trials, given.repeats, given.distinct)
-    with ProcessPoolExecutor(given.jobs, get_context("forkserver")) as pool:
-        if given.what == "noise":
-            ends = [pool.submit(noise, i, given.repeats, until) for i in range(given.take_offs)]
-        else:
-            ends = [
-                pool.submit(search, name, seed, given.trials, given.repeats, given.distinct, until)
-                for seed in given.seeds
-                for name in given.searches
-            ]
-        for number, end in enumerate(ends):
-            print(f"{given.what} {number}: {end.result()}", flush=True)
+    torch.set_num_threads(1)
+    given.runs.mkdir(parents=True, exist_ok=True)
+    if given.what == "noise":
+        files = {
+            f"noise_{i}": partial(noise, take_off=i, repeats=given.repeats)
+            for i in range(given.take_offs)
+        }
+    else:
+        kind = partial(search, trials=given.trials, repeats=given.repeats, distinct=given.distinct)
+        files = {
+            f"{name}_{seed}": partial(kind, name=name, seed=seed)
+            for seed in given.seeds
+            for name in given.searches
+        }
+    with (
+        ProcessPoolExecutor(given.jobs, get_context("forkserver")) as pool,
+        ThreadPoolExecutor(len(files)) as waiting,
+    ):
+        ends = {
+            name: waiting.submit(work, Jumps(name, pool, given.runs, until))
+            for name, work in files.items()
+        }
+        for name, end in ends.items():
+            print(f"{name}: {end.result()}", flush=True)
     return None
 
 

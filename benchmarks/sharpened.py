@@ -1,10 +1,12 @@
 """Table 3.1's skills trained from coarse physics on and at the fine one throughout: samples, success, feet, floor.
 
-``python benchmarks/sharpened.py --seeds 1 2 --workers 16`` trains each skill with each seed twice, beside each other on the
+``python benchmarks/sharpened.py --seeds 0 1 2 --workers 24`` trains each skill with each seed twice, beside each other on the
 processors and GPUs that there are: from 150 Hz on (``resolution.substeps=5``), and at 600 Hz. What was learned is judged as each
 training ends, at 600 Hz, and then played on a CPU, where `measured` of ``shipped.py`` says how feet slide and how deep the
 body is in the floor. A line of JSON each; they are appended to ``docs/benchmarks/sharpened.jsonl`` as they come. Seconds are
-those of trainings that share a machine. What is not finished after ``--minutes`` is ended and said to be so.
+those of trainings that share a machine. After ``--minutes`` trainings are told to save and end, and what they have is
+recorded as cut; the same command goes on with them, from ``--runs``. ``--together`` trains nothing: it writes ``sharpened_together.jsonl``, one
+physics beside the other, a line for each seed.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -54,23 +57,41 @@ PHYSICS = {"coarse_then_fine": "resolution.substeps=5", "fine": "resolution.subs
 PLAYS = 4
 
 
-def train(name: str, words: list[str], folder: Path, gpu: str | None, seconds: float) -> str:
-    """Train in a process of its own; returns how it ended: "" or what was wrong."""
-    command = [sys.executable, "-m", "understudy.command.cli", "train", *words, f"run.dir={folder}"]
+#: Seconds in which a training that is told to end has to save.
+SAVING = 30.0
+CUT = "ended by the clock"
+
+
+def visible(count: int, given: str | None) -> list[str]:
+    """What chooses each of the `count` GPUs that there are: of those that the variable already names, if it does."""
+    named = [name.strip() for name in (given or "").split(",") if name.strip()]
+    return (named or [str(index) for index in range(count)])[:count]
+
+
+def train(words: list[str], folder: Path, gpu: str | None, seconds: float) -> str:
+    """Train in a process of its own, or go on; returns how it ended: "" or what was wrong."""
+    if (folder / "evaluation.json").exists():
+        return ""
+    what = ["resume", str(folder)] if (folder / "run.json").exists() else ["train", *words]
+    command = [sys.executable, "-m", "understudy.command.cli", *what]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     if gpu is not None:
         environment["CUDA_VISIBLE_DEVICES"] = gpu
     log = folder.with_suffix(".log")
-    try:
-        with open(log, "w", encoding="utf-8") as file:
-            subprocess.run(
-                command, env=environment, stdout=file, stderr=file, check=True, timeout=seconds
-            )
-    except subprocess.TimeoutExpired:
-        return "ended by the clock"
-    except subprocess.CalledProcessError:
-        return f"{name}: {log.read_text(encoding='utf-8').strip().splitlines()[-1]}"
-    return ""
+    with open(log, "a", encoding="utf-8") as file:
+        process = subprocess.Popen(command, env=environment, stdout=file, stderr=file)
+        try:
+            status = process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            process.terminate()
+            try:
+                process.wait(SAVING)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            return CUT
+    said = log.read_text(encoding="utf-8").strip().splitlines()
+    return f"{folder.name}: {said[-1] if said else status}" if status else ""
 
 
 def played(folder: Path) -> dict[str, float]:
@@ -95,15 +116,20 @@ def played(folder: Path) -> dict[str, float]:
 
 
 def row(folder: Path) -> dict[str, Any]:
-    """What is known of the finished run in `folder`."""
-    run = open_run(folder)
-    metrics = list(run.metrics())
-    judged = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
+    """What is known of the run in `folder`, be it cut."""
+    metrics = list(open_run(folder).metrics())
+    if not metrics:
+        return {}
     marks = [m for m in metrics if any(key.startswith("mark/") for key in m)]
-    return {
+    found = {
         "samples": metrics[-1]["samples"],
         "training_seconds": round(metrics[-1]["seconds"], 1),
         "sharpened_at": [[m["samples"], round(m["seconds"], 1)] for m in marks],
+    }
+    if not (folder / "evaluation.json").exists():
+        return found
+    judged = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
+    return found | {
         "success_rate": judged["success_rate"],
         "episodes": judged["episodes"],
         "measures": {n: round(m["mean"], 4) for n, m in judged["measures"].items()},
@@ -111,20 +137,79 @@ def row(folder: Path) -> dict[str, Any]:
     }
 
 
+def finished(rows: Iterable[dict[str, Any]]) -> dict[tuple[str, int, str], dict[str, Any]]:
+    """The rows of whole trainings, by skill, seed and physics."""
+    return {(r["skill"], r["seed"], r["physics"]): r for r in rows if not r.get("wrong")}
+
+
+def together(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One physics beside the other: for each seed, over the skills that have both.
+
+    Minutes and samples are sums, of which `ratio` and `samples_ratio` are coarse-then-fine to fine; all else is the
+    mean of what coarse-then-fine has more.
+    """
+    found = finished(rows)
+    more = {
+        "from_start": "measures.success_from_clip_start", "from_any_phase": "measures.success_from_any_phase",
+        "slide": "played.slide", "sink": "played.sink", "jerk": "played.jerk",
+    }  # fmt: skip
+    lines = []
+    for seed in sorted({seed for _, seed, _ in found}):
+        both = [s for s in SKILLS if all((s, seed, physics) in found for physics in PHYSICS)]
+        if not both:
+            continue
+        coarse, fine = ([found[s, seed, physics] for s in both] for physics in PHYSICS)
+        sums = [sum(r["training_seconds"] for r in of) / 60 for of in (coarse, fine)]
+        samples = [sum(r["samples"] for r in of) for of in (coarse, fine)]
+        differences = {
+            name: round(
+                float(np.mean([_at(c, at) - _at(f, at) for c, f in zip(coarse, fine, strict=True)])), 5
+            )
+            for name, at in more.items()
+        }  # fmt: skip
+        line = {
+            "seed": seed, "when": max(r["when"] for r in (*coarse, *fine)), "skills": len(both),
+            "without": [s for s in SKILLS if s not in both],
+            "minutes": [round(of, 3) for of in sums], "ratio": round(sums[0] / sums[1], 4),
+            "samples": samples, "samples_ratio": round(samples[0] / samples[1], 4),
+        }  # fmt: skip
+        lines.append(line | differences)
+    return lines
+
+
+def _at(row: dict[str, Any], path: str) -> float:
+    first, _, name = path.partition(".")
+    return row[first][name]
+
+
+def recorded(path: Path) -> list[dict[str, Any]]:
+    """The rows of the file `path`, if there is one."""
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    return [json.loads(line) for line in text.splitlines()]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--skills", nargs="+", choices=list(SKILLS), default=list(SKILLS))
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--physics", nargs="+", choices=list(PHYSICS), default=list(PHYSICS))
     parser.add_argument("--workers", type=int, default=8, help="trainings at once")
     parser.add_argument("--minutes", type=float, default=8.5, help="until trainings are ended")
-    parser.add_argument("--runs", type=Path, help="the folder of runs; else a temporary one")
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs/sharpened"), help="of the trainings"
+    )
     parser.add_argument("--out", type=Path, default=RESULTS, help="where records are appended")
+    parser.add_argument("--together", action="store_true", help="compare what is recorded")
     parser.add_argument("overrides", nargs="*", help="of every training")
     given = parser.parse_args()
-    gpus = [str(index) for index in range(torch.cuda.device_count())]
-    common = [*TABLE, *(["simulator=mujoco_warp", "num_worlds=512"] if gpus else [])]
+    if given.together:
+        lines = together(recorded(given.out))
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        given.out.with_name("sharpened_together.jsonl").write_text(text, encoding="utf-8")
+        return print(text, end="")
     ends = time.monotonic() + 60 * given.minutes
+    gpus = visible(torch.cuda.device_count(), os.environ.get("CUDA_VISIBLE_DEVICES"))
+    common = [*TABLE, *(["simulator=mujoco_warp", "num_worlds=512"] if gpus else [])]
     about = {
         "when": time.strftime("%Y-%m-%d"),
         "machine": torch.cuda.get_device_name() if gpus else "CPU",
@@ -132,35 +217,42 @@ def main() -> None:
         "at_once": given.workers,
     }
 
-    def work(index: int, skill: str, seed: int, physics: str) -> dict[str, Any]:
+    def work(index: int, skill: str, seed: int, physics: str) -> tuple[Path, dict[str, Any]]:
         folder = given.runs / f"{skill}-{seed}-{physics}"
+        found = {**about, "skill": skill, "seed": seed, "physics": physics}
+        if (left := ends - time.monotonic()) <= 0:
+            return folder, {}
         words = [
             f"experiment=spacetime/{skill}", f"seed={seed}", *common, *SKILLS[skill], PHYSICS[physics],
-            *given.overrides,
+            *given.overrides, f"run.dir={folder}",
         ]  # fmt: skip
-        found: dict[str, Any] = {"skill": skill, "seed": seed, "physics": physics}
-        gpu = gpus[index % len(gpus)] if gpus else None
-        wrong = train(folder.name, words, folder, gpu, max(1.0, ends - time.monotonic()))
-        return (
-            {**about, **found, "wrong": wrong} if wrong else {**about, **found, "run": str(folder)}
-        )
+        # What is compared shares a GPU.
+        gpu = gpus[index // len(given.physics) % len(gpus)] if gpus else None
+        wrong = train(words, folder, gpu, left)
+        return folder, found | ({"wrong": wrong} if wrong else {})
 
-    with tempfile.TemporaryDirectory() as temporary:
-        given.runs = given.runs or Path(temporary)
-        given.runs.mkdir(parents=True, exist_ok=True)
-        if gpus:  # which compiles the kernels, for all of them
+    given.runs.mkdir(parents=True, exist_ok=True)
+    if gpus:  # which compiles the kernels, for all of them
+        with tempfile.TemporaryDirectory() as first:
             words = [f"experiment=spacetime/{given.skills[0]}", *common, "budget.samples=1"]
-            train("first", words, given.runs / "first", gpus[0], 200.0)
-        jobs = [(s, n, p) for n in given.seeds for s in given.skills for p in given.physics]
-        with ThreadPoolExecutor(given.workers) as pool:
-            waiting = [pool.submit(work, index, *job) for index, job in enumerate(jobs)]
-            for future in as_completed(waiting):
-                found = future.result()
-                if "run" in found:  # measured one after the other, while others train
-                    found |= row(Path(found.pop("run")))
-                print(line := json.dumps(found), flush=True)
-                with open(given.out, "a", encoding="utf-8") as file:
-                    file.write(line + "\n")
+            train([*words, f"run.dir={first}/run"], Path(first, "run"), gpus[0], 200.0)
+    done = finished(recorded(given.out))
+    # Longest first, so that none is left alone at the end; the two physics of one beside each other.
+    jobs = [(s, n, p) for s in given.skills for n in given.seeds for p in given.physics]
+    jobs = [job for job in jobs if job not in done]
+    with ThreadPoolExecutor(given.workers) as pool:
+        waiting = [pool.submit(work, index, *job) for index, job in enumerate(jobs)]
+        for future in as_completed(waiting):
+            folder, found = future.result()
+            if not found:
+                continue
+            if (folder / "run.json").exists():  # measured one after the other, while others train
+                found |= row(folder)
+            print(line := json.dumps(found), flush=True)
+            with open(given.out, "a", encoding="utf-8") as file:
+                file.write(line + "\n")
+    print(f"{len(finished(recorded(given.out)))} trainings are whole", flush=True)
+    return None
 
 
 if __name__ == "__main__":
