@@ -68,10 +68,9 @@ LOOPS = {
 class Jumps:
     """The trainings of one file, made in the processes of `pool` where they are missing."""
 
-    def __init__(self, name: str, pool: Executor, runs: Path, until: float) -> None:
-        self._name, self._pool, self._runs, self._until = name, pool, runs, until
-        self._file = RESULTS / f"{name}.jsonl"
-        lines = self._file.read_text().splitlines() if self._file.exists() else []
+    def __init__(self, file: Path, pool: Executor, runs: Path, until: float) -> None:
+        self._file, self._pool, self._runs, self._until = file, pool, runs, until
+        lines = file.read_text().splitlines() if file.exists() else []
         self._known = {(row["take_off"], row["repeat"]): row for row in map(json.loads, lines)}
 
     def point(self, take_off: int) -> dict[str, float] | None:
@@ -83,7 +82,7 @@ class Jumps:
     ) -> list[dict[str, Any]]:
         """The rows of a take-off's trainings, beside each other, one for each seed; without those that the time cut."""
         missing = {
-            self._pool.submit(train, self._runs / f"{self._name}_{take_off}_{i}", seed, point, self._until): i
+            self._pool.submit(train, self._runs / f"{self._file.stem}_{take_off}_{i}", seed, point, self._until): i
             for i, seed in enumerate(seeds)
             if (take_off, i) not in self._known
         }  # fmt: skip
@@ -91,11 +90,10 @@ class Jumps:
             if (found := end.result()) is None:
                 continue
             row = {"take_off": take_off, "repeat": missing[end], **found}
-            RESULTS.mkdir(parents=True, exist_ok=True)
             with self._file.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
             self._known[take_off, missing[end]] = row
-            shutil.rmtree(self._runs / f"{self._name}_{take_off}_{missing[end]}")
+            shutil.rmtree(self._runs / f"{self._file.stem}_{take_off}_{missing[end]}")
         known = (self._known.get((take_off, i)) for i in range(len(seeds)))
         return [row for row in known if row is not None]
 
@@ -292,6 +290,7 @@ def main() -> None:
     parser.add_argument(
         "--runs", type=Path, default=Path("runs/jumps"), help="what is not finished"
     )
+    parser.add_argument("--records", type=Path, default=RESULTS, help="what is finished")
     parser.add_argument("--take-offs", type=int, default=28, help="of noise")
     parser.add_argument("--searches", nargs="+", choices=list(LOOPS), default=list(LOOPS))
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(5)))
@@ -303,7 +302,8 @@ def main() -> None:
     if given.what == "table":
         return table(given.seeds, given.trials, given.repeats, given.distinct)
     torch.set_num_threads(1)
-    given.runs.mkdir(parents=True, exist_ok=True)
+    for folder in (given.runs, given.records):
+        folder.mkdir(parents=True, exist_ok=True)
     if given.what == "noise":
         files = {
             f"noise_{i}": partial(noise, take_off=i, repeats=given.repeats)
@@ -321,7 +321,9 @@ def main() -> None:
         ThreadPoolExecutor(len(files)) as waiting,
     ):
         ends = {
-            name: waiting.submit(work, Jumps(name, pool, given.runs, until))
+            name: waiting.submit(
+                work, Jumps(given.records / f"{name}.jsonl", pool, given.runs, until)
+            )
             for name, work in files.items()
         }
         for name, end in ends.items():

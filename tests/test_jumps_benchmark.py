@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,53 @@ def test_coverage_is_of_what_all_searches_found() -> None:
     assert rows["random"]["succeeded"] == pytest.approx(2 / 3)
 
 
-def test_a_training_that_is_recorded_is_not_made_again() -> None:
+class Made:
+    """In place of processes: a training at once, or None where the time cuts it."""
+
+    def __init__(self, cut: set[str]) -> None:
+        self.cut, self.asked = cut, list[str]()
+
+    def submit(self, train: Any, folder: Path, seed: int, point: Any, until: float) -> Future[Any]:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.asked.append(folder.name)
+        row = training(0, 0, 0.1) | {"seed": seed, "point": dict(point)}
+        made = {name: row[name] for name in ("seed", "point", "samples", "seconds", "measures")}
+        future = Future[Any]()
+        future.set_result(None if folder.name in self.cut else made)
+        return future
+
+
+def test_a_training_that_is_recorded_is_not_made_again(tmp_path: Path) -> None:
     write("bayesian_0", [training(0, 0, 0.1)])
-    known = jumps.Jumps("bayesian_0", until=0.0)
-    assert known.train(0, 0, 5, {})["seed"] == 0
+    pool = Made(set())
+    known = jumps.Jumps(tmp_path / "bayesian_0.jsonl", pool, tmp_path / "runs", 0.0)  # type: ignore[arg-type]
+    assert [row["seed"] for row in known.train(0, [5], {})] == [0]
+    assert not pool.asked
+
+
+def test_a_search_that_is_cut_asks_for_what_is_missing_at_the_same_take_off(tmp_path: Path) -> None:
+    """Also where only the second training of a take-off is on record: its place is not drawn anew."""
+    journal = tmp_path / "random_0.jsonl"
+
+    def go_on(cut: set[str]) -> tuple[int, list[str]]:
+        pool = Made(cut)
+        made = jumps.Jumps(journal, pool, tmp_path / "runs", 0.0)  # type: ignore[arg-type]
+        return jumps.search(made, "random", 0, 3, 2, 1.2), pool.asked
+
+    assert go_on({"random_0_1_0"}) == (
+        1,
+        ["random_0_0_0", "random_0_0_1", "random_0_1_0", "random_0_1_1"],
+    )
+    (place,) = {
+        json.dumps(r["point"])
+        for r in map(json.loads, journal.read_text().splitlines())
+        if r["take_off"]
+    }
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [
+        "random_0_1_0"
+    ]  # it goes on there
+    assert go_on(set()) == (3, ["random_0_1_0", "random_0_2_0", "random_0_2_1"])
+    rows = [json.loads(line) for line in journal.read_text().splitlines()]
+    assert {json.dumps(r["point"]) for r in rows if r["take_off"] == 1} == {place}
+    assert len({r["seed"] for r in rows}) == len(rows) == 6
+    assert not [*(tmp_path / "runs").iterdir()]
