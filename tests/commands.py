@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
@@ -150,15 +150,33 @@ def forked(
 ) -> subprocess.CompletedProcess[str]:
     """Carry `code` out as :func:`begin_code` does, to its end; as :func:`worlds.python`, for what does not
     ask how an interpreter starts."""
+    return forked_together(code, *arguments, cwd=cwd, environments=[environment])[0]
+
+
+def forked_together(
+    code: str, *arguments: str, cwd: Path, environments: Sequence[Mapping[str, str]]
+) -> list[subprocess.CompletedProcess[str]]:
+    """As :func:`forked`, in as many processes side by side as there are `environments`."""
     with tempfile.TemporaryDirectory() as folder:
-        said = [Path(folder) / name for name in ("out", "err")]
-        process = begin_code(code, *arguments, cwd=cwd, out=said[0], err=said[1], **environment)
-        process.join(120)
-        if process.is_alive():
-            process.kill()
-            raise subprocess.TimeoutExpired(code, 120)
-        texts = [file.read_text() for file in said]
-    return subprocess.CompletedProcess(arguments, process.exitcode, *texts)
+        said = [
+            (Path(folder) / f"{i}.out", Path(folder) / f"{i}.err") for i in range(len(environments))
+        ]
+        processes = [
+            begin_code(code, *arguments, cwd=cwd, out=out, err=err, **environment)
+            for environment, (out, err) in zip(environments, said, strict=True)
+        ]
+        try:
+            for process in processes:
+                process.join(120)
+                if process.is_alive():
+                    raise subprocess.TimeoutExpired(code, 120)
+        finally:
+            for process in processes:
+                process.kill()
+        return [
+            subprocess.CompletedProcess(arguments, process.exitcode, *map(Path.read_text, files))
+            for process, files in zip(processes, said, strict=True)
+        ]
 
 
 def wait_for(process: Any, there: Path, seconds: float = 60.0) -> None:

@@ -7,11 +7,10 @@ import json
 import os
 import socket
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from worlds import child_environment
+from commands import forked_together
 
 pytest.importorskip("torch.distributed")
 
@@ -35,27 +34,11 @@ def free_port() -> int:
 
 
 def together(tmp_path: Path, code: str, *arguments: str) -> list[subprocess.CompletedProcess[str]]:
-    """Both processes' ends; neither may take more than a minute."""
+    """Both processes' ends; neither may take more than two minutes."""
     shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": "2"}
-    children = [
-        subprocess.Popen(
-            [sys.executable, "-c", CLI + code, *arguments], cwd=tmp_path, text=True,
-            env=child_environment(RANK=str(rank), LOCAL_RANK=str(rank), GLOO_SOCKET_IFNAME="lo", **shared),
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )
-        for rank in range(2)
-    ]  # fmt: skip
-    try:
-        ends = []
-        for child in children:
-            out, errors = child.communicate(timeout=90)
-            ends.append(subprocess.CompletedProcess(child.args, child.returncode, out, errors))
-        return ends
-    finally:
-        for child in children:
-            if child.poll() is None:
-                child.kill()
-                child.communicate()
+    shared |= {"GLOO_SOCKET_IFNAME": "lo"}
+    ranks = [{"RANK": str(rank), "LOCAL_RANK": str(rank), **shared} for rank in range(2)]
+    return forked_together(CLI + code, *arguments, cwd=tmp_path, environments=ranks)
 
 
 TRAIN = "sys.exit(main(['train', *c.LINE_TASK, 'budget.samples=32', *sys.argv[1:], *extra]))"

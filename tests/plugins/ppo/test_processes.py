@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from commands import forked_together
 from line_task import STEP, Line, line_context, make_policy
 from torch import Tensor
-from worlds import child_environment
 
 from understudy.task import Rollout
 from understudy_networks.nn import Schedule
@@ -23,12 +21,15 @@ from understudy_ppo.losses import KLPenalty
 STEPS, WORLDS = 8, 16
 
 CHILD = """
-import sys, torch, torch.distributed as dist, test_processes as t
-rank, folder = int(sys.argv[1]), sys.argv[2]
+import os, sys, torch, torch.distributed as dist
+here, folder, case = sys.argv[1:]
+sys.path.append(here)
+import test_processes as t
+rank = int(os.environ["RANK"])
 torch.set_num_threads(1)
 dist.init_process_group("gloo", init_method=f"file://{folder}/meet", rank=rank, world_size=2)
 whole = torch.load(f"{folder}/rollout.pt", weights_only=False)
-torch.save(t.after(t.half(whole, rank), t.WORLDS // 2, sys.argv[3]), f"{folder}/{rank}.pt")
+torch.save(t.after(t.half(whole, rank), t.WORLDS // 2, case), f"{folder}/{rank}.pt")
 dist.destroy_process_group()
 """
 
@@ -68,18 +69,10 @@ def after(given: Rollout, worlds: int, case: str) -> dict[str, Any]:
 def test_two_processes_are_one(tmp_path: Path, case: str) -> None:
     whole = Line(line_context(STEP, WORLDS), made(WORLDS)).collect(STEPS)
     torch.save(whole, tmp_path / "rollout.pt")
+    alone = [{"GLOO_SOCKET_IFNAME": "lo", "RANK": str(rank)} for rank in range(2)]
     here = str(Path(__file__).parent)
-    environment = child_environment(GLOO_SOCKET_IFNAME="lo")
-    environment["PYTHONPATH"] += f":{here}"
-    children = [
-        subprocess.Popen([sys.executable, "-c", CHILD, str(rank), str(tmp_path), case], env=environment)
-        for rank in range(2)
-    ]  # fmt: skip
-    try:
-        assert [child.wait(timeout=120) for child in children] == [0, 0]
-    finally:
-        for child in children:
-            child.kill()
+    ends = forked_together(CHILD, here, str(tmp_path), case, cwd=tmp_path, environments=alone)
+    assert [end.returncode for end in ends] == [0, 0], [end.stderr for end in ends]
     one = after(whole, WORLDS, case)
     both = [torch.load(tmp_path / f"{rank}.pt", weights_only=False) for rank in range(2)]
     for name, value in one["weights"].items():
