@@ -37,9 +37,12 @@ from understudy_tensors import rotations
 Worn = Literal["on_shoulders", "held", "tucked"]
 #: m: so high is the neck's highest point of the pattern above the base of the neck, and so far the cloth from skin.
 _NECK, _CLEAR = 0.115, 0.012
-#: m, of the right hand's mirror: where a hand holds the hem, and where the other is under it.
-_HELD_AT = (0.34, -0.03, -0.42)
-_TUCKED_AT = ((0.08, 0.22, -0.60), (0.10, 0.22, -0.45), (0.12, 0.21, -0.32))
+#: m, of the right hand's mirror: where a hand holds the hem, and where the other goes under it: in front of the body, so
+#: that no elbow is driven into the shirt's back.
+_HELD_AT = (0.38, -0.02, -0.35)
+_TUCKED_AT = ((0.20, 0.05, -0.66), (0.26, 0.03, -0.50), (0.29, 0.03, -0.40))
+#: m: so far do links stay apart that no joint connects, where there is room; it weighs so many times a fingertip's error.
+_APART, _WEIGHT = 0.003, 3.0
 #: s: until the shirt hangs; a hand on its way; until it hangs again.
 _SETTLES, _GOES, _HANGS = 0.8, 0.6, 0.4
 _PERIOD = 0.01
@@ -137,8 +140,7 @@ class ShirtScene(GarmentScene):
         ConfigError
             if the cloth flies apart.
         """
-        person = PersonScene(PersonScene.Options())
-        moves = _Moves(person, self)
+        moves = _Moves(self)
         moves.hold(_SETTLES, closed=(False, False))
         holder: Side = "left" if side == "right" else "right"
         closed = tuple(name == holder for name in HOLDERS)
@@ -147,7 +149,7 @@ class ShirtScene(GarmentScene):
             moves.reach(holder, moves.patch(holder), _GOES, (False, False))
             moves.reach(holder, mirrored * _HELD_AT, _GOES, closed)
         if worn == "tucked":
-            for place in _TUCKED_AT:  # up along the body, not around the hem
+            for place in _TUCKED_AT:  # up between body and hem, not around the hem
                 moves.reach(side, mirrored * place, _GOES, closed)
         if worn != "on_shoulders":
             moves.hold(_HANGS, closed)
@@ -167,10 +169,13 @@ class _Alone(ClothScene):
 
 
 class _Moves:
-    """One world of the shirt on the CPU, on a person that is led."""
+    """One world of the shirt on the CPU, on a person that is led, and whose links keep apart as the subtasks' do: those
+    that begin in each other would be thrown out by the first step."""
 
-    def __init__(self, person: PersonScene, scene: ShirtScene) -> None:
+    def __init__(self, scene: ShirtScene) -> None:
+        person = PersonScene(PersonScene.Options(self_collision=True))
         self._body = person.spec().compile()
+        self._body.geom_margin[:] = _APART
         self._data = mujoco.MjData(self._body)
         self._pose = neutral_pose(person).numpy().astype(float)
         self._neutral = self._pose.copy()
@@ -229,12 +234,13 @@ class _Moves:
             pose[mine] = q
             self._place(pose)
             tip = self._data.xpos[hand] + self._data.xmat[hand].reshape(3, 3) @ np.array(TIP)
-            return np.concatenate([tip - target, 0.01 * (q - self._neutral[mine])])
+            mujoco.mj_collision(self._body, self._data)
+            near = sum(max(0.0, _APART - contact.dist) for contact in self._data.contact)
+            return np.concatenate([tip - target, 0.01 * (q - self._neutral[mine]), [_WEIGHT * near]])
 
         begin, end = self._pose.copy(), self._pose.copy()
-        end[mine] = least_squares(
-            off, np.clip(begin[mine], low + 1e-3, high - 1e-3), bounds=(low, high)
-        ).x
+        inside = np.clip(begin[mine], low + 1e-3, high - 1e-3)
+        end[mine] = least_squares(off, inside, bounds=(low, high), diff_step=1e-4).x
         count = round(seconds / _PERIOD)
         for k in range(count):
             share = (k + 1) / count
