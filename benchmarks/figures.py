@@ -52,11 +52,15 @@ _PLACE = re.compile(r"(<!-- figures: (\S+) -->)(.*?)(<!-- /figures -->)", re.S)
 _TABLE = re.compile(r"((?:^<!--.*?-->\n+)?)((?:^\|.*\n)+)", re.M)
 _RESULT = re.compile(
     r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d|\d[^|\[]{0,6} \[[-−+]?\d"
+    r"|\d ?(?:k|m|cm|mm|s|ms|rad|°|Hz|m/s)(?=[ ,;)|]|$)"
 )
 _NUMBER = re.compile(r"(?<![\w.])\d[\d ]*(?:\.\d+)?(?:e\d+)?")
 #: What a number on a page may be of one in a record: itself, in per cent, in ms or mm, in k, in M, in minutes.
 _SCALES = (1.0, 100.0, 1e3, 1e-3, 1e-6, 1 / 60)
-_SETTINGS = re.compile(r"\bdefault\b|\boption\b|\bconstant\b|\bvalue\b.*\b(source|why)\b")
+_SETTINGS = re.compile(
+    r"\bdefault\b|\boption\b|\bconstant\b|\bdecided\b|^\| paper(?:, thesis)? \| here \||\bwhat \| value\b"
+    r"|\bvalue\b.*\b(source|why)\b"
+)
 
 
 # ---------------------------------------------------------------------- records

@@ -50,6 +50,22 @@ def test_a_result_without_a_record_is_seen(line: str) -> None:
     assert not figures.untraced(page, "| option | default |\n|---|---|\n| `x` | 2 % |\n")
 
 
+@pytest.mark.parametrize(
+    "cell",
+    ["0.20 m", "1.5 cm", "2.4 rad", "19 s", "12 ms", "131°", "116.9 k", "0.3 m/s, of 4", "3 m (2)"],
+)
+def test_a_result_is_known_by_its_unit(cell: str) -> None:
+    page, table = figures.PAGES[0], f"| | a |\n|---|---|\n| b | {cell} |\n"
+    assert len(figures.untraced(page, table)) == 1
+    assert not figures.untraced(page, table.replace("| | a |", "| paper | here |"))
+
+
+@pytest.mark.parametrize("page", figures.PAGES, ids=lambda page: page.stem)
+def test_no_page_says_a_sentence_twice_running(page: Path) -> None:
+    said = re.findall(r"(?<=[.:] )([^.:\n|]{8,}[.:]) \1", page.read_text(encoding="utf-8"))
+    assert not said
+
+
 def test_the_page_of_mistakes_has_the_answers_of_today() -> None:
     record = json.loads(mistakes.RECORD.read_text(encoding="utf-8"))
     assert mistakes.page(record) == mistakes.PAGE.read_text(encoding="utf-8")
