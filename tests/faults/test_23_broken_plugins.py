@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
 import signal
 import sys
@@ -24,8 +23,7 @@ from understudy.setup import plugins as plugins_module
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
-from understudy.setup.registry import KERNEL_KEYS, Registrar
-from understudy.setup.root import Root
+from understudy.setup.registry import Registrar
 from understudy.signals import StopRequest
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
@@ -404,10 +402,6 @@ def test_parts_without_a_name(what: str) -> None:
         }[what]()
 
     assert_isolated(loaded(module(understudy_register=register)), "Plugin 'stranger'")
-
-
-def test_all_keys_of_a_configuration_are_taken() -> None:
-    assert {f.name for f in dataclasses.fields(Root)} <= KERNEL_KEYS
 
 
 @pytest.mark.parametrize("value", [5, None, lambda register: None], ids=["5", "None", "unmarked"])
