@@ -13,6 +13,8 @@ from miniatures import make_stages
 from worlds import all_plugins
 
 from understudy.setup.plugins import Plugins
+from understudy_characters.character import Character
+from understudy_humanoid.character import build_spec
 
 #: Real clips, for the tests that want some; skipped with a reason where there are none.
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -26,6 +28,11 @@ torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
 def plugins() -> Plugins:
     """The installed plugins and the tests' own small tasks."""
     return all_plugins()
+
+
+@pytest.fixture(scope="session")
+def humanoid() -> Character:
+    return Character("humanoid", build_spec().compile())
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
+import warp as wp
 from torch import Tensor
 
 from understudy.running.training import Training
@@ -76,3 +79,15 @@ def rollouts_without_waiting(training: Training) -> None:
         assert all(value == value for value in row.values()), row
         with no_waiting():
             job.collector.collect(4)
+
+
+def cuda_code(module: Any, threads: int, folder: Path) -> str:
+    """What Warp's `module` is for a GPU, for which the compiler needs none; skips where there is no compiler."""
+    module.options["block_dim"] = threads
+    try:
+        files = wp.compile_aot_module(module, arch=90, module_dir=folder, use_ptx=True)
+    except RuntimeError as error:
+        if "nvrtc" in str(error).lower() or "cuda" in str(error).lower():
+            pytest.skip(f"no CUDA compiler: {error}")
+        raise
+    return Path(files[0]).read_text(errors="ignore")

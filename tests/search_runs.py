@@ -11,6 +11,16 @@ from understudy_sweeps.loops import OuterLoop, Report, Trial
 Told = list[Trial | Report]
 
 
+def retold(loop: OuterLoop, told: Sequence[Trial | Report]) -> Told:
+    """Tell a new `loop` what another one asked for and was told."""
+    for event in told:
+        if isinstance(event, Report):
+            loop.tell(event)
+        else:
+            assert loop.recall(event)
+    return list(told)
+
+
 def carry_on(
     loop: OuterLoop,
     objective: Callable[[Trial], float | None],
@@ -21,12 +31,7 @@ def carry_on(
 
     A trial costs 100 samples, at fidelity 0 a quarter of it.
     """
-    events: Told = list(told)
-    for event in events:
-        if isinstance(event, Report):
-            loop.tell(event)
-        else:
-            assert loop.recall(event)
+    events = retold(loop, told)
     asked = [event for event in events if isinstance(event, Trial)]
     if asked and events[-1] is asked[-1]:
         events.append(_report(loop, asked[-1], objective))

@@ -74,10 +74,7 @@ class Inputs:
             files = sorted(
                 (f for f in top.rglob("*") if f.is_file()), key=lambda f: (len(f.parts), f)
             )
-            self.kept[asked] = {
-                f.relative_to(folder).as_posix(): hashlib.sha256(f.read_bytes()).hexdigest()
-                for f in files
-            }
+            self.kept[asked] = {f.relative_to(folder).as_posix(): _digest(f) for f in files}
         self._read, self._fills, self.folder = {}, {}, folder
         return self.kept
 

@@ -195,9 +195,13 @@ def make_options(schema: type, values: Any, where: str) -> Any:
         raise ConfigError(
             f"{where}={as_yaml(values)} is not possible: it takes a mapping of {known}."
         )
-    arguments = checked_options(options_of(schema), values, where)
+    return filled(schema, checked_options(options_of(schema), values, where), where)
+
+
+def filled(schema: type, checked: Mapping[str, Any], where: str) -> Any:
+    """The dataclass `schema` of options that are `checked`, unless it refuses them itself."""
     try:
-        return schema(**arguments)
+        return schema(**checked)
     except ValueError as error:  # a dataclass's own range checks; they begin with the option's name
         raise ConfigError(f"{_below(where)}{error}") from error
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
 import signal
 import sys
@@ -24,15 +23,17 @@ from understudy.setup import plugins as plugins_module
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
-from understudy.setup.registry import KERNEL_KEYS, Registrar
-from understudy.setup.root import Root
+from understudy.setup.registry import Registrar
 from understudy.signals import StopRequest
 from understudy.testing import fake
 from understudy.testing.fake import FAKE_TASK
 
 
-def module(**hooks: Any) -> ModuleType:
+def module(options: Path | None = None, **hooks: Any) -> ModuleType:
+    """With a package's folder `options` of options, which is called conf."""
     made = ModuleType("stranger")
+    if options:
+        made.__file__, made.__package__ = str(options.parent / "__init__.py"), "stranger"
     for name, function in hooks.items():
         setattr(made, name, hookimpl(function))
     return made
@@ -171,7 +172,7 @@ def test_misspelled_hook() -> None:
     plain.understudy_regster = register  # type: ignore[attr-defined]  # not even marked as a hook
     assert_isolated(
         loaded(plain),
-        "defines 'understudy_regster', which is no hook. The hooks are: understudy_register,",
+        "defines 'understudy_regster', which is no hook. The hook is understudy_register.",
     )
 
 
@@ -182,18 +183,16 @@ def test_wrong_hook_signature() -> None:
 def test_config_directories(tmp_path: Path) -> None:
     (tmp_path / "conf/learner").mkdir(parents=True)
     (tmp_path / "conf/learner/ppo.yaml").write_text("name: stranger/learner\n")
-    shadows = module(understudy_config_directory=lambda: tmp_path / "conf")
+    shadows = module(tmp_path / "conf")
     assert_isolated(
         loaded(shadows), "the config option 'learner/ppo', which plugin 'ppo' provides already"
     )
-    (tmp_path / "mine/experiment").mkdir(parents=True)
-    (tmp_path / "mine/config.yaml").write_text("seed: 7\n")
-    takes = module(understudy_config_directory=lambda: tmp_path / "mine")
+    (tmp_path / "mine/conf/experiment").mkdir(parents=True)
+    (tmp_path / "mine/conf/config.yaml").write_text("seed: 7\n")
+    takes = module(tmp_path / "mine/conf")
     assert_isolated(
         loaded(takes), "the config option 'config', which understudy itself provides already"
     )
-    missing = module(understudy_config_directory=lambda: tmp_path / "nowhere")
-    assert_isolated(loaded(missing), "nowhere does not exist")
 
 
 class Distribution(NamedTuple):
@@ -334,22 +333,22 @@ def reason(error: BaseException) -> str:
 
 
 @pytest.mark.parametrize("error", ENDINGS, ids=reason)
-@pytest.mark.parametrize("when", ["import", "register", "directory"])
+@pytest.mark.parametrize("when", ["import", "register", "look"])
 def test_whatever_it_raises(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, when: str
 ) -> None:
     """Under the command line's watch for stop signals, of which there is none here."""
 
-    def fail(**_: Any) -> None:
+    def fail(_: Any) -> None:
         raise error
 
     def register(register: Registrar) -> None:
-        fail()
+        fail(register)
 
     what = {
         "import": error,
         "register": module(understudy_register=register),
-        "directory": module(understudy_config_directory=lambda: fail()),
+        "look": type("Touchy", (ModuleType,), {"__file__": property(fail)})("stranger"),
     }[when]
     with_entry(monkeypatch, entry(what))
     with StopRequest(at_once=True):
@@ -405,17 +404,13 @@ def test_parts_without_a_name(what: str) -> None:
     assert_isolated(loaded(module(understudy_register=register)), "Plugin 'stranger'")
 
 
-def test_all_keys_of_a_configuration_are_taken() -> None:
-    assert {f.name for f in dataclasses.fields(Root)} <= KERNEL_KEYS
-
-
-@pytest.mark.parametrize("hook", ["understudy_register", "understudy_run_observers"])
 @pytest.mark.parametrize("value", [5, None, lambda register: None], ids=["5", "None", "unmarked"])
-def test_hooks_that_are_none(hook: str, value: Any) -> None:
+def test_hooks_that_are_none(value: Any) -> None:
     stranger = ModuleType("stranger")
-    setattr(stranger, hook, value)
+    stranger.understudy_register = value  # type: ignore[attr-defined]
     assert_isolated(
-        loaded(stranger), f"its '{hook}' is no function marked with @understudy.hookimpl"
+        loaded(stranger),
+        "its 'understudy_register' is no function marked with @understudy.hookimpl",
     )
 
 
@@ -447,14 +442,14 @@ def test_options_that_cannot_be_read(tmp_path: Path, content: bytes | None, why:
         file.mkdir()
     else:
         file.write_bytes(content)
-    stranger = module(understudy_config_directory=lambda: tmp_path / "conf")
+    stranger = module(tmp_path / "conf")
     assert_isolated(loaded(stranger), f"its config option 'learner/strange' {why}")
 
 
 def test_anchors_within_reason_are_read(tmp_path: Path) -> None:
     (tmp_path / "conf/learner").mkdir(parents=True)
     (tmp_path / "conf/learner/strange.yaml").write_bytes(bomb(4))
-    assert status(loaded(module(understudy_config_directory=lambda: tmp_path / "conf"))) == "ok"
+    assert status(loaded(module(tmp_path / "conf"))) == "ok"
 
 
 def test_a_plugin_named_like_another(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -535,28 +530,38 @@ GO = (
 )
 
 
+def observed_by(observer: Callable[[], Any]) -> ModuleType:
+    def register(register: Registrar) -> None:
+        register.component("observer", "stranger/observer", observer)
+
+    return module(understudy_register=register)
+
+
 @pytest.mark.parametrize("event", ["started", "iteration", "finished", "judged"])
 @pytest.mark.parametrize("error", ENDINGS, ids=reason)
 def test_observers_that_end(
     with_stranger: Callable[[ModuleType], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], event: str,
     error: BaseException,
 ) -> None:  # fmt: skip
-    with_stranger(module(understudy_run_observers=lambda: [Ends(event, error)]))
+    with_stranger(observed_by(lambda: Ends(event, error)))
     assert unharmed(main, ["train", *GO, f"run.dir={tmp_path / 'run'}"]) == 0
     assert f"The observer Ends is left out: {reason(error)}" in capsys.readouterr().err
     assert (tmp_path / "run/evaluation.json").exists()
 
 
-@pytest.mark.parametrize("given", [5, [5], [object()], ["RunObserver"], *ENDINGS], ids=repr)
+@pytest.mark.parametrize("given", [5, None, object(), RunObserver, *ENDINGS], ids=repr)
 def test_observers_that_are_none(
     with_stranger: Callable[[ModuleType], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], given: Any
 ) -> None:  # fmt: skip
-    def observers() -> Any:
+    def observer() -> Any:
         if isinstance(given, BaseException):
             raise given
         return given
 
-    with_stranger(module(understudy_run_observers=observers))
+    with_stranger(observed_by(observer))
     assert unharmed(main, ["train", *GO, f"run.dir={tmp_path / 'run'}"]) == 0
-    assert "The observers of plugin 'stranger' are left out: " in capsys.readouterr().err
+    assert (
+        "The observer 'stranger/observer' of plugin 'stranger' is left out: "
+        in capsys.readouterr().err
+    )
     assert (tmp_path / "run/report.html").exists()  # which another's observer makes

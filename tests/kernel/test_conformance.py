@@ -260,9 +260,10 @@ initial_states: {name: fake/somewhere}
 
 def mine(tmp_path: Path, near: Any = fake.near_origin, task: str = TASK, **more: Any) -> Plugins:
     """The plugin ``mine``, with a task."""
-    (tmp_path / "task/mine").mkdir(parents=True)
-    (tmp_path / "task/mine/task.yaml").write_text(task)
+    (tmp_path / "conf/task/mine").mkdir(parents=True)
+    (tmp_path / "conf/task/mine/task.yaml").write_text(task)
     module = ModuleType("mine")
+    module.__file__, module.__package__ = str(tmp_path / "__init__.py"), "mine"
 
     def register(register: Registrar) -> None:
         register.component("reward", "mine/near", near)
@@ -271,7 +272,6 @@ def mine(tmp_path: Path, near: Any = fake.near_origin, task: str = TASK, **more:
             register.component(kind, "mine/more", factory)
 
     module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
-    module.understudy_config_directory = hookimpl(lambda: tmp_path)  # type: ignore[attr-defined]
     return load(only=[], extra=[("fake", fake), ("mine", module)])
 
 

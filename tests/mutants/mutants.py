@@ -226,7 +226,7 @@ MUTANTS = (
            "            except ZeroDivisionError as error:", f"{F23} -k observers_that_end"),
     Mutant("an observer leaves", TRAINING, "            except BaseException as error:  # it only watches: the run goes on",
            "            except Exception as error:", f"{F23} -k observers_that_end"),
-    Mutant("what is no observer", PLUGINS, "if not all(isinstance(o, RunObserver) for o in own):", "if False:", f"{F23} -k observers_that_are_none"),
+    Mutant("what is no observer", PLUGINS, "if not isinstance(observer, RunObserver):", "if False:", f"{F23} -k observers_that_are_none"),
     Mutant("a plugin's observers end a run", PLUGINS, """            except BaseException as error:
                 if is_stop(error):
                     raise

@@ -260,7 +260,6 @@ class Environment:
         everywhere = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
         self._begin(everywhere)
         promises.check_shapes(self.parts, self.table, self.action)
-        self.statistics.forget(everywhere)
         self.observations = self._first()
         return self.observations
 
@@ -336,7 +335,6 @@ class Environment:
     @_as_physics
     def begin(self, worlds: Tensor) -> dict[str, Tensor]:
         """Begin new episodes where `worlds` (N,) is true; returns the observations of all."""
-        self.statistics.forget(worlds)
         self._begin(worlds)
         self.observations = self._first()
         return self.observations
@@ -447,6 +445,7 @@ class Environment:
         return {name: without_unsound(value) for name, value in self._encode().items()}
 
     def _begin(self, worlds: Tensor) -> None:
+        self.statistics.forget(worlds)
         parts, before = self.parts, self._streams.state_dict()
         given = dict(parts.curriculum.begin(self._streams)) if parts.curriculum else {}
         self._hold(worlds, given)

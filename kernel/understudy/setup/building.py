@@ -140,10 +140,7 @@ def build_term(chosen: Chosen, context: Context) -> Term:
     function, options = chosen.component.factory, chosen.options
     if isinstance(function, type):
         function, options = chosen.build(context), None
-    counts = {k: v for k, v in chosen.extras.items() if k != "reads"}
-    return make_term(
-        chosen.where, chosen.name, function, options or {}, reads=chosen.extras["reads"], **counts
-    )
+    return make_term(chosen.where, chosen.name, function, options or {}, **chosen.extras)
 
 
 #: By kind: the attribute of its components' classes that says which fields they give.

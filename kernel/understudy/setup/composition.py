@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from understudy.errors import ConfigError, suggestion
 from understudy.setup.config import Experiment
 from understudy.setup.option_files import compose, parsed
 from understudy.setup.plugins import Plugins, installed, kernel_conf
-from understudy.setup.root import Root
+from understudy.setup.root import KEYS
 from understudy.setup.validation import GROUPS, at, refuse_code, unknown_key, validate
 
 __all__ = [
@@ -249,7 +248,7 @@ def options(plugins: Plugins, group: str) -> dict[str, Path]:
 
 
 #: Root keys that are values, not groups of options.
-_VALUES = frozenset(f.name for f in dataclasses.fields(Root)) - {"task", "reward", "termination"}
+_VALUES = KEYS - {"task", "reward", "termination"}
 
 
 def for_hydra(overrides: Sequence[str]) -> list[str]:
@@ -288,11 +287,12 @@ def split_overrides(
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
     """`overrides`, then `by`, without those of the former that the latter set anew."""
 
-    def key(override: str) -> str:
-        return override.lstrip("+~").partition("=")[0]
+    new = {*map(_key, by)}
+    return [*(o for o in overrides if _key(o) not in new), *by]
 
-    new = {key(o) for o in by}
-    return [*(o for o in overrides if key(o) not in new), *by]
+
+def _key(override: str) -> str:
+    return override.lstrip("+~").partition("=")[0]
 
 
 def _as_given(raw: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
@@ -333,7 +333,7 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
         folders = option_directories(plugins)
         config = compose(folders, for_hydra(kept))
         if chosen:  # what task and experiment say of other choices does not hold for these
-            own = [o for o in kept if re.split(r"[.=]", o.lstrip("+~"), maxsplit=1)[0] in chosen]
+            own = [o for o in kept if _key(o).partition(".")[0] in chosen]
             alone = compose(folders, for_hydra(own))
             with open_dict(config):
                 for key in chosen:

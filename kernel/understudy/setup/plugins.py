@@ -1,10 +1,9 @@
 """Plugin loading: entry points, tables and pluggy hooks, and the config directories plugins contribute.
 
 A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in tables
-(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. What is
-no data, one of the hooks below does, marked with ``@understudy.hookimpl``; a module that has hooks says
-``REQUIRES`` where its tables are to be read. The bundled plugins are loaded
-exactly like a stranger's.
+(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. What has to be
+found out, the hook below registers, marked with ``@understudy.hookimpl``; a module that has it says
+``REQUIRES`` where its tables are to be read. The bundled plugins are loaded exactly like a stranger's.
 """
 
 from __future__ import annotations
@@ -35,21 +34,11 @@ hookimpl = pluggy.HookimplMarker(GROUP)
 
 
 class Hooks:
-    """The hooks a plugin may implement."""
+    """The hook a plugin may implement."""
 
     @hookspec
     def understudy_register(self, register: Registrar) -> None:
         """Register what has to be found out, such as the files of a folder."""
-
-    @hookspec
-    def understudy_config_directory(self) -> str | Path | None:
-        """A directory of config options (``task/…``, ``policy/…``), if it is not ``conf`` beside the module."""
-        raise NotImplementedError
-
-    @hookspec
-    def understudy_run_observers(self) -> Iterable[RunObserver]:
-        """Observers of every training run (loggers, live views), beside the components of that kind."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -79,19 +68,18 @@ class Plugins:
         from understudy.records.observer import RunObserver
 
         found: list[RunObserver] = []
-        parts = [c for c in self.registry.components.values() if c.kind == "observer"]
-        for name, _ in self.manager.list_name_plugin():
+        for part in [c for c in self.registry.components.values() if c.kind == "observer"]:
             try:
-                own = [part.factory() for part in parts if part.plugin == name]
-                for group in _hook(self.manager, "understudy_run_observers", name)():
-                    own += group
-                if not all(isinstance(o, RunObserver) for o in own):
-                    raise TypeError(f"{own!r} are not all run observers")
-                found += own
+                observer = part.factory()
+                if not isinstance(observer, RunObserver):
+                    raise TypeError(f"{observer!r} is no run observer")
+                found.append(observer)
             except BaseException as error:
                 if is_stop(error):
                     raise
-                tell(f"The observers of plugin '{name}' are left out: {said(error)}")
+                tell(
+                    f"The observer '{part.name}' of plugin '{part.plugin}' is left out: {said(error)}"
+                )
         return found
 
 
@@ -181,11 +169,12 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
     manager = plugins.manager
     plugin = LoadedPlugin(name, distribution, version, "ok")
     try:
-        hooks = ", ".join(h for h in vars(Hooks) if h.startswith("understudy_"))
         hooked = [item for item in dir(module) if item.startswith("understudy_")]
         for item in hooked:
             if item not in vars(Hooks) and callable(getattr(module, item)):
-                raise PluginError(f"it defines '{item}', which is no hook. The hooks are: {hooks}.")
+                raise PluginError(
+                    f"it defines '{item}', which is no hook. The hook is understudy_register."
+                )
             if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):
                 raise PluginError(f"its '{item}' is no function marked with @understudy.hookimpl.")
         manager.register(module, name)
@@ -193,12 +182,9 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
         register = Registrar(plugins.registry, name, distribution, version)
         if not hooked or "REQUIRES" in dir(module):  # else its constants may be its own
             register.tables(module)
-        _hook(manager, "understudy_register", name)(register=register)
-        given = _hook(manager, "understudy_config_directory", name)()
-        if directory := Path(given[0]) if given else _conf(module):
-            plugin = replace(plugin, config_directory=directory)
-            if not directory.is_dir():
-                raise PluginError(f"its config directory {directory} does not exist.")
+        others = [p for p in manager.get_plugins() if p is not module]
+        manager.subset_hook_caller("understudy_register", others)(register=register)
+        plugin = replace(plugin, config_directory=_conf(module))
     except BaseException as error:  # as at import: named, isolated
         if is_stop(error):
             raise
@@ -212,12 +198,6 @@ def _conf(module: Any) -> Path | None:
     file = getattr(module, "__file__", None)
     beside = Path(file).parent / "conf" if file and getattr(module, "__package__", "") else None
     return beside if beside and beside.is_dir() else None
-
-
-def _hook(manager: pluggy.PluginManager, hook: str, plugin: str) -> Any:
-    """The hook as the one plugin implements it."""
-    others = [p for name, p in manager.list_name_plugin() if name != plugin and p is not None]
-    return manager.subset_hook_caller(hook, others)
 
 
 def kernel_conf() -> Path:

@@ -17,6 +17,7 @@ from typing import Any
 from understudy.errors import ConfigError, PluginError, said, suggestion
 from understudy.inputs import Inputs
 from understudy.options import Option, options_of
+from understudy.setup.root import KEYS
 from understudy.signals import is_stop
 
 __all__ = ["Component", "Registrar", "Registry"]
@@ -71,11 +72,7 @@ TABLES: dict[str, str] = {
 
 
 #: Keys of a configuration that are neither slot nor section.
-KERNEL_KEYS = frozenset((
-    "ablation", "budget", "checkpoint", "control", "defaults", "device", "difficulty", "episode",
-    "evaluation", "experiment", "hydra", "num_worlds", "resolution", "reward",
-    "run", "search", "seed", "start", "task", "termination",
-))  # fmt: skip
+KERNEL_KEYS = KEYS | {"ablation", "defaults", "experiment", "hydra", "search"}
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from understudy.options import check_range
@@ -207,3 +207,6 @@ class Root:
                 f"resolution.substeps={coarse} is not possible: physics begins coarser than it ends, "
                 f"so give at most control.substeps={own}, or null."
             )
+
+
+KEYS = frozenset(f.name for f in fields(Root))

@@ -12,17 +12,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from understudy.errors import ConfigError, suggestion
-from understudy.options import (
-    Option,
-    as_yaml,
-    checked_options,
-    known_option,
-    make_options,
-    options_of,
-)
+from understudy.options import Option, as_yaml, checked_options, filled, make_options, options_of
 from understudy.setup.config import Chosen, Experiment
 from understudy.setup.registry import Registry, Slot
-from understudy.setup.root import Root
+from understudy.setup.root import KEYS, Root
 from understudy.task.terms import Outcome, Reduction
 
 __all__ = ["EXTRAS", "at", "refuse_code", "root_keys", "validate"]
@@ -51,13 +44,12 @@ def validate(raw: Mapping[str, Any], registry: Registry) -> Experiment:
         key path.
     """
     refuse_code(raw)
-    own = {f.name for f in dataclasses.fields(Root)}
     known = root_keys(registry)
     for key in raw:
         if key not in known:
             raise ConfigError(unknown_key(str(key), registry) + registry.absent())
-    filled = {k: v for k, v in raw.items() if k in own and not (v is None and k in GROUPS)}
-    root = make_options(Root, filled, "")
+    given = {k: v for k, v in raw.items() if k in KEYS and not (v is None and k in GROUPS)}
+    root = make_options(Root, given, "")
     choices = {
         slot.name: tuple(_chosen(slot, at(raw, slot.name), registry))
         for slot in registry.slots.values()
@@ -93,8 +85,7 @@ def _refuse_negative(term: Chosen) -> None:
 
 def root_keys(registry: Registry) -> set[str]:
     """The keys at the top level of a configuration."""
-    slots = {slot for slot in registry.slots if "." not in slot}
-    return {f.name for f in dataclasses.fields(Root)} | slots | set(registry.sections)
+    return {slot for slot in registry.slots if "." not in slot}.union(KEYS, registry.sections)
 
 
 def unknown_key(key: str, registry: Registry) -> str:
@@ -144,19 +135,14 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     component_name, options = _named(value, where)
     component = registry.find(slot.kind, component_name, where)
     extra = EXTRAS.get(slot.kind, {})
-    given = {k: v for k, v in options.items() if k in extra}
-    extras = checked_options(extra, given, where)
-    own = {k: v for k, v in options.items() if k not in extra}
     schema = getattr(component.factory, "Options", None)
-    takes = {*(component.options if schema is None else options_of(schema)), *extra}
-    for key in own:
-        known_option(key, takes, where)
-    checked: Any
+    own = component.options if schema is None else options_of(schema)
+    checked: Any = checked_options({**own, **extra}, options, where)
+    extras = {key: checked.pop(key) for key in extra}
     if schema is not None:
-        checked = make_options(schema, own, where)
-    else:  # a function's options are its keyword-only parameters; a class without Options has none
-        checked = checked_options(component.options, own, where) or None
-    return Chosen(name, component, checked, where, extras)
+        checked = filled(schema, checked, where)
+    # A function's options are its keyword-only parameters; a class without Options has none.
+    return Chosen(name, component, checked or None, where, extras)
 
 
 def _named_part(value: Any) -> bool:

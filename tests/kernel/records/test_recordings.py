@@ -19,6 +19,7 @@ from understudy.running.training import Training
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import hookimpl, load
+from understudy.setup.registry import Registrar
 from understudy_inspect import judging
 from understudy_training import workflow
 
@@ -53,8 +54,9 @@ class Watch:
         self.watcher = watcher
 
     @hookimpl
-    def understudy_run_observers(self) -> list[RunObserver]:
-        return [Breaking(), self.watcher]
+    def understudy_register(self, register: Registrar) -> None:
+        register.component("observer", "breaking", Breaking)
+        register.component("observer", "watcher", lambda: self.watcher)
 
 
 @pytest.mark.parametrize("fields", [("qpos",), ()])

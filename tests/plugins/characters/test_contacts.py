@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 import mujoco
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from understudy_characters.character import Character
 from understudy_characters.contacts import feet, latched
-from understudy_humanoid.character import build_spec
 
 DOG = """
 <mujoco><worldbody><body name="trunk" pos="0 0 .5"><freejoint/>
@@ -29,11 +27,6 @@ LEG = """
     <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.2"/></body></body>
 """
 PAWS = {"front_left": (0.3, 0.1), "front_right": (0.3, -0.1), "left": (-0.3, 0.1), "right": (-0.3, -0.1)}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def humanoid() -> Character:
-    return Character("humanoid", build_spec().compile())
 
 
 def test_feet_are_what_the_zero_pose_stands_on(humanoid: Character) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import warp as wp
 from cloth_models import ARM, FLOOR, MODELS, everything, hung
+from on_gpu import cuda_code
 from sheets import PUSH, VARY, control, pushed, run, sheet, simulator
 from torch import Tensor
 
@@ -195,15 +195,7 @@ def test_the_scene_describes_itself() -> None:
 )
 def test_kernels_compile_for_cuda(features: Features, tmp_path: Path) -> None:
     """Whatever machine this is: the compiler needs no GPU."""
-    module = build_kernels(features).block.module
-    module.options["block_dim"] = features.threads
-    try:
-        files = wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=True)
-    except RuntimeError as error:
-        if "nvrtc" in str(error).lower() or "cuda" in str(error).lower():
-            pytest.skip(f"no CUDA compiler: {error}")
-        raise
-    code = Path(files[0]).read_text(errors="ignore")
+    code = cuda_code(build_kernels(features).block.module, features.threads, tmp_path)
     assert "bar.sync" in code
     assert ("ld.shared" in code) == (features.shared > 0), "positions are not where they should be"
     assert ("ld.shared.v4" in code) == features.weighted, "not read at once"

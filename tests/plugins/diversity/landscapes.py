@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from search_runs import Told, retold
+
 from understudy.options import make_options
 from understudy_sweeps.loops import OuterLoop, Report, Trial
 
-Told = list[Trial | Report]
 #: One feature, an angle, of points in the unit square.
 OPTIONS = {
     "parameters": {"a.x": {"low": 0.0, "high": 1.0}, "a.y": {"low": 0.0, "high": 1.0}},
@@ -40,12 +41,7 @@ def carry_on(
     told: Sequence[Trial | Report] = (),
 ) -> Told:
     """Tell `loop` what was `told`, then go on, one trial after another, to its end."""
-    events: Told = list(told)
-    for event in events:
-        if isinstance(event, Report):
-            loop.tell(event)
-        else:
-            assert loop.recall(event)
+    events = retold(loop, told)
 
     def report(trial: Trial) -> None:
         loop.tell(Report(trial.key, "running", 0.1, cost=5.0))

@@ -5,15 +5,8 @@ from __future__ import annotations
 import pytest
 from damage import walking
 
-from understudy_characters.character import Character
-from understudy_humanoid.character import build_spec
 from understudy_humanoid.clips import generated_walk
 from understudy_motion.clip import Clip
-
-
-@pytest.fixture(scope="session")
-def humanoid() -> Character:
-    return Character("humanoid", build_spec().compile())
 
 
 @pytest.fixture(scope="session")

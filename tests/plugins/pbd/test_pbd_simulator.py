@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import warp as wp
 from granular import MASS, RADIUS, Scene, control, run, simulator
+from on_gpu import cuda_code
 from particle_models import BLOCK, MODELS, SCRAPER, everything, grains
 from torch import Tensor
 
@@ -196,15 +196,7 @@ def test_kernels_compile_for_cuda(features: Features, tmp_path: Path) -> None:
     """Whatever machine this is: the compiler needs no GPU."""
     kernels = build_kernels(features)
     for name in ("block", "solve"):
-        module = getattr(kernels, name).module
-        module.options["block_dim"] = features.threads
-        try:
-            files = wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=True)
-        except RuntimeError as error:
-            if "nvrtc" in str(error).lower() or "cuda" in str(error).lower():
-                pytest.skip(f"no CUDA compiler: {error}")
-            raise
-        code = Path(files[0]).read_text(errors="ignore")
+        code = cuda_code(getattr(kernels, name).module, features.threads, tmp_path)
         if name == "block":
             assert "bar.sync" in code
             assert "ld.shared.v4" in code, "positions are not where they were meant to be"

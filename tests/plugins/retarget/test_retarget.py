@@ -42,11 +42,6 @@ def clip_named(name: str) -> Clip:
 
 
 @pytest.fixture(scope="module")
-def humanoid() -> Character:
-    return Character("humanoid", build_spec().compile())
-
-
-@pytest.fixture(scope="module")
 def walk(humanoid: Character) -> Clip:
     """The generated walk on the humanoid's own skeleton, hands and toes included."""
     walk = clip_named("walk")

@@ -14,6 +14,8 @@ import mujoco
 from understudy_characters.table import Joint, Link, Vector, add_joining, build_figure
 from understudy_mujoco.studio import LEARNED
 
+__all__ = ["joining"]
+
 _KNEE = Joint("hinge", 150, 500, 50, axis=(0, 1, 0), range=(0.0, 3.0))
 _ELBOW = Joint("hinge", 60, 300, 30, axis=(0, -1, 0), range=(0.0, 3.0))
 
@@ -105,25 +107,28 @@ STANDING_HEIGHT = 0.422 + 0.41 + 0.05
 
 COLOUR = LEARNED
 
-#: What joins the links in pictures: body, capsule's ends in its frame, radius.
-_TRUNK: tuple[tuple[str, Vector, Vector, float], ...] = (
-    ("root", (0, -0.06, 0.03), (0, 0.06, 0.03), 0.075),
-    ("root", (0, 0, 0.08), (0, 0, 0.21), 0.078),
-    ("chest", (0, 0, 0.02), (0, 0, 0.13), 0.09),
-    ("chest", (-0.015, -0.125, 0.215), (-0.015, 0.125, 0.215), 0.052),
-    ("neck", (0, 0, -0.02), (0, 0, 0.1), 0.045),
-    *(
-        (f"{side}_{name}", (0, 0, 0), (0, 0, end), radius)
-        for side in ("right", "left")
-        for name, end, radius in (
-            ("shoulder", -0.1, 0.047),
-            ("elbow", -0.24, 0.036),
-            ("hip", -0.12, 0.06),
-            ("knee", -0.06, 0.051),
-            ("ankle", -0.01, 0.04),
-        )
-    ),
-)
+
+def joining(**limbs: tuple[float, float]) -> tuple[tuple[str, Vector, Vector, float], ...]:
+    """What joins the links of a figure with this trunk in pictures: body, a capsule's ends in its frame, and
+    its radius. By name `limbs` has how far down those end that differ from the humanoid's, and their radius."""
+    ends = {
+        "shoulder": (-0.1, 0.047), "elbow": (-0.24, 0.036), "hip": (-0.12, 0.06), "knee": (-0.06, 0.051),
+        "ankle": (-0.01, 0.04),
+    }  # fmt: skip
+    return (
+        ("root", (0, 0, 0.08), (0, 0, 0.21), 0.078),
+        ("chest", (0, 0, 0.02), (0, 0, 0.13), 0.09),
+        ("chest", (-0.015, -0.125, 0.215), (-0.015, 0.125, 0.215), 0.052),
+        ("neck", (0, 0, -0.02), (0, 0, 0.1), 0.045),
+        *(
+            (f"{side}_{name}", (0, 0, 0), (0, 0, end), radius)
+            for side in ("right", "left")
+            for name, (end, radius) in (ends | limbs).items()
+        ),
+    )
+
+
+_TRUNK = (("root", (0, -0.06, 0.03), (0, 0.06, 0.03), 0.075), *joining())
 
 
 def build_spec(

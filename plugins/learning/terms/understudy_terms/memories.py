@@ -18,6 +18,16 @@ from understudy.running.soundness import rows
 from understudy.task import Context, Memory, Shape
 
 
+@dataclass(frozen=True)
+class Shaped:
+    """Options of what keeps values as they are."""
+
+    shape: tuple[int, ...] = ()  #: of the value, without N
+
+    def __post_init__(self) -> None:
+        _check_shape(self)
+
+
 def _check_shape(options: Any) -> None:
     check_range(options, "shape", least=1)
     if math.prod(options.shape) > 10_000:
@@ -51,14 +61,9 @@ class Latch(Memory):
 
     reads = ("value", "condition")
 
-    @dataclass(frozen=True)
-    class Options:
-        shape: tuple[int, ...] = ()  #: of the value, without N
+    Options = Shaped
 
-        def __post_init__(self) -> None:
-            _check_shape(self)
-
-    def __init__(self, options: Options, context: Context) -> None:
+    def __init__(self, options: Shaped, context: Context) -> None:
         self.keeps: Mapping[str, Shape] = {"latched": options.shape, "held": ()}
 
     def begin(self, value: Tensor, condition: Tensor) -> dict[str, Tensor]:
@@ -80,14 +85,9 @@ class RunningMean(Memory):
 
     reads = ("value", "episode_step")
 
-    @dataclass(frozen=True)
-    class Options:
-        shape: tuple[int, ...] = ()  #: of the value, without N
+    Options = Shaped
 
-        def __post_init__(self) -> None:
-            _check_shape(self)
-
-    def __init__(self, options: Options, context: Context) -> None:
+    def __init__(self, options: Shaped, context: Context) -> None:
         self.keeps: Mapping[str, Shape] = {"mean": options.shape}
 
     def begin(self, value: Tensor, episode_step: Tensor) -> dict[str, Tensor]:

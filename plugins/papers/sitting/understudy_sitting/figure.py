@@ -18,6 +18,7 @@ from collections.abc import Iterator
 import mujoco
 
 from understudy_characters.table import Joint, Link, Vector, add_joining, build_figure
+from understudy_humanoid.character import joining
 
 #: Height of the root above the soles in the zero pose.
 STANDING_HEIGHT = 0.882
@@ -100,30 +101,11 @@ BODIES: tuple[Link, ...] = (
     *_arm("left", 0.183),
 )
 
-#: What joins the links in pictures: body, a capsule's ends in its frame, radius.
-_JOINING: tuple[tuple[str, Vector, Vector, float], ...] = (
-    ("root", (0, 0, 0.08), (0, 0, 0.21), 0.078),
-    ("chest", (0, 0, 0.02), (0, 0, 0.13), 0.09),
-    ("chest", (-0.015, -0.125, 0.215), (-0.015, 0.125, 0.215), 0.052),
-    ("neck", (0, 0, -0.02), (0, 0, 0.1), 0.045),
-    *(
-        (f"{side}_{name}", (0, 0, 0), (0, 0, end), radius)
-        for side in ("right", "left")
-        for name, end, radius in (
-            ("shoulder", -0.1, 0.047),
-            ("elbow", -0.1, 0.041),
-            ("hip", -0.12, 0.056),
-            ("knee", -0.06, 0.051),
-            ("ankle", -0.01, 0.04),
-        )
-    ),
-)
-
 
 def build_humanoid() -> mujoco.MjSpec:
     """The humanoid on a floor, each hinge driven by a position servo."""
     spec = build_figure(
         BODIES, name="humanoid21", standing_height=STANDING_HEIGHT, timestep=TIMESTEP, colour=COLOUR
     )
-    add_joining(spec, _JOINING, COLOUR)
+    add_joining(spec, joining(elbow=(-0.1, 0.041), hip=(-0.12, 0.056)), COLOUR)
     return spec

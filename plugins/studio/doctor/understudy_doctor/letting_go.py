@@ -84,7 +84,7 @@ def bodies_of(character: Character, qpos: np.ndarray, qvel: np.ndarray) -> Bodie
     model, data = character.model, mujoco.MjData(character.model)
     parts, root = sorted(character.carrier), character.root
     centres, speeds, spins = np.zeros((3, len(qpos), 3))
-    inverses = np.zeros((len(qpos), 3, 3))
+    places, axes = np.zeros((len(qpos), len(parts), 3)), np.zeros((len(qpos), len(parts), 9))
     for frame, (data.qpos[:], data.qvel[:]) in enumerate(zip(qpos, qvel, strict=True)):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -92,8 +92,9 @@ def bodies_of(character: Character, qpos: np.ndarray, qvel: np.ndarray) -> Bodie
         mujoco.mj_subtreeVel(model, data)
         centres[frame], speeds[frame] = data.subtree_com[root], data.subtree_linvel[root]
         spins[frame] = data.subtree_angmom[root]
-        inverses[frame] = np.linalg.inv(_inertia(model, data, parts, centres[frame]))
-    return Bodies(centres, speeds, spins, inverses)
+        places[frame], axes[frame] = data.xipos[parts], data.ximat[parts]
+    inertia = _inertia(model, parts, places - centres[:, None], axes.reshape(*places.shape, 3))
+    return Bodies(centres, speeds, spins, np.linalg.inv(inertia))
 
 
 def let_go(clip: Clip, character: Character, floor: Floor = "lowest") -> LettingGo:
@@ -172,24 +173,20 @@ def _surface(character: Character, qpos: torch.Tensor) -> np.ndarray:
     """(F, P, 3) m: points of the figure's surface in the poses `qpos` (F, nq)."""
     owners, points = surface_points(character)
     model, data = character.model, mujoco.MjData(character.model)
-    bodies = [joint.body for joint in character.joints]
-    carriers = [bodies[owner] for owner in owners]
-    result = np.zeros((len(qpos), len(owners), 3))
-    for row, data.qpos[:] in zip(result, qpos.numpy(), strict=True):
+    carriers = [character.joints[owner].body for owner in owners]
+    places, axes = np.zeros((len(qpos), len(owners), 3)), np.zeros((len(qpos), len(owners), 9))
+    for frame, data.qpos[:] in enumerate(qpos.numpy()):
         mujoco.mj_kinematics(model, data)
-        axes = data.xmat[carriers].reshape(-1, 3, 3)
-        row[:] = data.xpos[carriers] + np.einsum("pij,pj->pi", axes, points.numpy())
-    return result
+        places[frame], axes[frame] = data.xpos[carriers], data.xmat[carriers]
+    return places + np.einsum("fpij,pj->fpi", axes.reshape(*places.shape, 3), points.numpy())
 
 
 def _inertia(
-    model: mujoco.MjModel, data: mujoco.MjData, parts: list[int], centre: np.ndarray
+    model: mujoco.MjModel, parts: list[int], arms: np.ndarray, axes: np.ndarray
 ) -> np.ndarray:
-    """(3, 3) kg m² of the bodies `parts` as one, about `centre`, along world axes."""
-    total = np.zeros((3, 3))
-    for body in parts:
-        axes = data.ximat[body].reshape(3, 3)
-        arm = data.xipos[body] - centre
-        total += (axes * model.body_inertia[body]) @ axes.T
-        total += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return total
+    """(F, 3, 3) kg m² of the bodies `parts`, P of them, as one, along world axes: `arms` (F, P, 3) m from
+    the point about which it is, with the principal `axes` (F, P, 3, 3)."""
+    own = (axes * model.body_inertia[parts][:, None] @ axes.swapaxes(2, 3)).sum(1)
+    mass = model.body_mass[parts]
+    across = np.einsum("p,fpi,fpj->fij", mass, arms, arms)
+    return own + np.trace(across, axis1=1, axis2=2)[:, None, None] * np.eye(3) - across

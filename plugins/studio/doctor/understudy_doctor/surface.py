@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,6 +12,7 @@ from understudy_characters.character import Character
 from understudy_characters.shapes import shapes
 
 
+@lru_cache(maxsize=8)  # each look at a clip asks for it anew
 def surface_points(character: Character) -> tuple[np.ndarray, Tensor]:
     """Of each geom the vertices that are outermost in 26 directions: the joint's row (P,), and the
     place in the joint's frame (P, 3)."""
