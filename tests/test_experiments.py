@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,29 @@ def test_it_composes_or_says_what_it_needs(group: str, name: str) -> None:
 def test_it_composes_when_it_is_given_what_it_needs(name: str) -> None:
     """What it needs is missed first, and would hide all other mistakes."""
     load_experiment([f"experiment={name}", *above(name, Path("runs"))], PLUGINS)
+
+
+def words(options: object) -> set[str]:
+    """Every text in nested options."""
+    if isinstance(options, Mapping):
+        return set().union(*map(words, options.values()))
+    if isinstance(options, (list, tuple)):
+        return set().union(*map(words, options))
+    return {options} if isinstance(options, str) else set()
+
+
+@pytest.mark.parametrize("name", [name for group, name in LISTED if group == "experiment"])
+def test_every_observation_is_read(name: str) -> None:
+    """By a network, or by another part of the policy: what no option of it names is computed for nobody. A policy says so
+    when it trains; a grip was trained so without its target."""
+    try:
+        needed = above(name, Path("runs")) if f"experiment={name}" in NEED else ()
+        experiment = load_experiment([f"experiment={name}", *needed], PLUGINS)
+        policy = experiment.need("policy")
+    except (PluginError, ConfigError):  # what is not installed here, and jobs without a policy
+        return
+    observed = {part.name for part in experiment.many("encoder")}
+    assert observed <= words(policy.effective())
 
 
 @pytest.mark.parametrize(("group", "name"), LOOPS)

@@ -64,6 +64,9 @@ def episode(environment: Environment, policy: Policy, decisions: int = 70) -> di
         assert not step.unsound.any()
         for name in names:
             seen[name].append(environment.table[name].clone())
+        # each control period's, by itself, and each decision's
+        assert torch.equal(environment.table["limb_progress"], environment.table["progress"])
+        assert (environment.table["most_progress"] >= environment.table["progress"]).all()
         seen["reward"].append(step.rewards.clone())
         assert not step.ended.any()
     return {name: torch.stack(values) for name, values in seen.items()}

@@ -13,6 +13,7 @@ PARTS = {
         "dressing/shirt": ("shirt:ShirtScene", "a T-shirt whose hem hands can hold"),
     },
     "fields": {
+        "dressing/limb_progress": ("state:LimbProgress", "how far a limb is in a sleeve, alone"),
         "dressing/sleeve_state": ("state:SleeveState", "touch and limb in a sleeve"),
         "dressing/shirt_state": ("shirt_state:ShirtState", "hem, collar, and arm under the hem"),
     },

@@ -236,7 +236,9 @@ class _Moves:
             tip = self._data.xpos[hand] + self._data.xmat[hand].reshape(3, 3) @ np.array(TIP)
             mujoco.mj_collision(self._body, self._data)
             near = sum(max(0.0, _APART - contact.dist) for contact in self._data.contact)
-            return np.concatenate([tip - target, 0.01 * (q - self._neutral[mine]), [_WEIGHT * near]])
+            return np.concatenate(
+                [tip - target, 0.01 * (q - self._neutral[mine]), [_WEIGHT * near]]
+            )
 
         begin, end = self._pose.copy(), self._pose.copy()
         inside = np.clip(begin[mine], low + 1e-3, high - 1e-3)

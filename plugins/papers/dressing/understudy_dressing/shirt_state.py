@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,6 +12,7 @@ from torch import Tensor
 from understudy.options import check_range
 from understudy.task import Context, Fields, Shape
 from understudy_dressing.person import (
+    SIDES,
     TIP,
     PersonScene,
     Side,
@@ -22,8 +22,7 @@ from understudy_dressing.person import (
     sensors,
 )
 from understudy_dressing.shirt import ShirtScene
-from understudy_dressing.state import passes
-from understudy_tensors import rotations
+from understudy_dressing.state import Places, in_world, passes, places_on
 
 #: m: the target of a grip is so far outside of the patch's middle (2018 code).
 _OUTSIDE = 0.03
@@ -95,18 +94,16 @@ class ShirtState(Fields):
         person = context.need_scene(PersonScene, who)
         model = person.spec().compile()
 
-        def places(named: Sequence[tuple[str, Vector]]) -> tuple[Tensor, Tensor]:
-            ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name, _ in named]
-            points = torch.tensor([point for _, point in named], dtype=torch.float32)
-            return torch.tensor(ids, device=device), points.to(device)
-
         def numbers(found: np.ndarray) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(found)).to(device)
 
-        self._hand, self._limb = places([(f"{options.hand}_hand", TIP)]), places(limb(options.side))
-        self._neck = places(_NECK)
-        self._torso = places([("torso", (0, 0, 0)), ("torso", (1, 0, 0))])
-        self._shoulders = places([(f"{side}_upper_arm", (0, 0, 0)) for side in ("left", "right")])
+        def places(*named: tuple[str, Vector]) -> Places:
+            return places_on(model, named, device)
+
+        self._hand, self._limb = places((f"{options.hand}_hand", TIP)), places(*limb(options.side))
+        self._neck = places(*_NECK)
+        self._torso = places(("torso", (0, 0, 0)), ("torso", (1, 0, 0)))
+        self._shoulders = places(*((f"{side}_upper_arm", (0, 0, 0)) for side in SIDES))
         patch = shirt.garment.patches[f"{options.hand}_hem"]
         self._patch, self._collar = numbers(patch), numbers(shirt.collar)
         self._around = numbers(shirt.faces[np.isin(shirt.faces, patch).any(axis=1)])
@@ -124,10 +121,8 @@ class ShirtState(Fields):
         self, xpos: Tensor, xquat: Tensor, qpos: Tensor, cloth_position: Tensor, progress: Tensor,
         sensor_sign: Tensor,
     ) -> Mapping[str, Tensor]:  # fmt: skip
-        def world(places: tuple[Tensor, Tensor]) -> Tensor:
-            bodies, points = places
-            turned = rotations.rotate(xquat[:, bodies], points.expand(len(xpos), -1, -1))
-            return xpos[:, bodies] + turned
+        def world(places: Places) -> Tensor:
+            return in_world(places, xpos, xquat)
 
         hand, bones = world(self._hand)[:, 0], world(self._limb)
         a, b, c = (cloth_position[:, self._around[:, k]] for k in range(3))

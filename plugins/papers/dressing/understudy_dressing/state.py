@@ -54,6 +54,38 @@ def passes(limb: Tensor, loop: Tensor) -> tuple[Tensor, Tensor]:
     return crosses & (around.abs() > math.pi), before + share * length
 
 
+def progress(limb: Tensor, entrance: Tensor) -> tuple[Tensor, Tensor]:
+    """Equations 9 to 11: whether a bone of the `limb` (N, K + 1, 3) m, from the fingertip on, goes through the loop
+    `entrance` (N, L, 3) m, (N,), and which share of the limb is in, or minus the fingertip's distance to it, m, (N,)."""
+    through, depth = passes(limb, entrance)
+    length = (limb[:, :-1] - limb[:, 1:]).norm(dim=-1).sum(1)
+    contained = through.any(dim=1)
+    first = through.float().argmax(dim=1, keepdim=True)
+    inside = depth.gather(1, first).squeeze(1) / length
+    outside = -(limb[:, 0] - entrance.mean(dim=1)).norm(dim=1)
+    return contained, torch.where(contained, inside, outside)
+
+
+#: Bodies' numbers (K,), and a point in the frame of each (K, 3), m.
+Places = tuple[Tensor, Tensor]
+
+
+def places_on(
+    model: mujoco.MjModel, named: Sequence[tuple[str, Vector]], device: torch.device
+) -> Places:
+    """Points, m, of the bodies of these names."""
+    ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name, _ in named]
+    points = torch.tensor([point for _, point in named], dtype=torch.float32)
+    return torch.tensor(ids, device=device), points.to(device)
+
+
+def in_world(places: Places, xpos: Tensor, xquat: Tensor) -> Tensor:
+    """(N, K, 3) m: where they are while the bodies are at `xpos` (N, B, 3) m, turned by `xquat` (N, B, 4)."""
+    bodies, points = places
+    turned = rotations.rotate(xquat[:, bodies], points.expand(len(xpos), -1, -1))
+    return xpos[:, bodies] + turned
+
+
 def _nearest(points: Tensor, sites: Tensor) -> Tensor:
     """(N, P) of the sites (N, S, 3) the one nearest to each point (N, P, 3), all in metres. By differences:
     ``torch.cdist`` without products, which round, took 15 ms of an H100 for 512 sleeves and 22 sites."""
@@ -61,6 +93,29 @@ def _nearest(points: Tensor, sites: Tensor) -> Tensor:
     for k in range(3):
         squared = squared + (points[:, :, k, None] - sites[:, None, :, k]).square()
     return squared.argmin(dim=2)
+
+
+class LimbProgress(Fields):
+    """``limb_progress`` () is what ``progress`` of :class:`SleeveState` is, by itself: what is remembered of every
+    control period needs no more, and touch costs ten times as much."""
+
+    @dataclass(frozen=True)
+    class Options:
+        side: Side = "right"  #: the arm that goes in
+
+    reads = ("xpos", "xquat", "cloth_position")
+
+    def __init__(self, options: Options, context: Context) -> None:
+        garment = context.need_scene(GarmentScene, "fields 'dressing/limb_progress'")
+        model = context.need_scene(PersonScene, "fields 'dressing/limb_progress'").spec().compile()
+        self._limb = places_on(model, limb(options.side), context.device)
+        entrance = garment.sleeve(options.side)["entrance"]
+        self._entrance = torch.from_numpy(entrance.copy()).to(context.device)
+        self.provides = {"limb_progress": ()}
+
+    def compute(self, xpos: Tensor, xquat: Tensor, cloth_position: Tensor) -> Mapping[str, Tensor]:
+        bones = in_world(self._limb, xpos, xquat)
+        return {"limb_progress": progress(bones, cloth_position[:, self._entrance])[1]}
 
 
 class SleeveState(Fields):
@@ -98,13 +153,9 @@ class SleeveState(Fields):
         device = context.device
         model = person.spec().compile()
 
-        def places(named: Sequence[tuple[str, Vector]]) -> tuple[Tensor, Tensor]:
-            ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name, _ in named]
-            points = torch.tensor([point for _, point in named], dtype=torch.float32)
-            return torch.tensor(ids, device=device), points.to(device)
-
         felt = sensors()
-        self._sensors, self._limb = places(felt), places(limb(options.side))
+        self._sensors = places_on(model, felt, device)
+        self._limb = places_on(model, limb(options.side), device)
         self._number = torch.arange(len(felt), device=device).unsqueeze(1)
         self._tip = max(i for i, one in enumerate(felt) if one[0] == f"{options.side}_hand")
         loops = garment.sleeve(options.side)
@@ -132,13 +183,8 @@ class SleeveState(Fields):
     def compute(
         self, xpos: Tensor, xquat: Tensor, cloth_position: Tensor, contact_force: Tensor, contact_side: Tensor
     ) -> Mapping[str, Tensor]:  # fmt: skip
-        n = len(xpos)
-
-        def world(places: tuple[Tensor, Tensor]) -> Tensor:
-            bodies, points = places
-            return xpos[:, bodies] + rotations.rotate(xquat[:, bodies], points.expand(n, -1, -1))
-
-        felt, bones = world(self._sensors), world(self._limb)
+        felt = in_world(self._sensors, xpos, xquat)
+        bones = in_world(self._limb, xpos, xquat)
         touched = contact_force.norm(dim=-1) > _TOUCH
         nearest = _nearest(cloth_position, felt)
         # products, not scatter_add, whose order differs from run to run on a GPU
@@ -148,13 +194,7 @@ class SleeveState(Fields):
         sign = (to @ side.unsqueeze(-1)).squeeze(-1).sign()
 
         tip = bones[:, 0]
-        entrance = cloth_position[:, self._loops["entrance"]]
-        through, depth = passes(bones, entrance)
-        length = (bones[:, :-1] - bones[:, 1:]).norm(dim=-1).sum(1)
-        contained = through.any(dim=1)
-        first = through.float().argmax(dim=1, keepdim=True)
-        inside = depth.gather(1, first).squeeze(1) / length
-        outside = -(tip - entrance.mean(dim=1)).norm(dim=1)
+        contained, advance = progress(bones, cloth_position[:, self._loops["entrance"]])
 
         feature, normal = centre_and_normal(cloth_position[:, self._loops["middle"]])
         by_tip = touched & (nearest == self._tip)
@@ -180,7 +220,7 @@ class SleeveState(Fields):
             "feature": feature,
             "task_vector": vector,
             "contained": contained.float(),
-            "progress": torch.where(contained, inside, outside),
+            "progress": advance,
             "touched_geodesic": torch.where(touching, least, 1.0),
             "touching": touching.float(),
             "area_ratio": (self._areas(cloth_position) / self._area).amax(dim=1),
