@@ -53,6 +53,7 @@ _TABLE = re.compile(r"((?:^<!--.*?-->\n+)?)((?:^\|.*\n)+)", re.M)
 _RESULT = re.compile(
     r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d|\d[^|\[]{0,6} \[[-−+]?\d"
     r"|\d ?(?:k|m|cm|mm|s|ms|rad|°|Hz|m/s)(?=[ ,;)|]|$)"
+    r"|\| *[-−]?\d+\.\d+ *(?=\|)"
 )
 _NUMBER = re.compile(r"(?<![\w.])\d[\d ]*(?:\.\d+)?(?:e\d+)?")
 #: What a number on a page may be of one in a record: itself, in per cent, in ms or mm, in k, in M, in minutes.
