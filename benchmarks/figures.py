@@ -439,6 +439,13 @@ def film(skill: str) -> str:
     )
 
 
+def passing() -> str:
+    """How many skills that ship have nothing beyond what may ship, and by what the others have."""
+    beyond = [row["beyond"] for row in rows("shipped.jsonl")]
+    by = sorted({name for one in beyond if one != "–" for name in one.split(", ")})
+    return f"{beyond.count('–')} of {len(beyond)} skills of characters pass, the others are beyond by {', '.join(by)}"
+
+
 def _markdown(lines: list[list[str]]) -> str:
     head, *body = lines
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body))
@@ -467,6 +474,8 @@ def figure(spec: Mapping[str, Any], name: str) -> str:
         return f"\n\n{tables_of_papers()}\n\n"
     if name == "reproductions/rows":
         return f"\n\n{rows_of_papers()}\n\n"
+    if name == "shipped/passing":
+        return passing()
     if kind == "film":
         return film(rest)
     if kind == "claims" and rest in spec["claims"]:
