@@ -31,6 +31,7 @@ from understudy_skills.skill import names, open_skill
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "shipped.jsonl"
 SECONDS = 8.0
 EPISODES = 4  #: one tells little: of a start that stands, or of the machine's rounding
+SHORTEST = 0.5  #: seconds of an episode that is checked
 WORST = ("sink", "air", "skates", "major", "minor")
 #: What a motion may have to ship: its clip's own and so much more, or so much in all where that is more.
 THRESHOLDS = {
@@ -51,14 +52,27 @@ def clip_of(qpos: np.ndarray, dt: float, character: Character) -> Clip:
 
 def checked(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
     """What `understudy motion check` finds in a motion (T, nq): how far a foot slides at most while it stands (m), and
-    how many findings are major and minor."""
-    findings = examine(clip_of(qpos, dt, character), character).findings
-    severities = [finding.severity for finding in findings]
+    how many findings are major and minor; episode by episode, since between two of them a figure is moved."""
+    found = [
+        finding
+        for part in episodes(qpos)
+        if len(part) * dt >= SHORTEST
+        for finding in examine(clip_of(part, dt, character), character).findings
+    ]
+    severities = [finding.severity for finding in found]
     return {
-        "skates": max((f.value for f in findings if f.kind == "foot_skate"), default=0.0),
+        "skates": max((f.value for f in found if f.kind == "foot_skate"), default=0.0),
         "major": severities.count(Severity.MAJOR),
         "minor": severities.count(Severity.MINOR),
     }
+
+
+def episodes(qpos: np.ndarray) -> list[np.ndarray]:
+    """A motion (T, nq) cut where the root moves by more than 0.3 m, or turns by more than 1 rad, from a frame to the next."""
+    moved = np.linalg.norm(np.diff(qpos[:, :3], axis=0), axis=1)
+    along = np.abs((qpos[1:, 3:7] * qpos[:-1, 3:7]).sum(1))
+    turned = 2 * np.arccos(np.clip(along, 0.0, 1.0))
+    return np.split(qpos, np.flatnonzero((moved > 0.3) | (turned > 1.0)) + 1)
 
 
 def measured(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
