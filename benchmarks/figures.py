@@ -53,6 +53,7 @@ _TABLE = re.compile(r"((?:^<!--.*?-->\n+)?)((?:^\|.*\n)+)", re.M)
 _RESULT = re.compile(
     r"\d ?%|\d ?M\b|± ?\d|\d ?min\b|\d ?J\b|\(\d[\d.]* to \d|\d[^|\[]{0,6} \[[-−+]?\d"
     r"|\d ?(?:k|m|cm|mm|s|ms|rad|°|Hz|m/s)(?=[ ,;)|]|$)"
+    r"|\| *[-−]?\d+\.\d+ *(?=\|)"
 )
 _NUMBER = re.compile(r"(?<![\w.])\d[\d ]*(?:\.\d+)?(?:e\d+)?")
 #: What a number on a page may be of one in a record: itself, in per cent, in ms or mm, in k, in M, in minutes.
@@ -438,6 +439,13 @@ def film(skill: str) -> str:
     )
 
 
+def passing() -> str:
+    """How many skills that ship have nothing beyond what may ship, and by what the others have."""
+    beyond = [row["beyond"] for row in rows("shipped.jsonl")]
+    by = sorted({name for one in beyond if one != "–" for name in one.split(", ")})
+    return f"{beyond.count('–')} of {len(beyond)} skills of characters pass, the others are beyond by {', '.join(by)}"
+
+
 def _markdown(lines: list[list[str]]) -> str:
     head, *body = lines
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body))
@@ -466,6 +474,8 @@ def figure(spec: Mapping[str, Any], name: str) -> str:
         return f"\n\n{tables_of_papers()}\n\n"
     if name == "reproductions/rows":
         return f"\n\n{rows_of_papers()}\n\n"
+    if name == "shipped/passing":
+        return passing()
     if kind == "film":
         return film(rest)
     if kind == "claims" and rest in spec["claims"]:

@@ -20,8 +20,10 @@ import torch
 
 from understudy.setup.plugins import installed
 from understudy_characters.character import Character, load_character
-from understudy_doctor.findings import intervals
+from understudy_doctor.examination import examine
+from understudy_doctor.findings import Severity, intervals
 from understudy_doctor.measurements import Measurements
+from understudy_motion.clip import Clip
 from understudy_play.command import record
 from understudy_play.player import Player
 from understudy_skills.skill import names, open_skill
@@ -29,7 +31,8 @@ from understudy_skills.skill import names, open_skill
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "shipped.jsonl"
 SECONDS = 8.0
 EPISODES = 4  #: one tells little: of a start that stands, or of the machine's rounding
-WORST = ("sink", "air")
+SHORTEST = 0.5  #: seconds of an episode that is checked
+WORST = ("sink", "air", "skates", "major", "minor")
 #: What a motion may have to ship: its clip's own and so much more, or so much in all where that is more.
 THRESHOLDS = {
     "slide": (0.10, 0.30),  # m/s, mean of feet that touch the floor
@@ -40,12 +43,41 @@ THRESHOLDS = {
 RATIO = 2.0  # of jerk to the clip's
 
 
-def measured(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
-    """Foot slide, penetration, air time and jerk of a motion (T, nq)."""
+def clip_of(qpos: np.ndarray, dt: float, character: Character) -> Clip:
+    """A motion (T, nq) as a clip."""
     times = dt * torch.arange(len(qpos), dtype=torch.float64)
     poses = torch.from_numpy(qpos[:, : character.model.nq]).double()
-    clip = character.clip(poses, times, name="played")
-    found = Measurements(clip, character)
+    return character.clip(poses, times, name="played")
+
+
+def checked(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
+    """What `understudy motion check` finds in a motion (T, nq): how far a foot slides at most while it stands (m), and
+    how many findings are major and minor; episode by episode, since between two of them a figure is moved."""
+    found = [
+        finding
+        for part in episodes(qpos)
+        if len(part) * dt >= SHORTEST
+        for finding in examine(clip_of(part, dt, character), character).findings
+    ]
+    severities = [finding.severity for finding in found]
+    return {
+        "skates": max((f.value for f in found if f.kind == "foot_skate"), default=0.0),
+        "major": severities.count(Severity.MAJOR),
+        "minor": severities.count(Severity.MINOR),
+    }
+
+
+def episodes(qpos: np.ndarray) -> list[np.ndarray]:
+    """A motion (T, nq) cut where the root moves by more than 0.3 m, or turns by more than 1 rad, from a frame to the next."""
+    moved = np.linalg.norm(np.diff(qpos[:, :3], axis=0), axis=1)
+    along = np.abs((qpos[1:, 3:7] * qpos[:-1, 3:7]).sum(1))
+    turned = 2 * np.arccos(np.clip(along, 0.0, 1.0))
+    return np.split(qpos, np.flatnonzero((moved > 0.3) | (turned > 1.0)) + 1)
+
+
+def measured(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
+    """Foot slide, penetration, air time and jerk of a motion (T, nq)."""
+    found = Measurements(clip_of(qpos, dt, character), character)
     lowest = np.where(np.isfinite(found.heights), found.heights, np.inf).min(1)
     feet = list(found.feet)
     speed = np.linalg.norm(found.slides, axis=-1)[:, feet] / found.dt
@@ -90,6 +122,7 @@ def row(name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     character = load_character(str(scene["character"]), installed().registry)
     plays: list[dict[str, float]] = []
     clips: list[dict[str, float]] = []
+    checks: list[dict[str, float]] = []
     falls = 0
     for seed in range(EPISODES):
         player = Player(skill, seed)
@@ -100,6 +133,7 @@ def row(name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
         finally:
             player.close()
         plays.append(measured(tracks["qpos"], dt, character))
+        checks.append(checked(tracks["qpos"], dt, character))
         if "reference_qpos" in tracks:
             clips.append(measured(tracks["reference_qpos"], dt, character))
     played, clip = together(plays), together(clips) if clips else None
@@ -115,6 +149,7 @@ def row(name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
         "falls": falls,
         "played": played,
         "clip": clip,
+        "check": together(checks),
         "beyond": ", ".join(believable(played, clip)) or "–",
         "episodes_beyond": sum(bool(believable(*pair)) for pair in alone),
     }

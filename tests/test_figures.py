@@ -52,7 +52,7 @@ def test_a_result_without_a_record_is_seen(line: str) -> None:
 
 @pytest.mark.parametrize(
     "cell",
-    ["0.20 m", "1.5 cm", "2.4 rad", "19 s", "12 ms", "131°", "116.9 k", "0.3 m/s, of 4", "3 m (2)"],
+    ["0.20 m", "1.5 cm", "2.4 rad", "19 s", "12 ms", "131°", "116.9 k", "0.3 m/s, of 4", "3 m (2)", "-1.57"],
 )
 def test_a_result_is_known_by_its_unit(cell: str) -> None:
     page, table = figures.PAGES[0], f"| | a |\n|---|---|\n| b | {cell} |\n"
