@@ -82,7 +82,7 @@ def in_warp(device: str, worlds: int, impratio: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-if __name__ == "__main__":
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--device", help="of MuJoCo Warp: cuda, or cpu to try")
     parser.add_argument("--worlds", type=int, default=1024)
@@ -92,7 +92,8 @@ if __name__ == "__main__":
         line = json.dumps(in_warp(given.device, given.worlds, given.impratio)) + "\n"
         with WARP.open("a", encoding="utf-8") as file:
             file.write(line)
-        raise SystemExit(print(line, end=""))
+        print(line, end="")
+        return
     registry, lines = load().registry, []
     for one in registry.names("grip"):
         if not load_grip(registry.find("grip", one).factory()).holds:
@@ -100,3 +101,7 @@ if __name__ == "__main__":
         lines.append(json.dumps(row(one, registry.find("grip", one).factory())) + "\n")
         print(lines[-1], end="", flush=True)
     RESULTS.write_text("".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
