@@ -2,7 +2,8 @@
 
 ``python benchmarks/grips.py`` holds each for ten seconds at each of its angles under fixed targets, measures how far the tool slips in
 the palm and how deep anything is in it, and writes ``docs/benchmarks/grips.jsonl``, from which ``make figures`` writes a table on
-the page of chopsticks.
+the page of chopsticks. ``--device cuda`` holds the standard one in MuJoCo Warp instead, parallel, in many worlds, and appends a row to
+``docs/benchmarks/grips_warp.jsonl``.
 """
 
 from __future__ import annotations
@@ -15,13 +16,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from held import measured
 
+from understudy.setup.building import build_environment
+from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import load
 from understudy_gripping.grip import load_grip
 from understudy_gripping.styles import written
 from understudy_hand.scene import HandScene
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "grips.jsonl"
+WARP = RESULTS.with_name("grips_warp.jsonl")
 SECONDS, SETTLE = 10.0, 1.0
 
 
@@ -45,8 +51,49 @@ def row(name: str, path: Path) -> dict[str, Any]:
     }
 
 
-if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__).parse_args()
+@torch.no_grad()
+def in_warp(device: str, worlds: int, impratio: float) -> dict[str, Any]:
+    """The standard grip in `worlds` of MuJoCo Warp, parallel; mm. Depth is of the first world, by MuJoCo's collisions."""
+    experiment = load_experiment([
+        "experiment=chopsticks/open_close_gpu", f"device={device}", f"num_worlds={worlds}", "initial_states.amplitude=[0,0]",
+        f"scene.contact.impratio={impratio}", "scene.contact.iterations=20", "scene.contact.ls_iterations=20",
+    ])  # fmt: skip
+    built = build_environment(experiment, num_worlds=worlds, episode_seconds=2 * SECONDS)
+    environment, scene = built.environment, built.context.scene
+    assert isinstance(scene, HandScene)
+    try:
+        environment.reset(0, "grips")
+        still = torch.zeros(worlds, environment.action_size, device=device)
+        places, frames, fell = [], [], torch.zeros(worlds, dtype=torch.bool, device=device)
+        for step in range(round(100 * SECONDS)):
+            fell |= environment.advance(still).ended
+            frames.append(environment.table["qpos"][0].double().cpu().numpy())
+            if step >= 100 * SETTLE:
+                places.append(environment.table["stick_state"][..., :3].clone())
+    finally:
+        environment.close()
+    drift = torch.stack(places) - places[0]
+    return {
+        "grip": "standard", "when": datetime.date.today().isoformat(), "simulator": "mujoco_warp",
+        "device": torch.cuda.get_device_name() if device == "cuda" else device, "worlds": worlds, "impratio": impratio,
+        "seconds": SECONDS, "fell": int(fell.sum()),
+        "slip": 1e3 * float(torch.linalg.vector_norm(drift, dim=-1).max()),
+        "depth": measured(scene, np.array(frames), 0.01)["fingers"],
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", help="of MuJoCo Warp: cuda, or cpu to try")
+    parser.add_argument("--worlds", type=int, default=1024)
+    parser.add_argument("--impratio", type=float, default=100.0)
+    given = parser.parse_args()
+    if given.device is not None:
+        line = json.dumps(in_warp(given.device, given.worlds, given.impratio)) + "\n"
+        with WARP.open("a", encoding="utf-8") as file:
+            file.write(line)
+        print(line, end="")
+        return
     registry, lines = load().registry, []
     for one in registry.names("grip"):
         if not load_grip(registry.find("grip", one).factory()).holds:
@@ -54,3 +101,7 @@ if __name__ == "__main__":
         lines.append(json.dumps(row(one, registry.find("grip", one).factory())) + "\n")
         print(lines[-1], end="", flush=True)
     RESULTS.write_text("".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

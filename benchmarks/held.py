@@ -98,15 +98,20 @@ def row(name: str, words: list[str]) -> dict[str, Any]:
     }
 
 
-if __name__ == "__main__":
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--skill", help="a packed one (.json), which is printed alone")
     parser.add_argument("words", nargs="*", metavar="KEY=VALUE", help="of that one")
     given = parser.parse_args()
     if given.skill is not None:
-        raise SystemExit(print(json.dumps(row(given.skill, given.words))))
+        print(json.dumps(row(given.skill, given.words)))
+        return
     lines = []
     for one in hands():
         lines.append(json.dumps(row(one, [])) + "\n")
         print(lines[-1], end="", flush=True)
     RESULTS.write_text("".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -600,6 +600,13 @@ MUTANTS = (
         "tests/plugins/chopsticks/test_relocate.py -k further",
     ),
     Mutant(
+        "the next relocation counts on sticks that do not slip",
+        "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
+        "return away.clamp(-FARTHEST, FARTHEST).tolist()",
+        "return (0.0 * away).tolist()",
+        "tests/plugins/chopsticks/test_relocate.py -k next_relocation",
+    ),
+    Mutant(
         "without a planner the plan is seen",
         "plugins/papers/chopsticks/understudy_chopsticks/relocate.py",
         "here = after = self._unplanned(row, here)",

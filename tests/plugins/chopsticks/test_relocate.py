@@ -516,6 +516,15 @@ def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plug
     assert not torch.equal(bank.goals[bank.drawn, 1], bank.goals[rows[0], 0]), "a goal of its own"
     assert new[over + 1, 16] == 2, "and one more follows"
     assert field(made, "replans").tolist() == [0, 0]
+    # It counts on the sticks where they are: they have slipped, and along the lower one nothing is left of that.
+    lower, planned = field(made, "stick_state")[0, 1, :3], field(made, "planned_lower")[0]
+    axis = rotations.rotate(planned[None, 3:], torch.tensor([[1.0, 0.0, 0.0]]))[0]
+    assert abs(float(bank.shifts[bank.drawn])) > 1e-4
+    assert float((planned[:3] - bank._made.lower[0, :3]) @ axis) == pytest.approx(
+        float(bank.shifts[bank.drawn]), abs=1e-6
+    )
+    assert abs(float((lower - planned[:3]) @ axis)) < 5e-5
+    assert bank.shifts[rows[0]] == 0.0, "what was planned before did not"
     made.environment.close()
 
 
@@ -528,7 +537,7 @@ def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     lost = torch.full((2,), 0.5)
     found = memory.advance(
         kept, plan_row=lost, episode_time=lost, qpos=lost, qvel=lost, object_distance=lost, leg_missed=lost,
-        planned_leg=lost, plan_over=lost,
+        planned_leg=lost, plan_over=lost, stick_state=lost,
     )  # fmt: skip
     assert found is kept
     assert len(parts(made)[1].frames) == 2

@@ -30,7 +30,7 @@ class Again(Memory):
     A relocation fails where the object is far from its plan, or elsewhere as it ends. The sticks then slow down and stop until the object lies still,
     rest for the 0.1 s that a plan takes to be found, open, go up by 3 cm and begin anew, for the same goals. Trainings never plan
     anew, as in the thesis: nothing leaves the device in them. With `onward` each relocation after the first is planned as the one before is over,
-    from where the object then lies.
+    from where the object then lies. What is planned within an episode counts on how far the tool has slipped along its lower part in the hand.
 
     Somebody who watches leads one world (:meth:`send`; not in the thesis): its relocation is ended first, the next goal is theirs, and where no plan
     reaches it the hand waits for another.
@@ -45,6 +45,7 @@ class Again(Memory):
 
     reads = (
         "plan_row", "episode_time", "qpos", "qvel", "object_distance", "leg_missed", "planned_leg", "plan_over",
+        "stick_state",
     )  # fmt: skip
     keeps = dict.fromkeys(
         (
@@ -142,10 +143,12 @@ class Again(Memory):
         leg_missed: Tensor,
         planned_leg: Tensor,
         plan_over: Tensor,
+        stick_state: Tensor,
     ) -> Mapping[str, Tensor]:
         if not self._most and not self._onward:
             return kept
         new = {name: value.clone() for name, value in kept.items()}
+        along = self._bank.slipped(stick_state[:, -1, :3])
         if self._new:
             new["given_up"].zero_()
         stopped = new["plan_stopped"] >= 0
@@ -166,9 +169,9 @@ class Again(Memory):
             frame = round((float(new["plan_stopped"][world]) + SLOWING) / DT)
             old, row = int(new["followed"][world]), None
             if ready[world] and self.target is not None:
-                row = self._toward(old, world, frame, thing, anew=True)
+                row = self._toward(old, world, frame, thing, along[world], anew=True)
             elif ready[world]:
-                row = self._bank.again(old, world, frame, thing[:3], thing[3:])
+                row = self._bank.again(old, world, frame, thing[:3], thing[3:], along[world])
             if row is None:
                 new["given_up"][world] = 1.0
                 if self.target is None:  # else it stands still
@@ -179,7 +182,9 @@ class Again(Memory):
             new["replans"][world] += 1.0
         if self._new and bool(plan_over[0] > 0) and bool(new["plan_stopped"][0] < 0):
             thing = qpos[0, self._at : self._at + 7].double().cpu()
-            row = self._toward(int(new["followed"][0]), 0, round(float(time[0]) / DT), thing)
+            row = self._toward(
+                int(new["followed"][0]), 0, round(float(time[0]) / DT), thing, along[0]
+            )
             if row is not None:
                 new["followed"][0], new["plan_since"][0] = row, episode_time[0]
         if self._onward:
@@ -188,7 +193,7 @@ class Again(Memory):
             for world in begun.nonzero()[:, 0].tolist():
                 thing = qpos[world, self._at : self._at + 7].double().cpu()
                 old, frame = int(new["followed"][world]), round(float(time[world]) / DT)
-                row = self._bank.onward(old, world, frame, thing[:3], thing[3:])
+                row = self._bank.onward(old, world, frame, thing[:3], thing[3:], along[world])
                 if row is None:
                     new["given_up"][world] = 1.0
                     continue
@@ -199,12 +204,14 @@ class Again(Memory):
         }
 
     def _toward(
-        self, old: int, world: int, frame: int, thing: Tensor, anew: bool = False
+        self, old: int, world: int, frame: int, thing: Tensor, along: float, anew: bool = False
     ) -> int | None:
         assert self.target is not None
         self._new, self.refused = False, ""
         try:
-            return self._bank.toward(old, world, frame, thing[:3], thing[3:], self.target, anew)
+            return self._bank.toward(
+                old, world, frame, thing[:3], thing[3:], self.target, along, anew
+            )
         except NoPlan as refused:
             self.refused = str(refused)
             return None

@@ -151,6 +151,13 @@ class Bank:
             self.replace(row)
         self._missing.difference_update(rows)
 
+    def slipped(self, place: Tensor) -> list[float]:
+        """m: how much further along its lower part, now at `place` (N, 3) m in the palm's frame, the tool is held than in its grip."""
+        lower = self._made.lower[0]
+        axis = rotations.rotate(lower[3:], torch.eye(3, device=lower.device)[0])
+        away = ((place - lower[:3]) @ axis).nan_to_num(0.0)  # of a world that went wrong
+        return away.clamp(-FARTHEST, FARTHEST).tolist()
+
     def spare(self, count: int) -> None:
         """Keep so many rows more, which nobody draws, for plans that are made within episodes."""
         self._spare = count
@@ -188,14 +195,17 @@ class Bank:
         start = self._made.further(arm, along)
         self.starts[row] = torch.tensor(start, dtype=torch.float32, device=self._device)
 
-    def again(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
-        """The row of `world` itself with the plan `row` made anew at its frame `frame`, without noise: from where arm
-        and sticks are planned then, and the object is, at `place` (3,) m turned by `turn` (4,). None where there is no such plan.
+    def again(
+        self, row: int, world: int, frame: int, place: Tensor, turn: Tensor, along: float
+    ) -> int | None:
+        """The row of `world` itself with the plan `row` made anew at its frame `frame`, without noise: from where the arm is planned
+        then, the tool is held (`along` m further), and the object is, at `place` (3,) m turned by `turn` (4,). None where there is no
+        such plan.
         """
         frame = min(frame, int(self.lengths[row]))
         here = self.frames[row, frame].double().cpu()
         leg = int(here[_LEG])
-        planner = self._planner.shifted(self._along[row])
+        planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
         if abs(float(place[2]) - self._shape.height) > ON_TABLE:
             return None
@@ -213,19 +223,21 @@ class Bank:
         except NoPlan:
             return None
         own = self.drawn + world
-        self._copy(row, own)
+        self._copy(row, own, along)
         return own if self._put(own, plans, leg) else None
 
-    def onward(self, row: int, world: int, frame: int, place: Tensor, turn: Tensor) -> int | None:
-        """The row of `world` itself with the relocation that begins with the frame `frame` of the plan `row`: from where arm and sticks are planned
-        then, and the object lies, to a goal that is drawn now. None where there is no such plan.
+    def onward(
+        self, row: int, world: int, frame: int, place: Tensor, turn: Tensor, along: float
+    ) -> int | None:
+        """The row of `world` itself with the relocation that begins with the frame `frame` of the plan `row`: from where the arm is planned
+        then, the tool is held (`along` m further), and the object lies, to a goal that is drawn now. None where there is no such plan.
         """
         for number in range(_TRIES):
             name = f"{self._stream}/onward/{self._onwards}/{number}"
             empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
             goal = random_goal(empty, 0, random.generator(self._seed, name))
             try:
-                found = self.toward(row, world, frame, place, turn, goal)
+                found = self.toward(row, world, frame, place, turn, goal, along)
             except NoPlan:
                 continue
             self._onwards += 1
@@ -240,10 +252,11 @@ class Bank:
         place: Tensor,
         turn: Tensor,
         goal: tuple[float, float],
+        along: float,
         anew: bool = False,
     ) -> int:
-        """The row of `world` itself with a plan to `goal` m: from where arm and sticks are in the plan `row` at its frame `frame`, and
-        the object lies; `anew` where something has failed.
+        """The row of `world` itself with a plan to `goal` m: from where the arm is in the plan `row` at its frame `frame`, the tool is
+        held (`along` m further), and the object lies; `anew` where something has failed.
 
         Raises
         ------
@@ -257,21 +270,21 @@ class Bank:
         if self._above is not None:
             raise NoPlan("No plan reaches the goal: what lay upon the object may be in the way.")
         start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
-        planner = self._planner.shifted(self._along[row])
+        planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
         table = Table((self._shape,), (start,), (heading,))
         plan = planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
         own, leg = self.drawn + world, int(here[_LEG])
         if not self._put(own, [plan], leg):
             raise NoPlan("No plan reaches the goal in time. Choose another goal.")
-        self._copy(row, own)
+        self._copy(row, own, along)
         self.goals[own, leg:] = plan.object[-1, :3].float().to(self._device)
         return own
 
-    def _copy(self, row: int, own: int) -> None:
-        """What a plan that is made anew has of the plan `row` before it."""
-        self.goals[own], self.shifts[own] = self.goals[row].clone(), self.shifts[row].clone()
-        self._along[own] = self._along[row]
+    def _copy(self, row: int, own: int, along: float) -> None:
+        """What a plan that is made anew has of the plan `row` before it, with the tool held `along` m further."""
+        self.goals[own] = self.goals[row].clone()
+        self._along[own] = self.shifts[own] = along
 
     def way(self, row: int) -> np.ndarray:
         """(T, 3) m: where the object is in the plan `row`."""
@@ -614,10 +627,8 @@ class Follow(Fields):
         hand, slope = made.at(made.poses, angle)
         pose = torch.cat([arm, hand], dim=-1)
         velocity = torch.cat([speed, slope * turning[..., None]], dim=-1)
-        lower = made.lower.expand(*angle.shape, 7)
-        if self._bank.shifted:
-            away = self._bank.shifts[row, None, None] * self._axis
-            lower = torch.cat([lower[..., :3] + away, lower[..., 3:]], dim=-1)
+        lower, away = made.lower.expand(*angle.shape, 7), self._bank.shifts[row, None, None]
+        lower = torch.cat([lower[..., :3] + away * self._axis, lower[..., 3:]], dim=-1)
         still = torch.zeros_like(lower[..., :6])
         gripper = torch.cat([lower, angle[..., None], still, turning[..., None]], dim=-1)
         held, now = here[:, 0, _HELD] * goes, lower[:, 0]
