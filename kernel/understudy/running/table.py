@@ -7,7 +7,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from torch import Tensor
 
-from understudy.errors import ConfigError
+from understudy.errors import ConfigError, suggestion
 from understudy.task import Fields, Shape, Simulator
 from understudy.task.terms import Wired
 
@@ -77,6 +77,7 @@ class FieldTable:
             if name not in self.shapes:
                 found = givers(name)
                 hint = f" It would come from {' or '.join(found)}." if found else ""
+                hint = hint or suggestion(name, self.shapes)
                 raise ConfigError(
                     f"{who} needs the state field '{name}', which nothing in this task "
                     f"provides.{hint}"

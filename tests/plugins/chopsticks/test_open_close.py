@@ -344,6 +344,7 @@ def test_a_training_begins_and_ends(tmp_path: Path) -> None:
     words = [
         "train", "experiment=chopsticks/open_close_small", "num_worlds=4", "budget.samples=256",
         "learner.rollout_steps=16", "learner.minibatches=2", "evaluation.episodes=4",
+        "evaluation.final_episodes=4", "evaluation.seconds=1", "run.video_seconds=1",
         "policy.hidden=[8]", f"run.dir={tmp_path / 'run'}",
     ]  # fmt: skip
     assert main(words) == 0
