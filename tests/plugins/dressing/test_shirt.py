@@ -18,7 +18,7 @@ from understudy_cloth.mesh import face_areas
 from understudy_dressing.person import TIP, PersonScene, depth_in, neutral_pose
 from understudy_dressing.shirt import ShirtScene
 from understudy_dressing.shirt_state import under_hem
-from understudy_dressing.state import centre_and_normal, passes
+from understudy_dressing.state import centre_and_normal, passes, pierces
 from understudy_sweeps.chain import Chain
 from understudy_tensors import rotations
 
@@ -194,6 +194,46 @@ def test_an_arm_is_under_the_hem(way: float, touched: bool, needed: bool) -> Non
     assert float(under_hem(arm, triangle, torch.tensor([touched]), needed)[0]) == pytest.approx(
         -0.4
     )
+
+
+def test_what_pierces_cloth() -> None:
+    """As solving for where each segment and each triangle meet says."""
+    drawn = torch.Generator().manual_seed(0)
+    corners = torch.rand(5000, 1, 3, 3, generator=drawn, dtype=torch.float64)
+    bone = torch.rand(5000, 2, 3, generator=drawn, dtype=torch.float64)
+    (a, b, c), (p, q) = corners[:, 0].unbind(1), bone.unbind(1)
+    sides = torch.stack([b - a, c - a, p - q], dim=-1)
+    u, v, t = torch.linalg.solve(sides, p - a).unbind(-1)
+    meets = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1)
+    assert meets.any()
+    assert torch.equal(pierces(bone, corners), meets)
+    chain = torch.cat([bone + 5.0, bone], dim=1)
+    assert torch.equal(pierces(chain[:, 1:], corners) | meets, pierces(chain[:, 1:], corners))
+    assert torch.equal(pierces(bone, corners.expand(-1, 3, -1, -1)), meets)
+
+
+def test_an_arm_through_the_cloth_is_not_dressed() -> None:
+    """It ends an episode of the sleeves, and is counted in the other subtasks."""
+    for stage in STAGES:
+        starts = ["initial_states=bank", "initial_states.file=anywhere"]
+        experiment = load_experiment([f"experiment=dressing/shirt_{stage}", *starts])
+        terms = {term.name: term for term in experiment.many("termination.terms")}
+        ends = terms["pierced"].extras["outcome"] == "failure"
+        assert ends is stage.startswith("sleeve")
+    environment = build_environment(
+        load_experiment(["experiment=dressing/shirt_sleeve", *SMALL, "initial_states.worn=held"])
+    ).environment
+    environment.reset(seed=1)
+    assert not environment.table["pierced"].any(), "the arm hangs in the shirt"
+    simulator = environment.parts.simulator
+    state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+    names = [hinge.name for hinge in PersonScene(PersonScene.Options()).hinges]
+    state["qpos"][:, names.index("left_shoulder_swing")] = -1.5  # forwards, through the front
+    simulator.set_state(torch.ones(2, dtype=torch.bool), state)
+    environment.refresh()
+    assert environment.table["pierced"].all()
+    assert not environment.table["dressed"].any()
+    environment.close()
 
 
 def test_grips_that_the_garment_has_not_are_refused() -> None:

@@ -22,7 +22,7 @@ from understudy_dressing.person import (
     sensors,
 )
 from understudy_dressing.shirt import ShirtScene
-from understudy_dressing.state import Places, in_world, passes, places_on
+from understudy_dressing.state import Places, in_world, passes, pierces, places_on
 
 #: m: the target of a grip is so far outside of the patch's middle (2018 code).
 _OUTSIDE = 0.03
@@ -61,8 +61,9 @@ class ShirtState(Fields):
                                without what `inside` asks, else minus the fingertip's distance from its middle, m
     ``behind``                 m, by which the fingertip of the arm that goes in is behind the torso's middle, 0 before it
     ``tip_sign``               of the fingertip: 1 where it is touched from inside, −1 from outside, 0 from neither
-    ``tucked``                 1 while the arm does from below, and its fingertip is touched from inside
-    ``dressed``                1 where `progress` is at least `enough`
+    ``tucked``                 1 while the arm does from below, its fingertip is touched from inside, and it pierces nothing
+    ``dressed``                1 where `progress` is at least `enough` and the arm pierces nothing
+    ``pierced``                1 while a bone of the arm that goes in goes through the cloth itself
     ``collar_lost``            1 where the collar holds neither neck nor head
     ``backwards``              1 while the arm goes into the sleeve by its end
     ``pose_distance``          rad, of the pose from the neutral one
@@ -107,13 +108,14 @@ class ShirtState(Fields):
         patch = shirt.garment.patches[f"{options.hand}_hem"]
         self._patch, self._collar = numbers(patch), numbers(shirt.collar)
         self._around = numbers(shirt.faces[np.isin(shirt.faces, patch).any(axis=1)])
+        self._faces = numbers(shirt.faces)
         self._end = numbers(shirt.sleeve(options.side)["end"][::-1])
         felt = sensors()
         self._tip = max(i for i, one in enumerate(felt) if one[0] == f"{options.side}_hand")
         self._pose = neutral_pose(person).to(device)
         vector: Shape = (3,)
         one: Shape = ()
-        names = ("grip_distance", "gripped", "tuck", "behind", "tip_sign", "tucked", "dressed",
+        names = ("grip_distance", "gripped", "tuck", "behind", "tip_sign", "tucked", "dressed", "pierced",
                  "collar_lost", "backwards", "pose_distance", "rested")  # fmt: skip
         self.provides = {"hand": vector, "grip_target": vector, **dict.fromkeys(names, one)}
 
@@ -140,6 +142,7 @@ class ShirtState(Fields):
         # fingertip to elbow: beyond, the arm ends in a corner of the triangle
         tuck, below = under_hem(bones[:, :4], triangle, inside, self.options.inside)
 
+        pierced = pierces(bones, cloth_position[:, self._faces])
         lost = ~passes(world(self._neck), cloth_position[:, self._collar])[0].any(dim=1)
         backwards = passes(bones, cloth_position[:, self._end])[0].any(dim=1)
         off = (qpos[:, : len(self._pose)] - self._pose).norm(dim=1)
@@ -151,8 +154,9 @@ class ShirtState(Fields):
             "tuck": tuck,
             "behind": (-before).clamp(min=0.0),
             "tip_sign": sign,
-            "tucked": (below & inside).float(),
-            "dressed": (progress >= self.options.enough).float(),
+            "tucked": (below & inside & ~pierced).float(),
+            "dressed": ((progress >= self.options.enough) & ~pierced).float(),
+            "pierced": pierced.float(),
             "collar_lost": lost.float(),
             "backwards": backwards.float(),
             "pose_distance": off,

@@ -66,6 +66,24 @@ def progress(limb: Tensor, entrance: Tensor) -> tuple[Tensor, Tensor]:
     return contained, torch.where(contained, inside, outside)
 
 
+def pierces(limb: Tensor, faces: Tensor) -> Tensor:
+    """(N,) whether a bone of the `limb` (N, K + 1, 3) m goes through one of the triangles `faces` (N, F, 3, 3) m. An arm
+    that cloth was drawn over goes through none; one that was pushed through cloth does, for as long as it is through."""
+    a = faces[:, :, 0]
+    first, second = faces[:, :, 1] - a, faces[:, :, 2] - a
+    normal = torch.linalg.cross(first, second)
+    height = [((place - a) * normal).sum(-1) for place in limb.unsqueeze(2).unbind(1)]  # (N, F)
+    found = torch.zeros(len(limb), dtype=torch.bool, device=limb.device)
+    for k in range(limb.shape[1] - 1):
+        way = (limb[:, k + 1] - limb[:, k]).unsqueeze(1)
+        turned = torch.linalg.cross(limb[:, k].unsqueeze(1) - a, way.expand_as(a))
+        slope = (way * normal).sum(-1)
+        u, v = (turned * second).sum(-1) * -slope.sign(), (turned * first).sum(-1) * slope.sign()
+        inside = (u >= 0) & (v >= 0) & (u + v <= slope.abs()) & (slope != 0)
+        found |= (inside & (height[k] * height[k + 1] <= 0)).any(dim=1)
+    return found
+
+
 #: Bodies' numbers (K,), and a point in the frame of each (K, 3), m.
 Places = tuple[Tensor, Tensor]
 
