@@ -4,7 +4,7 @@
 processors and GPUs that there are: from 150 Hz on (``resolution.substeps=5``), and at 600 Hz. What was learned is judged as each
 training ends, at 600 Hz, and then played on a CPU, where `measured` of ``shipped.py`` says how feet slide and how deep the
 body is in the floor. A line of JSON each; they are appended to ``docs/benchmarks/sharpened.jsonl`` as they come. Seconds are
-those of trainings that share a machine. After ``--minutes`` trainings are told to save and end, and what they have is
+those of trainings that share a machine; several on a GPU want CUDA's Multi-Process Service, and a core each. After ``--minutes`` trainings are told to save and end, and what they have is
 recorded as cut; the same command goes on with them, from ``--runs``. ``--together`` trains nothing: it writes ``sharpened_together.jsonl``, one
 physics beside the other, a line for each seed.
 """
