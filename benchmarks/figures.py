@@ -213,7 +213,7 @@ def _told(p: float, difference: float) -> str:
 
 
 def number(value: float, unit: str) -> str:
-    """As a page writes it; `unit` is ``M``, ``k``, ``%``, ``mm of m`` or anything that stands behind."""
+    """As a page writes it; `unit` is ``M``, ``k``, ``%``, ``points``, ``mm of m`` or anything that stands behind."""
     if unit == "M":
         return f"{value / 1e6:.2f} M"
     if unit == "k":
@@ -222,6 +222,8 @@ def number(value: float, unit: str) -> str:
         return number(1e3 * value, "mm")
     if unit == "%1":
         return f"{100 * value:.1f} %"
+    if unit == "points":  # of a difference of shares
+        return f"{100 * value:+.1f} points"
     if unit == "%":
         share = 100 * value
         return f"{share:.0f} %" if share in (0, 100) or 1 <= share < 99 else f"{share:.1f} %"

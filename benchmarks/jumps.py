@@ -264,8 +264,14 @@ def compared(
 
 
 def table(seeds: Sequence[int], trials: int, repeats: int, distinct: float) -> None:
-    when = {"when": datetime.date.today().isoformat()}
-    lines = [{"search": "noise", **told_apart(), **when}]
+    before = {json.dumps(row | {"when": ""}): row["when"] for row in rows_of("summary")}
+
+    def dated(row: dict[str, Any]) -> dict[str, Any]:
+        """Today's, or what it was before if it is the same."""
+        today = datetime.date.today().isoformat()
+        return row | {"when": before.get(json.dumps(row | {"when": ""}), today)}
+
+    lines = [dated({"search": "noise", **told_apart()})]
     print(json.dumps(lines[0], indent=1))
     rows = compared(seeds, trials, repeats, distinct)
     for name in LOOPS:
@@ -274,7 +280,7 @@ def table(seeds: Sequence[int], trials: int, repeats: int, distinct: float) -> N
             if (mean := mean_of([float(row[what]) for row in own])) is not None:
                 reach = "" if mean.low is None else f" ({mean.low:.2f} to {mean.high:.2f})"
                 print(f"{name:11} {what:10} {mean.value:.2f}{reach}, {mean.count} searches")
-    lines += [{**row, **when} for row in rows]
+    lines += map(dated, rows)
     if RESULTS.exists():
         text = "".join(json.dumps(line) + "\n" for line in lines)
         (RESULTS / "summary.jsonl").write_text(text, encoding="utf-8")

@@ -4,7 +4,7 @@
 processors and GPUs that there are: from 150 Hz on (``resolution.substeps=5``), and at 600 Hz. What was learned is judged as each
 training ends, at 600 Hz, and then played on a CPU, where `measured` of ``shipped.py`` says how feet slide and how deep the
 body is in the floor. A line of JSON each; they are appended to ``docs/benchmarks/sharpened.jsonl`` as they come. Seconds are
-those of trainings that share a machine. After ``--minutes`` trainings are told to save and end, and what they have is
+those of trainings that share a machine; several on a GPU want CUDA's Multi-Process Service, and a core each. After ``--minutes`` trainings are told to save and end, and what they have is
 recorded as cut; the same command goes on with them, from ``--runs``. ``--together`` trains nothing: it writes ``sharpened_together.jsonl``, one
 physics beside the other, a line for each seed.
 """
@@ -60,6 +60,8 @@ PLAYS = 4
 #: Seconds in which a training that is told to end has to save.
 SAVING = 30.0
 CUT = "ended by the clock"
+#: In the folder of a run of which there is a whole row.
+RECORDED = "recorded"
 
 
 def visible(count: int, given: str | None) -> list[str]:
@@ -137,43 +139,49 @@ def row(folder: Path) -> dict[str, Any]:
     }
 
 
-def finished(rows: Iterable[dict[str, Any]]) -> dict[tuple[str, int, str], dict[str, Any]]:
-    """The rows of whole trainings, by skill, seed and physics."""
-    return {(r["skill"], r["seed"], r["physics"]): r for r in rows if not r.get("wrong")}
-
-
 def together(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One physics beside the other: for each seed, over the skills that have both.
+    """One physics beside the other: for each day and seed, over the skills that have both.
 
     Minutes and samples are sums, of which `ratio` and `samples_ratio` are coarse-then-fine to fine; all else is the
-    mean of what coarse-then-fine has more.
+    mean of what coarse-then-fine has more. `at_most` is the ratio of minutes over those skills too whose fine training was cut
+    and had taken so long by then.
     """
-    found = finished(rows)
+    found = {(r["when"], r["seed"], r["skill"], r["physics"]): r for r in rows}
     more = {
         "from_start": "measures.success_from_clip_start", "from_any_phase": "measures.success_from_any_phase",
         "slide": "played.slide", "sink": "played.sink", "jerk": "played.jerk",
     }  # fmt: skip
     lines = []
-    for seed in sorted({seed for _, seed, _ in found}):
-        both = [s for s in SKILLS if all((s, seed, physics) in found for physics in PHYSICS)]
+    for when, seed in sorted({key[:2] for key in found}):
+        pairs = {
+            s: [found.get((when, seed, s, physics), {}) for physics in PHYSICS] for s in SKILLS
+        }
+        pairs = {s: pair for s, pair in pairs.items() if all(pair) and not pair[0].get("wrong")}
+        pairs = {s: pair for s, pair in pairs.items() if "training_seconds" in pair[1]}
+        both = {s: pair for s, pair in pairs.items() if not pair[1].get("wrong")}
         if not both:
             continue
-        coarse, fine = ([found[s, seed, physics] for s in both] for physics in PHYSICS)
-        sums = [sum(r["training_seconds"] for r in of) / 60 for of in (coarse, fine)]
-        samples = [sum(r["samples"] for r in of) for of in (coarse, fine)]
-        differences = {
-            name: round(
-                float(np.mean([_at(c, at) - _at(f, at) for c, f in zip(coarse, fine, strict=True)])), 5
+        minutes, least, samples = (
+            [sum(pair[i][of] for pair in some.values()) / unit for i in (0, 1)]
+            for some, of, unit in (
+                (both, "training_seconds", 60),
+                (pairs, "training_seconds", 60),
+                (both, "samples", 1),
             )
-            for name, at in more.items()
-        }  # fmt: skip
+        )
         line = {
-            "seed": seed, "when": max(r["when"] for r in (*coarse, *fine)), "skills": len(both),
-            "without": [s for s in SKILLS if s not in both],
-            "minutes": [round(of, 3) for of in sums], "ratio": round(sums[0] / sums[1], 4),
+            "when": when, "seed": seed, "skills": list(both), "cut": [s for s in pairs if s not in both],
+            "minutes": [round(of, 3) for of in minutes], "ratio": round(minutes[0] / minutes[1], 4),
+            "at_most": round(least[0] / least[1], 4),
             "samples": samples, "samples_ratio": round(samples[0] / samples[1], 4),
         }  # fmt: skip
-        lines.append(line | differences)
+        lines.append(
+            line
+            | {
+                name: round(float(np.mean([_at(c, at) - _at(f, at) for c, f in both.values()])), 5)
+                for name, at in more.items()
+            }
+        )
     return lines
 
 
@@ -236,10 +244,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as first:
             words = [f"experiment=spacetime/{given.skills[0]}", *common, "budget.samples=1"]
             train([*words, f"run.dir={first}/run"], Path(first, "run"), gpus[0], 200.0)
-    done = finished(recorded(given.out))
     # Longest first, so that none is left alone at the end; the two physics of one beside each other.
     jobs = [(s, n, p) for s in given.skills for n in given.seeds for p in given.physics]
-    jobs = [job for job in jobs if job not in done]
+    jobs = [job for job in jobs if not (given.runs / "-".join(map(str, job)) / RECORDED).exists()]
     with ThreadPoolExecutor(given.workers) as pool:
         waiting = [pool.submit(work, index, *job) for index, job in enumerate(jobs)]
         for future in as_completed(waiting):
@@ -251,7 +258,8 @@ def main() -> None:
             print(line := json.dumps(found), flush=True)
             with open(given.out, "a", encoding="utf-8") as file:
                 file.write(line + "\n")
-    print(f"{len(finished(recorded(given.out)))} trainings are whole", flush=True)
+            if not found.get("wrong"):
+                (folder / RECORDED).touch()
     return None
 
 

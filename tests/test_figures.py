@@ -50,9 +50,25 @@ def test_a_result_without_a_record_is_seen(line: str) -> None:
     assert not figures.untraced(page, "| option | default |\n|---|---|\n| `x` | 2 % |\n")
 
 
+def test_a_difference_of_shares_may_be_below_none() -> None:
+    found = figures.Measured({0: 0.0, 1: -0.02, 2: -0.04})
+    assert figures.words(found, "points") == "-2.0 points (-7.0 to +3.0)"
+
+
 @pytest.mark.parametrize(
     "cell",
-    ["0.20 m", "1.5 cm", "2.4 rad", "19 s", "12 ms", "131°", "116.9 k", "0.3 m/s, of 4", "3 m (2)", "-1.57"],
+    [
+        "0.20 m",
+        "1.5 cm",
+        "2.4 rad",
+        "19 s",
+        "12 ms",
+        "131°",
+        "116.9 k",
+        "0.3 m/s, of 4",
+        "3 m (2)",
+        "-1.57",
+    ],
 )
 def test_a_result_is_known_by_its_unit(cell: str) -> None:
     page, table = figures.PAGES[0], f"| | a |\n|---|---|\n| b | {cell} |\n"
@@ -151,7 +167,8 @@ def test_verdicts(
 
 def test_a_saved_interval_decides_as_its_seeds_would() -> None:
     """The second landscape's interval is far from 0, the last one's holds it."""
-    decided = {c["where"]["landscape"]: figures.verdict(c) for c in SPEC["claims"]["diversity"]}
+    synthetic = [c for c in SPEC["claims"]["diversity"] if c["record"] == "diversity.jsonl"]
+    decided = {c["where"]["landscape"]: figures.verdict(c) for c in synthetic}
     assert decided["steps, 3 dimensions, 17 trials"] == figures.HOLDS
     assert decided["patches, 4 dimensions, 10 trials"] == figures.UNDECIDED
 

@@ -46,12 +46,14 @@ def test_physics_are_compared_over_the_skills_that_have_both() -> None:
         training("walk", "fine", 60.0, 0.1),
         training("run", "coarse_then_fine", 30.0, 0.4, samples=30),
         training("run", "fine", 90.0, 0.1),
+        training("run", "fine", 1.0, 0.9, when="2026-11-27"),
         training("roll", "coarse_then_fine", 600.0, 0.9),
-        training("roll", "fine", 1.0, 0.0, wrong=sharpened.CUT),
+        training("roll", "fine", 600.0, 0.0, wrong=sharpened.CUT),
     ]
     (line,) = sharpened.together(rows)
-    assert line["skills"] == 2
-    assert "roll" in line["without"]
+    assert line["skills"] == ["run", "walk"]
+    assert line["cut"] == ["roll"]
+    assert line["at_most"] == pytest.approx(660 / 750)
     assert line["ratio"] == pytest.approx(60 / 150)
     assert line["samples_ratio"] == 2.0
     assert line["slide"] == pytest.approx(0.2)
