@@ -245,7 +245,8 @@ def test_a_target_is_dragged_and_the_object_brought_there() -> None:
         until(lambda: bool(table["plan_over"][0]), 400)
         assert float((table["qpos"][0, 50:52] - torch.tensor([0.05, -0.02])).norm()) < 0.005
 
-        page.nudge(1.0, 0.0)
+        for _ in range(2):  # one leaves it within 5 mm of the goal
+            page.nudge(1.0, 0.0)
         until(lambda: float(table["replans"][0]) == 1.0, 250)
         np.testing.assert_array_equal(player.way()[-1, :2], np.float32([0.05, -0.02]))
         lies = table["qpos"][0, 50:52].numpy()
