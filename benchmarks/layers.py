@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
@@ -40,7 +40,7 @@ def layered(room: int, worlds: int, decisions: int, noise: float) -> dict[str, o
 
     def others(x: np.ndarray, within: float) -> np.ndarray:
         """Of each vertex, how many vertices of other layers are so near."""
-        near = cKDTree(x).query_ball_point(x, within)
+        near = KDTree(x).query_ball_point(x, within)
         return np.array([sum(j != i and j not in never[i] for j in js) for i, js in enumerate(near)])  # fmt: skip
 
     environment.reset(seed=1)
