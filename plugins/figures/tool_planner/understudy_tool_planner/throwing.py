@@ -1,4 +1,4 @@
-"""Throws: with which velocity the sticks let go of an object, so that it lands at its goal (thesis, section 5.7.1).
+"""Throws: with which velocity the sticks let go of an object, so that it lands at its goal (thesis, section 5.7.2).
 
 The object flies as a projectile, without drag. m, s; in the world.
 """

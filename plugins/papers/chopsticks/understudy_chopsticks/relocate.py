@@ -419,7 +419,7 @@ class Relocations(InitialStates):
         #: m: standard deviation of a plan's error in where the sticks take and put (section 5.7.5 has 0.003)
         noise: float = 0.0
         thrown: bool = (
-            False  #: whether the object is thrown, to the table's far side (section 5.7.1)
+            False  #: whether the object is thrown, to the table's far side (section 5.7.2)
         )
         #: whether plans count on the tool where it comes to rest in the hand, and not where its grip was found for
         settled: bool = False
