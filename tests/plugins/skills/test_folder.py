@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import miniatures
 import pytest
 
 from understudy.command.cli import main
-from understudy.errors import RunError
+from understudy.errors import ConfigError, RunError
 from understudy.records import runs
 from understudy_skills import folder, skill
 from understudy_skills.folder import run_folder
@@ -118,3 +120,41 @@ def test_what_is_no_skill_stays_as_it_is(name: str, tmp_path: Path) -> None:
 
 def test_a_run_stays_as_it_is(packed: Path) -> None:
     assert run_folder(str(packed.parent / "run")) == str(packed.parent / "run")
+
+
+@pytest.mark.parametrize("gone", [False, True], ids=["its bank is there", "its bank is gone"])
+def test_what_another_run_left_is_not_packed(
+    gone: bool, built_on: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was, and whoever got the pack could not open it. One that is packed so says what to override, and with that the
+    pack is whole."""
+    bank, run, file = (tmp_path / name for name in ("bank", "run", "packed/two.json"))
+    shutil.copytree(built_on / "bank", bank)
+    begins = ("initial_states=bank", f"initial_states.file={bank}")
+    small = ("budget.samples=512", *miniatures.QUICK, "run.video_seconds=0")
+    miniatures.train("experiment=miniature/sleeve", *begins, *small, f"run.dir={run}")
+    if gone:
+        shutil.rmtree(bank)  # the run has its copy
+    capsys.readouterr()
+    assert main(["play", str(run), "--pack", str(file)]) == 2
+    error = capsys.readouterr().err
+    assert f"initial_states.file={bank} is another run's" in error
+    assert error.count("\n") == 1
+    assert not file.parent.exists(), "nothing is written"
+    own = "initial_states={name: miniature/somewhere, drag: [0.5, 2.0]}"
+    assert main(["play", str(run), own, "--pack", str(file)]) == 0
+    shutil.rmtree(run)
+    shutil.rmtree(bank, ignore_errors=True)
+    assert main(["play", str(file), "--unpack", str(tmp_path / "again")]) == 0
+
+
+def test_a_policy_of_another_run_is_not_packed(built_on: Path) -> None:
+    """Nor one within a list; what a training began with, or a job took, is not read again."""
+    opened = open_skill(str(built_on / "sleeve"))
+    run, config = str(built_on / "go"), dict(opened.card["config"])
+    for key in ("start", "job"):
+        own = {**opened.card, "config": {**config, key: {"run": run}}}
+        skill.refuse_of_others(dataclasses.replace(opened, card=own))
+    own = {**opened.card, "config": {**config, "actuation": {"stages": [{"run": run}]}}}
+    with pytest.raises(ConfigError, match=r"actuation\.stages\.0\.run="):
+        skill.refuse_of_others(dataclasses.replace(opened, card=own))

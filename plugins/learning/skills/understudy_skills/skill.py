@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,12 +29,14 @@ from understudy.setup.registry import Registry
 from understudy.setup.validation import validate
 from understudy_reinforcement.policy import Policy, build_policy
 
-__all__ = ["Skill", "names", "open_skill", "pack", "rounded", "unpack"]
+__all__ = ["Skill", "names", "open_skill", "pack", "refuse_of_others", "rounded", "unpack"]
 
 #: Of each row of a matrix: the largest weight.
 _STEPS = 127
 #: Overrides that say where and how a run was carried out, not what it was.
 _OF_THE_RUN = re.compile(r"[+~]*(run|checkpoint|start|search|ablation|outer_loop|executor)\b")
+#: Inputs that no run left: files of whoever made it, which a pack names and who plays it has.
+_OF_NO_RUN = ("clip ", "mjcf ")
 
 
 @dataclass(frozen=True)
@@ -201,6 +203,36 @@ def _words_of(card: Mapping[str, Any], name: str) -> list[str]:
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise RunError(f"{name} is no packed skill: its overrides are no list of words.")
     return words
+
+
+def refuse_of_others(skill: Skill) -> None:
+    """Refuse to pack `skill` where its task reads what another run left, a bank or a policy: a pack has its own policy
+    alone. What it began with (``start.run``) and what a job took is not read again.
+
+    Raises
+    ------
+    ConfigError
+        if it does, with what to override.
+    """
+    left = [a for a in skill.experiment.inputs.kept if not a.startswith(_OF_NO_RUN)]
+    for key, value in _words_in(skill.card["config"]):
+        if _OF_THE_RUN.match(key) or key.startswith("job."):
+            continue
+        if any(a.endswith(f" {value}") for a in left) or (Path(value) / "run.json").is_file():
+            raise ConfigError(
+                f"--pack: {key}={value} is another run's, and a pack has a policy alone. Override it, as by "
+                "'initial_states={name: NAME}' or ~reward.terms.NAME: the pack is judged and played so."
+            )
+
+
+def _words_in(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """The words of a configuration, each with its key path."""
+    if isinstance(value, str):
+        yield key, value
+    elif isinstance(value, Mapping | list | tuple):
+        inner = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for name, part in inner:
+            yield from _words_in(part, f"{key}.{name}".lstrip("."))
 
 
 def pack(skill: Skill, path: Path, evaluation: Mapping[str, Any]) -> None:

@@ -20,7 +20,15 @@ from understudy_motion.arguments import port, positive
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.player import Player, World
 from understudy_report.values import mapping, number
-from understudy_skills.skill import Skill, names, open_skill, pack, rounded, unpack
+from understudy_skills.skill import (
+    Skill,
+    names,
+    open_skill,
+    pack,
+    refuse_of_others,
+    rounded,
+    unpack,
+)
 
 __all__ = ["add_page_arguments", "film", "record", "serve"]
 
@@ -88,6 +96,7 @@ class Play(Command):
             )
         skill = open_skill(options.skill, options.overrides)
         if options.pack is not None:
+            refuse_of_others(skill)
             licence = answer(open_made(options.skill))
             skill = replace(skill, card={**skill.card, "licence": licence})
             return _pack(skill, options.pack)
