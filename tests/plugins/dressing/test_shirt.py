@@ -69,7 +69,7 @@ def bank(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_sleeves_turn_outwards_and_the_collar_up() -> None:
-    x = torch.tensor(SHIRT._put_on)[None]
+    x = torch.tensor(SHIRT.begins)[None]
     for side, sign in (("left", 1.0), ("right", -1.0)):
         loops = SHIRT.sleeve(side)  # type: ignore[arg-type]
         places = [centre_and_normal(x[:, loop]) for loop in loops.values()]
