@@ -20,7 +20,7 @@ from torch import Tensor
 
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy_dressing.shirt import _TUCKED_AT, ShirtScene, _Moves
+from understudy_dressing.shirt import _TUCKED_AT, Moves, ShirtScene
 
 RECORD = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "dressing_by_hand.jsonl"
 WORDS = ("device=cpu", "simulators.person.name=mujoco", "scene.steps.cloth=10", "curriculum=null")
@@ -37,7 +37,7 @@ _ON_THE_WAY, _MOST = 14, 0.5
 def tucked(shirt: ShirtScene, held: np.ndarray, words: Sequence[str]) -> tuple[Tensor, ...]:
     """Of each world the decision at which the criterion was first met, infinite where never, and the largest area ratio
     until then and of the whole episode, each (N,). `held` is the start's pose (22,) rad."""
-    moves, way = _Moves(shirt), [held]
+    moves, way = Moves(shirt), [held]
     moves._pose = held.copy()
     for place in PLACES:
         moves.reach("left", np.array(place), 0.01, (False, False))

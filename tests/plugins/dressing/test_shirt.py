@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -14,11 +15,14 @@ from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
+from understudy.setup.plugins import installed
 from understudy_cloth.mesh import face_areas
 from understudy_dressing.person import TIP, PersonScene, depth_in, neutral_pose
 from understudy_dressing.shirt import ShirtScene
 from understudy_dressing.shirt_state import under_hem
 from understudy_dressing.state import centre_and_normal, passes, pierces
+from understudy_reproduce.tables import load_table
+from understudy_sequencing.algorithm import Algorithm1, stages_of
 from understudy_sweeps.chain import Chain
 from understudy_tensors import rotations
 
@@ -65,7 +69,7 @@ def bank(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_sleeves_turn_outwards_and_the_collar_up() -> None:
-    x = torch.tensor(SHIRT._put_on)[None]
+    x = torch.tensor(SHIRT.begins)[None]
     for side, sign in (("left", 1.0), ("right", -1.0)):
         loops = SHIRT.sleeve(side)  # type: ignore[arg-type]
         places = [centre_and_normal(x[:, loop]) for loop in loops.values()]
@@ -248,3 +252,26 @@ def test_the_search_trains_every_stage_in_order() -> None:
     assert isinstance(options, Chain.Options)
     trained = [name for name in options.stages if not name.endswith(("starts", "ends"))]
     assert trained == list(STAGES)
+
+
+def test_both_passes_of_the_first_sleeve_compose(bank: Path) -> None:
+    """Every training of Algorithm 1 on the shirt, and the three that are compared, with a bank for every run before."""
+    options = load_experiment(["search=dressing/first_sleeve"]).need("outer_loop").options
+    assert isinstance(options, Algorithm1.Options)
+    stages = stages_of(options)
+    assert list(stages)[-3:] == ["tuck", "tuck_ends", "sleeve"]
+    assert "sleeve_first" in stages
+    for name in ("tuck_first", "tuck"):  # the others have the same parts
+        words = [re.sub(r"\{\w+\}", str(bank), word) for word in stages[name]]
+        begun = [word for word in words if not word.startswith("start.")]
+        environment = build_environment(load_experiment([*begun, *SMALL])).environment
+        try:
+            environment.reset(seed=1)
+            step = environment.advance(torch.zeros(2, environment.action_size))
+            assert (environment.rewarded["next_start"] < 0).all()
+            assert torch.isfinite(step.rewards).all()
+        finally:
+            environment.close()
+    table = load_table("dressing/first_sleeve", installed())
+    for column in table.columns.values():
+        load_experiment([*table.overrides, *table.rows["sleeve"], *column])

@@ -67,6 +67,18 @@ def test_banks_cold_and_not_widened() -> None:
     )
 
 
+def test_what_is_no_ending_is_harvested_as_it_is_told() -> None:
+    """A subtask without a successful ending: the moment at which a field changes."""
+    moment = ("job.moment=change", "job.field=gripped", "job.value=1")
+    stages = stages_of(Algorithm1.Options(SUBTASKS, ends={"grip": moment}, count=20))
+    assert stages["grip_ends"][2:] == (*moment, "job.count=20", "job.fields=[]")
+    assert "job.ending=success" in stages["tuck_ends"]
+    loop = Algorithm1(Algorithm1.Options(SUBTASKS, each=("num_worlds=8",)))
+    asked = loop.ask(0)
+    assert asked is not None
+    assert asked.overrides[:2] == ("num_worlds=8", "experiment=g")
+
+
 def test_it_asks_as_a_chain_does() -> None:
     loop = Algorithm1(Algorithm1.Options(SUBTASKS))
     asked = [loop.ask(number) for number in range(5)]
@@ -91,6 +103,7 @@ def test_it_asks_as_a_chain_does() -> None:
         ({}, "give at least one"),
         ({"subtasks": {"a b": ()}}, "letters, digits"),
         ({"subtasks": {"a": (), "a_first": ()}}, "'a_first' would be the name of two stages"),
+        ({"subtasks": {"a": ()}, "ends": {"b": ()}}, "ends.b is of no subtask"),
         ({"subtasks": {"a": ()}, "widening": 0.0}, "widening"),
         ({"subtasks": {"a": ()}, "count": 1}, "count"),
         ({"subtasks": {"a": ()}, "weight": -1.0}, "weight"),

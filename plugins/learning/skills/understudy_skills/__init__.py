@@ -15,6 +15,7 @@ PARTS = {
     },
     "actuation": {
         "controllers": ("controllers:Controllers", "switches between other runs' controllers"),
+        "replay": ("replay:Replay", "plays the actions of an episode open loop"),
     },
 }
 

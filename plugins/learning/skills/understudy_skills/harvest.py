@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -45,6 +46,9 @@ class Harvest(Gathering):
         field: str | None = None  #: of shape (N,), of a change
         value: float = 0.0  #: of ``field`` after the change
         fields: tuple[str, ...] = ()  #: kept beside the simulator's state
+        #: Keep also what was decided from the episode's beginning until then, as ``actions`` (T, A), T decisions of a
+        #: whole episode, the last one again from there on: what ``actuation=replay`` plays.
+        actions: bool = False
         deterministic: bool = False  #: act by the policy's mode instead of sampling
         #: In the task as it is judged, at its target difficulty and from the starts of evaluations; else as
         #: it was trained, at the difficulty that its curriculum came to (a packed skill does not say: where it
@@ -115,6 +119,12 @@ class Harvest(Gathering):
         self._age = torch.zeros(environment.num_worlds, device=self.device)
         self._begun = torch.zeros_like(self._age, dtype=torch.bool)  # by a decision
         self._kept: dict[str, Tensor] = {}  # of each world's present episode
+        episode = judged or self._experiment.root.episode.seconds
+        count = max(1, round(episode / (environment.control_dt * environment.decision)))
+        self._actions = torch.zeros(
+            environment.num_worlds, count if self.options.actions else 0, environment.action_size,
+            device=self.device,
+        )  # fmt: skip
 
     def _advance(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         """One decision; the states that it reached (or that it changed), which of them count, and which
@@ -155,15 +165,27 @@ class Harvest(Gathering):
         self._age *= ~ended
         return self._kept
 
+    def _remember(self, action: Tensor) -> dict[str, Tensor]:
+        """The actions of each world's episode, and this one from here on."""
+        if not self.options.actions:
+            return {}
+        count = self._actions.shape[1]
+        at = self.environment.episode_step // self.environment.decision
+        left = torch.arange(count, device=self.device) >= at.unsqueeze(1)
+        self._actions = torch.where(left.unsqueeze(2), action.unsqueeze(1), self._actions)
+        return {"actions": self._actions}
+
     @torch.no_grad()
     def iterate(self, samples: int) -> dict[str, Any]:
         environment, steps = self.environment, self.options.decisions
-        seen: dict[str, list[Tensor]] = {name: [] for name in self._names}
+        seen: dict[str, list[Tensor]] = defaultdict(list)
         for _ in range(steps):
             distribution = self.policy.distribution(environment.observations)
             mode = self.options.deterministic
             action = distribution.mode() if mode else distribution.sample(self._streams)
+            actions = self._remember(action)
             reached, counted, ended = self._decide(action)
+            reached = {**reached, **actions}
             rows = counted.nonzero().squeeze(1)  # few: all worlds' garments would be gigabytes
             for name, value in self._chosen(reached, ended).items():
                 seen[name].append(value[rows].cpu())
@@ -204,6 +226,7 @@ class Harvest(Gathering):
             "age": self._age,
             "begun": self._begun.clone(),
             "kept": dict(self._kept),
+            "actions": self._actions,
         }
 
     def load_state_dict(self, state: State) -> None:
@@ -212,6 +235,7 @@ class Harvest(Gathering):
         self._age = state["age"].to(self.device)
         self._begun.copy_(state["begun"])
         self._kept = {name: value.to(self.device) for name, value in state["kept"].items()}
+        self._actions = state["actions"].to(self.device)
         self.load_learned(state, 0)
 
     def forget_worlds(self) -> None:

@@ -11,6 +11,7 @@ PARTS = {
         "dressing/person": ("person:PersonScene", "a torso with arms, and a gripper"),
         "dressing/sleeve": ("sleeve:SleeveScene", "a sleeve that a gripper holds"),
         "dressing/shirt": ("shirt:ShirtScene", "a T-shirt whose hem hands can hold"),
+        "dressing/jacket": ("jacket:JacketScene", "a jacket that hangs from a hand"),
     },
     "fields": {
         "dressing/limb_progress": ("state:LimbProgress", "how far a limb is in a sleeve, alone"),
@@ -34,6 +35,7 @@ PARTS = {
     "initial_states": {
         "dressing/track": ("initial_states:Track", "a sleeve on its way"),
         "dressing/worn_shirt": ("initial_states:WornShirt", "a shirt on the shoulders"),
+        "dressing/held_jacket": ("initial_states:HeldJacket", "a jacket hangs from the left hand"),
     },
     "reward": {
         "dressing/deformation": ("terms:deformation", "equation 13: stretched cloth"),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 
+from understudy_cloth.garments import Garment
 from understudy_cloth.scene import ClothScene
 from understudy_dressing.drawing import FELT, Felt
 from understudy_dressing.person import Side
@@ -40,3 +42,43 @@ class GarmentScene(ClothScene):
     def sleeve(self, side: Side) -> Mapping[str, np.ndarray]:
         """The loops ``entrance``, ``middle`` and ``end`` of the sleeve of that arm: vertices in order, turning so that by
         the right hand the thumb points the way that the hand goes."""
+
+
+class CutGarment(GarmentScene):
+    """One that is cut flat and sewn (:mod:`understudy_cloth.patterns`)."""
+
+    @cached_property
+    @abstractmethod
+    def garment(self) -> Garment:
+        """As it was cut."""
+
+    @cached_property
+    @abstractmethod
+    def begins(self) -> np.ndarray:
+        """(V, 3) m, world frame: where it is before it settles."""
+
+    @property
+    def laid_out(self) -> np.ndarray:
+        return self.garment.positions
+
+    @property
+    def faces(self) -> np.ndarray:
+        return self.garment.faces
+
+    @property
+    def corners(self) -> np.ndarray:
+        assert self.garment.rest is not None
+        return self.garment.rest
+
+    def sleeve(self, side: Side) -> Mapping[str, np.ndarray]:
+        out = 1.0 if side == "left" else -1.0
+        return {
+            part: self.turned(self.garment.loops[f"{side}_{part}"], (0.0, out, 0.0))
+            for part in ("entrance", "middle", "end")
+        }
+
+    def turned(self, loop: np.ndarray, way: tuple[float, float, float]) -> np.ndarray:
+        """The loop so that its area vector, as it begins, goes that way."""
+        x = self.begins[loop]
+        area = np.cross(x - x.mean(0), np.roll(x, -1, axis=0) - x.mean(0)).sum(axis=0)
+        return loop if area @ np.array(way) > 0 else loop[::-1].copy()

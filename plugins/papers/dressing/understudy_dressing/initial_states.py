@@ -12,6 +12,7 @@ from understudy.errors import ConfigError
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates
+from understudy_dressing.jacket import JacketScene
 from understudy_dressing.person import PersonScene, Side, depth_in, neutral_pose
 from understudy_dressing.shirt import ShirtScene, Worn
 from understudy_dressing.sleeve import SleeveScene
@@ -92,7 +93,41 @@ class Track(InitialStates):
         }
 
 
-class WornShirt(InitialStates):
+class _Settled(InitialStates):
+    """The whole person in a pose and cloth as it settled there, pose (22,) rad and vertices (V, 3) m; uniform `noise`, rad, of the
+    pose, `rates`, rad/s, of its velocity, and a `push`, m/s, of all of the cloth in a random direction."""
+
+    def __init__(
+        self, context: Context, who: str, settled: tuple[np.ndarray, np.ndarray], noise: float, rates: float,
+        push: float = 0.0,
+    ) -> None:  # fmt: skip
+        person = context.need_scene(PersonScene, who)
+        if len(person.hinges) != len(PersonScene(PersonScene.Options()).hinges):
+            raise ConfigError(f"{who} needs the whole person: leave `still` of its scene empty.")
+        pose, cloth = settled
+        self._pose = torch.tensor(pose, dtype=torch.float32, device=context.device)
+        self._cloth = torch.tensor(cloth, dtype=torch.float32, device=context.device)
+        self._rest = person.spec().compile().nq - len(pose)
+        self._noise, self._rates, self._push = noise, rates, push
+
+    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
+        hinges = len(self._pose)
+        drawn = 2.0 * streams.uniform(2 * hinges + 2) - 1.0
+        n = len(drawn)
+        gripper = drawn.new_zeros(n, self._rest)
+        cloth = self._cloth.expand(n, -1, -1).contiguous()
+        up, turn = drawn[:, -2], torch.pi * drawn[:, -1]
+        flat = (1.0 - up * up).clamp(min=0.0).sqrt()
+        push = self._push * torch.stack([flat * turn.cos(), flat * turn.sin(), up], dim=1)
+        return {
+            "qpos": torch.cat([self._pose + self._noise * drawn[:, :hinges], gripper], dim=1),
+            "qvel": torch.cat([self._rates * drawn[:, hinges:-2], gripper], dim=1),
+            "cloth_position": cloth,
+            "cloth_velocity": push.unsqueeze(1).expand_as(cloth).contiguous(),
+        }
+
+
+class WornShirt(_Settled):
     """A shirt on the shoulders, the neck in its collar (section 8.1), and a push of all of it in a random direction; or,
     so that later subtasks can begin without a bank, its hem held in front and an arm under it."""
 
@@ -112,30 +147,25 @@ class WornShirt(InitialStates):
             check_range(self, "push", "noise", "rates", least=0, most=10)
 
     def __init__(self, options: Options, context: Context) -> None:
-        self.options = options
         who = "initial_states 'dressing/worn_shirt'"
-        person = context.need_scene(PersonScene, who)
-        if len(person.hinges) != len(PersonScene(PersonScene.Options()).hinges):
-            raise ConfigError(f"{who} needs the whole person: leave `still` of its scene empty.")
         shirt = context.need_scene(ShirtScene, who)
         key = f"dressing/shirt/{options.worn}/{options.side}"
-        pose, cloth = context.once(key, lambda: shirt.settled(options.worn, options.side))
-        self._pose = torch.tensor(pose, dtype=torch.float32, device=context.device)
-        self._cloth = torch.tensor(cloth, dtype=torch.float32, device=context.device)
-        self._rest = person.spec().compile().nq - len(pose)
+        settled = context.once(key, lambda: shirt.settled(options.worn, options.side))
+        super().__init__(context, who, settled, options.noise, options.rates, options.push)
 
-    def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        hinges, options = len(self._pose), self.options
-        drawn = 2.0 * streams.uniform(2 * hinges + 2) - 1.0
-        n = len(drawn)
-        gripper = drawn.new_zeros(n, self._rest)
-        cloth = self._cloth.expand(n, -1, -1).contiguous()
-        up, turn = drawn[:, -2], torch.pi * drawn[:, -1]
-        flat = (1.0 - up * up).clamp(min=0.0).sqrt()
-        push = options.push * torch.stack([flat * turn.cos(), flat * turn.sin(), up], dim=1)
-        return {
-            "qpos": torch.cat([self._pose + options.noise * drawn[:, :hinges], gripper], dim=1),
-            "qvel": torch.cat([options.rates * drawn[:, hinges:-2], gripper], dim=1),
-            "cloth_position": cloth,
-            "cloth_velocity": push.unsqueeze(1).expand_as(cloth).contiguous(),
-        }
+
+class HeldJacket(_Settled):
+    """A jacket that hangs from the left hand (2018 code)."""
+
+    @dataclass(frozen=True)
+    class Options:
+        noise: float = 0.01  #: rad and rad/s, uniform, of pose and velocity
+
+        def __post_init__(self) -> None:
+            check_range(self, "noise", least=0, most=10)
+
+    def __init__(self, options: Options, context: Context) -> None:
+        who = "initial_states 'dressing/held_jacket'"
+        jacket = context.need_scene(JacketScene, who)
+        settled = context.once("dressing/jacket", jacket.hung)
+        super().__init__(context, who, settled, options.noise, options.noise)

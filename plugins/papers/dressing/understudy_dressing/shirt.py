@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -21,7 +20,7 @@ from understudy_cloth.mesh import edges_of
 from understudy_cloth.patterns import Shirt, t_shirt
 from understudy_cloth.scene import ClothModel, ClothScene, Fabric, Grip
 from understudy_cloth.simulator import ClothSimulator
-from understudy_dressing.garment import GarmentScene
+from understudy_dressing.garment import CutGarment
 from understudy_dressing.person import (
     TIP,
     PersonScene,
@@ -48,7 +47,7 @@ _SETTLES, _GOES, _HANGS = 0.8, 0.6, 0.4
 _PERIOD = 0.01
 
 
-class ShirtScene(GarmentScene):
+class ShirtScene(CutGarment):
     """A T-shirt of cut pieces, the size of the 2018 code's. Grips: the right hand's on the right patch of the front
     hem, then the left hand's on the left one."""
 
@@ -70,37 +69,12 @@ class ShirtScene(GarmentScene):
         return t_shirt(Shirt(edge=self.options.edge, neck=self.options.collar))
 
     @property
-    def laid_out(self) -> np.ndarray:
-        return self.garment.positions
-
-    @property
-    def faces(self) -> np.ndarray:
-        return self.garment.faces
-
-    @property
-    def corners(self) -> np.ndarray:
-        assert self.garment.rest is not None
-        return self.garment.rest
-
-    def sleeve(self, side: Side) -> Mapping[str, np.ndarray]:
-        out = 1.0 if side == "left" else -1.0
-        return {
-            part: self._turned(self.garment.loops[f"{side}_{part}"], (0.0, out, 0.0))
-            for part in ("entrance", "middle", "end")
-        }
-
-    @property
     def collar(self) -> np.ndarray:
         """Vertices in order, turning so that the head goes through along the thumb."""
-        return self._turned(self.garment.loops["collar"], (0.0, 0.0, 1.0))
-
-    def _turned(self, loop: np.ndarray, way: tuple[float, float, float]) -> np.ndarray:
-        x = self._put_on[loop]
-        area = np.cross(x - x.mean(0), np.roll(x, -1, axis=0) - x.mean(0)).sum(axis=0)
-        return loop if area @ np.array(way) > 0 else loop[::-1].copy()
+        return self.turned(self.garment.loops["collar"], (0.0, 0.0, 1.0))
 
     @cached_property
-    def _put_on(self) -> np.ndarray:
+    def begins(self) -> np.ndarray:
         """(V, 3) m: around the neutral person, drawn over it as little as front and back have to be."""
         x = self.garment.positions.copy()
         x[:, 2] += _NECK - x[:, 2].max()
@@ -128,7 +102,7 @@ class ShirtScene(GarmentScene):
             for side in HOLDERS
         )
         return ClothModel(
-            self._put_on, self.faces, self.options.fabric, rest=self.corners, tools=tools(), grips=grips
+            self.begins, self.faces, self.options.fabric, rest=self.corners, tools=tools(), grips=grips
         )  # fmt: skip
 
     def settled(self, worn: Worn, side: Side) -> tuple[np.ndarray, np.ndarray]:
@@ -140,7 +114,7 @@ class ShirtScene(GarmentScene):
         ConfigError
             if the cloth flies apart.
         """
-        moves = _Moves(self)
+        moves = Moves(self)
         moves.hold(_SETTLES, closed=(False, False))
         holder: Side = "left" if side == "right" else "right"
         closed = tuple(name == holder for name in HOLDERS)
@@ -168,17 +142,17 @@ class _Alone(ClothScene):
         return self._model
 
 
-class _Moves:
-    """One world of the shirt on the CPU, on a person that is led, and whose links keep apart as the subtasks' do: those
+class Moves:
+    """One world of the garment on the CPU, on a person that is led from `pose` (22,) rad, neutral unless given, and whose links keep apart as the subtasks' do: those
     that begin in each other would be thrown out by the first step."""
 
-    def __init__(self, scene: ShirtScene) -> None:
+    def __init__(self, scene: CutGarment, pose: np.ndarray | None = None) -> None:
         person = PersonScene(PersonScene.Options(self_collision=True))
         self._body = person.spec().compile()
         self._body.geom_margin[:] = _APART
         self._data = mujoco.MjData(self._body)
-        self._pose = neutral_pose(person).numpy().astype(float)
-        self._neutral = self._pose.copy()
+        self._neutral = neutral_pose(person).numpy().astype(float)
+        self._pose = self._neutral.copy() if pose is None else pose.astype(float)
         self._ids = [self._body.body(name).id for name in tool_bodies()]
         self._garment = scene.garment
         model = scene.model()
@@ -251,5 +225,5 @@ class _Moves:
 
     def found(self) -> tuple[np.ndarray, np.ndarray]:
         if bool(self._cloth.failed().any()):
-            raise ConfigError("The shirt flies apart as it is put on: choose another fabric.")
+            raise ConfigError("The garment flies apart as it settles: choose another fabric.")
         return self._pose, self._cloth.read("cloth_position")[0].numpy().astype(np.float64)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from understudy.errors import suggestion
 from understudy.options import check_range
 from understudy_sweeps.chain import Chain
 from understudy_sweeps.loops import OuterLoop, Report, Trial
@@ -40,6 +41,8 @@ class Algorithm1(OuterLoop):
     class Options:
         #: in order, by name, the overrides of each, its narrow starts among them
         subtasks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+        #: by subtask, what its harvest is given in place of `ending`: [job.moment=change, job.field=gripped, job.value=1]
+        ends: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
         passes: Literal["both", "first"] = "both"  #: ``first``: the paper's ablation
         #: α of line 5, by which the covariance of the first subtask's starts is multiplied (not
         #: published); 1 leaves its starts as they are
@@ -54,6 +57,9 @@ class Algorithm1(OuterLoop):
         count: int = 256  #: states of each bank (2018 code: 20)
         seconds: float = 0.1  #: for which starts are simulated before they are kept
         fields: tuple[str, ...] = ()  #: that banks keep beside the simulator's state
+        each: tuple[
+            str, ...
+        ] = ()  #: overrides of every training and bank of starts, before the subtask's own
 
         def __post_init__(self) -> None:
             check_range(self, "widening", "seconds", above=0)
@@ -61,6 +67,11 @@ class Algorithm1(OuterLoop):
             check_range(self, "count", least=2)
             if not self.subtasks:
                 raise ValueError("subtasks={} is not possible: give at least one.")
+            for name in self.ends:
+                if name not in self.subtasks:
+                    raise ValueError(
+                        f"ends.{name} is of no subtask.{suggestion(name, self.subtasks)}"
+                    )
             taken: set[str] = set()
             for name in self.subtasks:
                 if not _NAME.fullmatch(name):
@@ -76,7 +87,7 @@ class Algorithm1(OuterLoop):
                 taken |= stages
 
     def __init__(self, options: Options, seed: int = 0) -> None:
-        self._chain = Chain(Chain.Options(stages_of(options)), seed)
+        self._chain = Chain(Chain.Options(stages_of(options), options.each), seed)
         self.share = 0.0
 
     def ask(self, number: int) -> Trial | None:
@@ -130,8 +141,8 @@ def stages_of(options: Algorithm1.Options) -> dict[str, tuple[str, ...]]:
         stages[name] = (*options.subtasks[name], *ends, *begins, *warm)
         if number + 1 < len(names):
             stages[f"{name}_ends"] = (
-                "job=harvest", f"job.run='{{{name}}}'", f"job.ending={options.ending}",
-                f"job.count={options.count}", kept,
+                "job=harvest", f"job.run='{{{name}}}'",
+                *options.ends.get(name, (f"job.ending={options.ending}",)), f"job.count={options.count}", kept,
             )  # fmt: skip
     return stages
 
