@@ -13,7 +13,7 @@ from understudy.command.cli import main
 from understudy.setup.plugins import installed
 from understudy_credits.bibtex import entry
 from understudy_credits.terms import Purpose, judge, named
-from understudy_credits.walk import Made, answer, in_a_line, items_of
+from understudy_credits.walk import Made, answer, in_a_line, items_of, open_made
 
 CASES = {
     ("Apache-2.0", "commercial"): True,
@@ -113,6 +113,25 @@ def test_everything_is_walked(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_nothing_in_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["licence", "spacetime/walk"]) == 0
     assert "Nothing stands in the way of commercial use" in capsys.readouterr().out
+
+
+def test_whoever_ships_a_skill_answers_for_the_weights_that_it_began_with() -> None:
+    unknown = {"what": "weights of base", "licence": "unknown"}
+    recorded = [{"what": "code understudy", "licence": "MIT"}, unknown, {**unknown, "what": "weights of held"}]  # fmt: skip
+    start = {"start": {"run": "runs/base", "sources": {"start": {"run": "first"}}}}
+    info = {"licence": {"items": recorded}, "sources": start}
+    assert [item.what for item in items_of(Made("a.json", info))] == [row["what"] for row in recorded]  # fmt: skip
+    shipped = items_of(Made("a/skill", info, shipped="understudy"))
+    assert [(item.what, item.licence) for item in shipped] == [
+        ("code understudy", "MIT"), ("weights of held", "unknown"), ("weights of a/skill", "Apache-2.0"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(installed().registry.names("skill")))
+def test_every_skill_that_ships_says_on_what_terms(name: str) -> None:
+    found = {item.what: item.licence for item in items_of(open_made(name))}
+    assert found[f"weights of {name}"] == "Apache-2.0"
+    assert {what for what, licence in found.items() if licence == "unknown"} == set()
 
 
 def test_weights_that_it_began_with_are_followed(tmp_path: Path) -> None:

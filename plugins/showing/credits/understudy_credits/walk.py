@@ -78,9 +78,26 @@ def items_of(made: Made, registry: Registry | None = None) -> list[Item]:
     if recorded:  # it was packed from a run that had copies of more
         keys = ("what", "licence", "attribution", "source")
         texts = [{key: words.text(mapping(row).get(key, "")) for key in keys} for row in recorded]
-        return [Item(**{**row, "licence": row["licence"] or "unknown"}) for row in texts]
+        found = [Item(**{**row, "licence": row["licence"] or "unknown"}) for row in texts]
+        if (
+            made.shipped
+        ):  # its distribution answers for its weights, and for those that they began with
+            begun = {(f"weights of {name}", "unknown") for name in _began_with(made.info)}
+            found = [item for item in found if (item.what, item.licence) not in begun]
+            found.append(Item(f"weights of {made.name}", _distribution_licence(made.shipped)))
+        return found
     found = [*_code(made.info), *_data(made, registry, _DEPTH)]
     return list(dict.fromkeys(found))
+
+
+def _began_with(info: Mapping[str, Any]) -> Iterator[str]:
+    """The names of the runs that began one another, from the last to the first."""
+    start = mapping(mapping(info.get("sources")).get("start"))
+    for _ in range(_DEPTH):
+        if not start:
+            return
+        yield Path(words.text(start.get("run") or "")).name
+        start = mapping(mapping(start.get("sources")).get("start"))
 
 
 def answer(made: Made, registry: Registry | None = None) -> dict[str, Any]:
