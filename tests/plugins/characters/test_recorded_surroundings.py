@@ -21,7 +21,9 @@ from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import Plugins, hookimpl, load
 from understudy.setup.registry import Registrar
 from understudy.testing import fake
+from understudy_characters.character import Character
 from understudy_characters.recording import recorded_surroundings
+from understudy_characters.scene import other_bodies
 from understudy_characters.surroundings import Surroundings
 
 
@@ -99,3 +101,41 @@ def test_a_recording_that_does_not_fit_is_one_sentence(
     with pytest.raises(FileError, match=reason) as error:
         recorded_surroundings(run)
     assert "\n" not in str(error.value)
+
+
+SCENE = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 0.1"/>
+    <geom name="table" type="box" size="0.5 0.5 0.02" pos="0 0 -0.02"/>
+    <body name="tool" pos="0 0 0.5"><freejoint/><geom type="capsule" size="0.01 0.1"/></body>
+    <body name="arm" pos="0.3 0 0.2">
+      <joint axis="0 1 0"/><geom type="capsule" size="0.02 0.1" pos="0 0 0.1"/>
+      <body pos="0 0 0.2"><joint axis="0 1 0"/><geom type="sphere" size="0.03"/></body>
+    </body>
+    <body name="goal" mocap="true"><geom type="sphere" size="0.01"/></body>
+    <body name="frame"/>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_a_scene_of_no_character_is_shown_whole() -> None:
+    """The tool is what moves freely, and the arm that holds it and the table are beside it."""
+    character = Character("tool", mujoco.MjModel.from_xml_string(SCENE))
+    assert character.joint_names == ("tool",)
+    qpos = np.zeros((2, 9))
+    qpos[:, 2:4] = 0.5, 1.0
+    qpos[1, 7] = 0.5 * np.pi  # the arm's first hinge, about y: up becomes forward
+    things = {thing.name: thing for thing in other_bodies(character, qpos)}
+    assert list(things) == ["world", "arm", "body3"]
+    np.testing.assert_allclose(things["arm"].positions, [[0.3, 0, 0.2]] * 2)
+    np.testing.assert_allclose(
+        things["body3"].positions, [[0.3, 0, 0.4], [0.5, 0, 0.2]], atol=1e-12
+    )
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(
+        things["body3"].rotations, [[1, 0, 0, 0], [half, 0, half, 0]], atol=1e-12
+    )
+    (table,) = things["world"].shapes
+    np.testing.assert_allclose(table.vertices.min(axis=0), [-0.5, -0.5, -0.04], atol=1e-12)

@@ -98,6 +98,17 @@ def test_the_runs_character_is_shown(tmp_path: Path, run: Path) -> None:
     assert lengths.max() < 2.0
 
 
+@pytest.mark.slow
+def test_a_skill_of_a_hand_has_its_hand_and_its_licence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert export("chopsticks/throw", Path("a.glb"), "--seconds", "0.1") == 0
+    assert "licence: Apache-2.0" in capsys.readouterr().out
+    names = {node["name"] for node in GltfFile(tmp_path / "a.glb").document["nodes"]}
+    assert {"upper_stick", "lower_stick", "object", "thumb_distal", "forearm"} <= names
+
+
 def test_the_reference_of_a_run(tmp_path: Path, run: Path) -> None:
     _, reference = recorded_clips(run)
     assert reference is not None

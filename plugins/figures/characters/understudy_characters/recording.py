@@ -15,7 +15,7 @@ from understudy.records.runs import Run
 from understudy.setup.config import Experiment
 from understudy.task import Context, Scene
 from understudy_characters.character import Character
-from understudy_characters.scene import CharacterScene
+from understudy_characters.scene import CharacterScene, other_bodies
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.readers.npz import Archive
 from understudy_motion.reading import MAX_ROTATIONS
@@ -105,7 +105,8 @@ def recorded_clips(path: str | Path) -> tuple[Clip, Clip | None]:
 
 def recorded_surroundings(path: str | Path) -> list[Shown]:
     """What stands around the character in the first recorded episode of the run folder `path`: each
-    thing a motion of one joint, with the frames of :func:`recorded_clips`.
+    thing a motion of one joint, with the frames of :func:`recorded_clips`. In a MuJoCo scene of no
+    character it is all that is drawn beside the body of :func:`run_character`.
 
     Raises
     ------
@@ -114,14 +115,18 @@ def recorded_surroundings(path: str | Path) -> list[Shown]:
     """
     run = runs.open_run(path)
     scene = recorded_scene(run)
-    if not isinstance(scene, CharacterScene):
+    if not isinstance(scene, MujocoScene):
         return []
     archive = Archive(run.path / "recording.npz")
     frames, dt = max(0, int(archive.number("first_episode"))), archive.number("control_dt")
     qpos = archive.floats("qpos", None, None)[:frames]
-    tracks = {name: track[:frames] for name, track in recorded_fields(run, scene).items()}
+    if isinstance(scene, CharacterScene):
+        tracks = {name: track[:frames] for name, track in recorded_fields(run, scene).items()}
+        things = scene.surroundings({"qpos": qpos, **tracks})
+    else:
+        things = other_bodies(_character(unsimulated(run)), qpos)
     found = []
-    for thing in scene.surroundings({"qpos": qpos, **tracks}):
+    for thing in things:
         names = (thing.name,)
         clip = Clip(
             name=thing.name,

@@ -37,7 +37,7 @@ from understudy_mujoco.scene import MujocoScene
 from understudy_mujoco.studio import LEARNED, REFERENCE, Camera, Figure
 from understudy_mujoco.studio import draw as draw_figures
 
-__all__ = ["CharacterScene", "reference_motion"]
+__all__ = ["CharacterScene", "other_bodies", "reference_motion"]
 
 #: In lengths of the figure: how far to the left the reference is drawn.
 _BESIDE = 0.74
@@ -53,6 +53,24 @@ class Thing:
     positions: np.ndarray  #: (T, 3) m, world
     rotations: np.ndarray  #: (T, 4), world
     shapes: list[Shape]  #: in its frame
+
+
+def other_bodies(character: Character, qpos: np.ndarray) -> Iterator[Thing]:
+    """What the character's model has beside it, moved by `qpos`, (T, nq): each body with geoms, the world's
+    own too; without planes, which have no end, and mocap bodies, of whose places `qpos` says nothing."""
+    model, data = character.model, mujoco.MjData(character.model)
+    solid = model.geom_bodyid[model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE]
+    drawn = {int(body) for body in solid if model.body_mocapid[body] < 0}
+    bodies = sorted(drawn - set(character.carrier))
+    poses = []
+    for frame in qpos:
+        data.qpos[:] = frame
+        mujoco.mj_kinematics(model, data)
+        poses.append((data.xpos[bodies].copy(), data.xquat[bodies].copy()))
+    for row, body in enumerate(bodies):
+        positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
+        surface = body_shapes(character, body)
+        yield Thing(surface[0].joint, positions, turns, surface)
 
 
 class CharacterScene(MujocoScene):

@@ -107,6 +107,9 @@ class Export(Command):
         page = options.destination.suffix.lower() in PAGES
         if not page:  # before a skill is recorded, which takes time
             _check_format(options.destination, registry)
+        options.made = (
+            options.source
+        )  # a skill's licence is its distribution's, its recording's folder has none
         options.source = run_folder(options.source, recorded=True)
         if page:
             return _page(options)
@@ -115,7 +118,7 @@ class Export(Command):
         garment = garment_of(options.source)
         if garment is not None:
             _refuse_options(options, "is of a garment", but=("rate", "seconds"))
-            destination, line = options.destination, in_a_line(open_made(options.source))
+            destination, line = options.destination, in_a_line(open_made(options.made))
             licence = "; ".join(filter(None, line))
             print(
                 write_cloth(
@@ -233,7 +236,7 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
                     f"--{option.replace('_', '-')} is of clip files; {path} is a run."
                 )
         if learned is not None and not options.reference:
-            licence, attribution = in_a_line(open_made(str(path), registry), registry)
+            licence, attribution = in_a_line(open_made(options.made, registry), registry)
             learned = replace(learned, licence=licence, attribution=attribution)
         clip = reference if options.reference else learned
         if clip is None:
@@ -309,9 +312,9 @@ def _summary(clip: Clip, destination: Path, character: Character | None) -> str:
         f"{clip.num_frames} frames at {clip.frame_rate:g} Hz",
         f"{clip.duration:.2f} s{', looping' if clip.loop else ''}",
         f"{len(clip.joint_names)} joints{f' of {character.name}' if character else ''}",
-        f"licence: {clip.licence}",
+        f"licence: {clip.licence}" if clip.licence else "",
     ]
-    return f"{destination}: {' · '.join(parts)}"
+    return f"{destination}: {' · '.join(filter(None, parts))}"
 
 
 def _count(text: str) -> int:
