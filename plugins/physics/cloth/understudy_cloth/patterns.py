@@ -18,7 +18,7 @@ from understudy.options import check_range
 from understudy_cloth.garments import Garment, holes_of
 from understudy_cloth.mesh import edges_of
 
-__all__ = ["Shirt", "t_shirt"]
+__all__ = ["JACKET", "Shirt", "jacket", "t_shirt"]
 
 #: m: so far from the plane of the seams are front and back at most, and at most so much of the distance from a seam.
 _DEPTH, _RISE = 0.05, 0.35
