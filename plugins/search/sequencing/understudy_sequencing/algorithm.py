@@ -57,9 +57,8 @@ class Algorithm1(OuterLoop):
         count: int = 256  #: states of each bank (2018 code: 20)
         seconds: float = 0.1  #: for which starts are simulated before they are kept
         fields: tuple[str, ...] = ()  #: that banks keep beside the simulator's state
-        each: tuple[
-            str, ...
-        ] = ()  #: overrides of every training and bank of starts, before the subtask's own
+        #: overrides of every training and bank of starts, before the subtask's own
+        each: tuple[str, ...] = ()
 
         def __post_init__(self) -> None:
             check_range(self, "widening", "seconds", above=0)

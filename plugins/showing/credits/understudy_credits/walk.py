@@ -79,9 +79,8 @@ def items_of(made: Made, registry: Registry | None = None) -> list[Item]:
         keys = ("what", "licence", "attribution", "source")
         texts = [{key: words.text(mapping(row).get(key, "")) for key in keys} for row in recorded]
         found = [Item(**{**row, "licence": row["licence"] or "unknown"}) for row in texts]
-        if (
-            made.shipped
-        ):  # its distribution answers for its weights, and for those that they began with
+        if made.shipped:
+            # Its distribution answers for its weights, and for those that they began with.
             begun = {(f"weights of {name}", "unknown") for name in _began_with(made.info)}
             found = [item for item in found if (item.what, item.licence) not in begun]
             found.append(Item(f"weights of {made.name}", _distribution_licence(made.shipped)))

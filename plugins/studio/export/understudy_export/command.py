@@ -107,9 +107,8 @@ class Export(Command):
         page = options.destination.suffix.lower() in PAGES
         if not page:  # before a skill is recorded, which takes time
             _check_format(options.destination, registry)
-        options.made = (
-            options.source
-        )  # a skill's licence is its distribution's, its recording's folder has none
+        # A skill's licence is its distribution's, of which its recording's folder knows nothing.
+        options.made = options.source
         options.source = run_folder(options.source, recorded=True)
         if page:
             return _page(options)
