@@ -156,9 +156,9 @@ class Thing:
     def __post_init__(self) -> None:
         count = {"sphere": 1, "capsule": 2, "box": 3, "any": 0}[self.kind]
         if len(self.sizes) != count:
-            what = "what is any has none, since worlds" if not count else f"a {self.kind} has {count}"
-            more = " differ in them" if not count else " of them"
-            raise ValueError(f"sizes={list(self.sizes)} are not possible: {what}{more}.")
+            raise ValueError(
+                f"sizes={list(self.sizes)} are not possible: kind={self.kind} has {count} of them."
+            )
         check_range(self, "sizes", above=0, most=1.0)
         check_range(self, "density", "friction", above=0)
         check_range(self, "rolling", least=0, most=0.01)

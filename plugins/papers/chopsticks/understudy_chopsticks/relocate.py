@@ -136,9 +136,10 @@ class Bank:
         self.shifts = torch.zeros(count, device=self._device)
         self._along = [0.0] * count
         self._shapes = [self._alike or _SOME] * count
-        #: (P,) int64 and (P, 3) m: number of the object's kind, and MuJoCo's sizes of it.
+        #: (P,) int64 and (P, 3) m: number of the object's kind, and MuJoCo's sizes of it; and what is seen of both (P, 6).
         self.kinds = torch.zeros(count, dtype=torch.int64, device=self._device)
         self.sizes = torch.zeros(count, 3, device=self._device)
+        self.seen = torch.zeros(count, 2 * len(objects.KINDS), device=self._device)
         for row, shape in enumerate(self._shapes):
             self._set_shape(row, shape)
         #: (P, nq) as a plan of a tool that is held further along begins.
@@ -190,19 +191,15 @@ class Bank:
         self._shapes += self._shapes[:1] * count
         self.kinds = torch.cat([self.kinds, self.kinds[:1].repeat(count)])
         self.sizes = torch.cat([self.sizes, self.sizes[:1].repeat(count, 1)])
+        self.seen = torch.cat([self.seen, self.seen[:1].repeat(count, 1)])
 
     def _set_shape(self, row: int, shape: objects.Shape) -> None:
-        self._shapes[row], self.kinds[row] = shape, objects.KINDS.index(shape.kind)
+        number = objects.KINDS.index(shape.kind)
+        self._shapes[row], self.kinds[row] = shape, number
         self.sizes[row] = torch.tensor(mujoco_sizes(shape.kind, shape.sizes))
-
-    def extents(self, row: Tensor) -> Tensor:
-        """(N, 6) of the objects of the plans `row` (N,): 1 for their kind of three, and half of their extent along each of their axes, m."""
-        kind, sizes = self.kinds[row], self.sizes[row]
-        ball, rod = (kind == 0)[:, None], (kind == 1)[:, None]
-        radius = sizes[:, :1].expand(-1, 3)
-        long = radius + torch.where(rod, sizes[:, 1:2], 0.0) * torch.eye(3, device=row.device)[0]
-        half = torch.where(ball | rod, long, sizes)
-        return torch.cat([torch.nn.functional.one_hot(kind, len(objects.KINDS)), half], dim=1)
+        one_of = [float(k == number) for k in range(len(objects.KINDS))]
+        half = [size + shape.rounding for size in shape.half_sizes]
+        self.seen[row] = torch.tensor([*one_of, *half])
 
     def replace(self, row: int) -> None:
         """Put a new plan into a row, in place."""
@@ -560,7 +557,7 @@ class Relocations(InitialStates):
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
             "plan_goal": self.bank.goals[row, -1],
-            "object_shape": self.bank.extents(row),
+            "object_shape": self.bank.seen[row],
         }
 
     def update(self, rollout: Rollout) -> dict[str, float]:
