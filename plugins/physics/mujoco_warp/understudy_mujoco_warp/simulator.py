@@ -278,7 +278,9 @@ class MujocoWarpSimulator(Simulator):
         for parameter in map(self._known.__getitem__, names):
             of = _LONE if self._is_lone(parameter) and not all_bodies else _GROUPS
             groups |= of.get(parameter.field, 0)
-        return groups
+        model = self.model
+        none = not (model.ncam or model.nlight or model.ntendon or model.neq)
+        return groups & ~_POSES if none else groups
 
     def _weigh(self) -> None:
         """The inverse weights of bodies that float by themselves. Warp solves once for each coordinate and six times for each body."""
