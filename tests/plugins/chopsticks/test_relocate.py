@@ -412,7 +412,9 @@ def test_each_plan_moves_another_object(plugins: Plugins) -> None:
     other, _ = parts(again)
     other.load_state_dict(state)
     torch.testing.assert_close(other.bank.seen, bank.seen)
-    own = {name: value[:8] for name, value in other.bank.forms.values(bank.kinds, bank.sizes).items()}  # type: ignore[union-attr]
+    own = {
+        name: value[:8] for name, value in other.bank.forms.values(bank.kinds, bank.sizes).items()
+    }  # type: ignore[union-attr]
     rows = table["plan_row"].long()
     for name, value in own.items():
         torch.testing.assert_close(table[name], value[rows])
@@ -591,11 +593,13 @@ def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     made.environment.close()
 
 
-def rollout(rows: list[list[float]]) -> Any:
+def rollout(rows: list[list[float]], rewards: list[list[float]] | None = None) -> Any:
     class Noted:
         fields = {"plan_row": torch.tensor(rows)}
 
-    return Noted()
+    found: Any = Noted()
+    found.rewards = torch.tensor(rewards or [])
+    return found
 
 
 def test_the_bank_is_refilled_without_a_jolt_to_those_that_follow(plugins: Plugins) -> None:
@@ -618,6 +622,31 @@ def test_the_bank_is_refilled_without_a_jolt_to_those_that_follow(plugins: Plugi
     assert torch.equal(bank.frames[1:], before[1:])
     assert initial._waiting == [1]
     made.environment.close()
+
+
+def test_plans_that_go_badly_are_drawn_more_often(plugins: Plugins) -> None:
+    """With exp(-harder r), r the mean reward of a decision in the last rollout that followed one."""
+    words = [*WORDS, "num_worlds=20000", "initial_states.refill=0", "initial_states.harder=2"]
+    made = build_environment(load_experiment(words, plugins), num_worlds=1)
+    initial, _ = parts(made)
+
+    def shares() -> list[float]:
+        streams = WorldStreams(0, "starts", 20000, made.context.device)
+        rows = initial.sample(streams)["plan_row"].long()
+        return (rows.bincount(minlength=5) / 20000).tolist()
+
+    assert shares() == pytest.approx([0.2] * 5, abs=0.01), "evenly while nobody knows"
+    initial.update(rollout([[0, 1, 2], [0, 1, 3]], [[0.9, 0.2, 0.6], [0.7, 0.0, 0.5]]))
+    weights = [math.exp(-2 * r) for r in (0.8, 0.1, 0.6, 0.5, 0.0)]
+    assert shares() == pytest.approx([w / sum(weights) for w in weights], abs=0.01)
+    initial.update(rollout([[0]], [[0.1]]))  # of the others it stays known
+    weights[0] = weights[1]
+    assert shares() == pytest.approx([w / sum(weights) for w in weights], abs=0.01)
+    again = build_environment(load_experiment(words, plugins), num_worlds=1)
+    parts(again)[0].load_state_dict(initial.state_dict())
+    torch.testing.assert_close(parts(again)[0]._going, initial._going)
+    made.environment.close()
+    again.environment.close()
 
 
 def test_a_rollout_says_which_plans_are_followed(built: Built) -> None:
@@ -692,6 +721,7 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["scene.object.kind=any"], "kind=any has 0 of them"),
         (["scene.below={kind: any, sizes: []}"], "worlds differ in the object alone"),
         (["initial_states.refill=5"], "some have to stay"),
+        (["initial_states.harder=-1"], "harder=-1"),
         (["initial_states.shift=[0.05, -0.05]"], "the first is the lower one"),
         (["initial_states.shift=[0.0, 0.07]"], "from -0.06 to 0.06 m"),
         (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),
