@@ -250,8 +250,8 @@ class MujocoWarpSimulator(Simulator):
         if self._switches:
             self._margins = wp.to_torch(self._m.geom_margin)
             self._model_margins = self._margins.clone()
-        lone = {p.rows for p in picked if self._is_lone(p)}
-        self._weighed = sorted(row for row in lone if isinstance(row, int))
+        rows = (p.rows for p in picked if self._is_lone(p))
+        self._weighed = sorted({row for row in rows if isinstance(row, int)})
         self.fields = {**self.fields, **{p.name: p.shape for p in picked}}
         self._views.update(self._varied)
         self._settle(groups)
