@@ -445,12 +445,11 @@ class Relocations(InitialStates):
     """The sticks in the hand, open, and the object at the start of a plan that each world draws; in an evaluation each from
     a share of the bank of its own.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end; ``object_shape`` (6,) 1 for
-    its kind of sphere, capsule and box, and half of its extent along each of its axes, m.
+    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
 
     rollout_fields = ("plan_row",)
-    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,), "object_shape": (6,)}
+    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,)}
 
     @dataclass(frozen=True)
     class Options:
@@ -569,7 +568,6 @@ class Relocations(InitialStates):
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
             "plan_goal": self.bank.goals[row, -1],
-            "object_shape": self.bank.seen[row],
         }
 
     def _learn(self, rollout: Rollout) -> None:
@@ -620,7 +618,8 @@ class Follow(Fields):
     - ``planned_object`` (7,): where the object shall be, in the world; ``planned_held`` () 1 while the sticks hold it
     - ``planned_goal`` (3,) m, of the relocation that is on; ``planned_leg`` () its number, from 0; ``leg_over`` () 1
       in its last frame
-    - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
+    - ``object_shape`` (6,): 1 for its kind of sphere, capsule and box, and half of its extent along each of its axes, m
+    - ``object_ahead`` (6, 7): where it shall be every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
     reads = (
@@ -635,6 +634,7 @@ class Follow(Fields):
         "planned_goal": (3,),
         "planned_leg": (),
         "leg_over": (),
+        "object_shape": (2 * len(objects.KINDS),),
         "object_ahead": (len(AHEAD), 7),
     }
 
@@ -726,6 +726,7 @@ class Follow(Fields):
             "planned_goal": self._bank.goals[row, leg.long()],
             "planned_leg": leg,
             "leg_over": here[:, 0, _LAST],
+            "object_shape": self._bank.seen[row],
             "object_ahead": torch.cat(
                 [
                     rotations.inverse_rotate(turn.expand(-1, len(AHEAD), 4), thing[..., :3] - palm),
