@@ -284,7 +284,8 @@ class Bank:
         anew: bool = False,
     ) -> int:
         """The row of `world` itself with a plan to `goal` m: from where the arm is in the plan `row` at its frame `frame`, the tool is
-        held (`along` m further), and the object lies; `anew` where something has failed.
+        held (`along` m further), and the object lies; `anew` where something has failed, or where the tool that let go of the object still
+        touches it: then it opens and goes up first.
 
         Raises
         ------
@@ -302,7 +303,16 @@ class Bank:
         planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
         table = Table((shape,), (start,), (heading,))
-        plan = planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
+        task, rest = table.task(0, goal), table.without(0)
+        try:
+            plan = planner.plan(task, now, rest, anew=anew)
+        except NoPlan as refused:
+            if anew:
+                raise
+            try:
+                plan = planner.plan(task, now, rest, anew=True)
+            except NoPlan:
+                raise refused from None
         own, leg = self.drawn + world, int(here[_LEG])
         if not self._put(own, [plan], leg):
             raise NoPlan("No plan reaches the goal in time. Choose another goal.")
