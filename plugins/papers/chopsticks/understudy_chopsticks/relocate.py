@@ -77,7 +77,7 @@ class Bank:
             )
         #: What every plan moves; None where each draws another.
         self._alike = None if thing.kind == "any" else objects.Shape(thing.kind, thing.sizes)
-        self.forms = made.scene.forms
+        self.scene, self.forms = made.scene, made.scene.forms
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.
         self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
@@ -141,7 +141,7 @@ class Bank:
         self.sizes = torch.zeros(count, 3, device=self._device)
         self.seen = torch.zeros(count, 2 * len(objects.KINDS), device=self._device)
         for row, shape in enumerate(self._shapes):
-            self._set_shape(row, shape)
+            self.give(row, shape)
         #: (P, nq) as a plan of a tool that is held further along begins.
         self.starts = torch.zeros(
             count if self.shifted else 0, self._made.scene.model.nq, device=self._device
@@ -193,7 +193,8 @@ class Bank:
         self.sizes = torch.cat([self.sizes, self.sizes[:1].repeat(count, 1)])
         self.seen = torch.cat([self.seen, self.seen[:1].repeat(count, 1)])
 
-    def _set_shape(self, row: int, shape: objects.Shape) -> None:
+    def give(self, row: int, shape: objects.Shape) -> None:
+        """Have the plan `row` move an object of this shape."""
         number = objects.KINDS.index(shape.kind)
         self._shapes[row], self.kinds[row] = shape, number
         self.sizes[row] = torch.tensor(mujoco_sizes(shape.kind, shape.sizes))
@@ -205,7 +206,7 @@ class Bank:
         """Put a new plan into a row, in place."""
         if self._alike is None:
             stream = random.generator(self._seed, f"{self._stream}/shape/{self._drawn}")
-            self._set_shape(row, random_shape(stream))
+            self.give(row, random_shape(stream))
         if self.shifted:
             self._hold_further(row)
         plans = self._plans(self._planner.shifted(self._along[row]), self._shapes[row])
@@ -324,7 +325,7 @@ class Bank:
         """What a plan that is made anew has of the plan `row` before it, with the tool held `along` m further."""
         self.goals[own] = self.goals[row].clone()
         self._along[own] = self.shifts[own] = along
-        self._set_shape(own, self._shapes[row])
+        self.give(own, self._shapes[row])
 
     def way(self, row: int) -> np.ndarray:
         """(T, 3) m: where the object is in the plan `row`."""
@@ -441,7 +442,7 @@ class Bank:
         self._along = self.shifts.tolist()
         for row, (kind, *sizes) in enumerate(state.get("shapes", torch.zeros(0, 4)).tolist()):
             name = objects.KINDS[int(kind)]
-            self._set_shape(row, objects.Shape(name, tuple(sizes[: objects.COUNTS[name]])))
+            self.give(row, objects.Shape(name, tuple(sizes[: objects.COUNTS[name]])))
         self._drawn = int(state["drawn"])
 
 
