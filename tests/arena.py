@@ -215,7 +215,11 @@ def check_derived(
     build: Callable[[Context], Simulator], field: Callable[[Simulator, str, int], np.ndarray]
 ) -> None:
     """For each parameter by itself, `field` of a world is what ``mj_setConst`` computes for it."""
-    more = {"dof_armature/hinge": ([0.1], [1.0]), "body_inertia/box": ([1, 2, 2], [3, 3, 3])}
+    more = {
+        "dof_armature/hinge": ([0.1], [1.0]), "body_inertia/box": ([1, 2, 2], [3, 3, 3]),
+        # … of one that floats by itself
+        "body_mass/ball": (0.5, 3.0), "body_inertia/ball": ([0.1, 0.2, 0.3], [1e-4, 2e-4, 1e-3]),
+    }  # fmt: skip
     for name, values in {**PARAMETERS, **more}.items():
         simulator = build(arena(3))
         simulator.vary([name])

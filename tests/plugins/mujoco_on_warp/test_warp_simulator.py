@@ -12,6 +12,7 @@ pytest.importorskip(
     "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
+from forms import check_forms
 from repeatable import repeatable  # noqa: F401 - a fixture
 
 from understudy.task import Context, Simulator
@@ -76,3 +77,8 @@ def test_acceleration_is_computed_only_once_it_is_read(device: str) -> None:
     simulator.set_state(torch.ones(2, dtype=torch.bool, device=device), states(2, device))
     assert torch.equal(simulator._views["actuator_force"], force), "work that nobody asked for"
     assert not torch.equal(simulator.read("actuator_force"), force)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_each_world_has_a_form_of_its_own(device: str) -> None:
+    check_forms(build, device, steps=8, atol=2e-3)

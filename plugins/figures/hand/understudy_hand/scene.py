@@ -63,6 +63,11 @@ class HandScene(MujocoScene):
         def __post_init__(self) -> None:
             Measures(self.fingers, self.finger_length, self.size)
             check_range(self, "friction", above=0)
+            for name in ("below", "above"):
+                if (lying := getattr(self, name)) is not None and lying.kind == "any":
+                    raise ValueError(
+                        f"{name}.kind=any is not possible: worlds differ in the object alone (object.kind=any)."
+                    )
 
     #: ``planned_upper`` and ``planned_lower``, positions and rotations (7,) in the palm's frame, are drawn
     #: as a ghost, and so is ``planned_object`` (7,), in the world.
@@ -71,6 +76,10 @@ class HandScene(MujocoScene):
     def __init__(self, options: Options, context: Context | None = None) -> None:
         self.options, self.contact = options, options.contact
         self.measures = Measures(options.fingers, options.finger_length, options.size)
+        #: What the object may be, where worlds differ in it.
+        self.forms = options.object.forms if options.object is not None else None
+        if self.forms is not None:
+            self.recorded = (*self.recorded, *self.forms.varies)
         self.timestep = context.control_dt / context.substeps if context else 0.005
 
     def spec(self) -> mujoco.MjSpec:
@@ -131,6 +140,8 @@ class HandScene(MujocoScene):
         palm = model.body("palm").id
 
         def aim(frame: int, data: mujoco.MjData) -> None:
+            if self.forms is not None:
+                self.forms.show(model, tracks, frame)
             if frame == 0:  # it stands still: the hand's movement is what is to be seen
                 turn = data.xmat[palm].reshape(3, 3)
                 camera.lookat = data.xpos[palm] + turn @ (self.measures.size * _AIM)
@@ -196,7 +207,9 @@ def _add_object(scene: mujoco.MjvScene, model: mujoco.MjModel, pose: np.ndarray)
     """The object, translucent, at `pose` (7,) in the world."""
     if scene.ngeom >= scene.maxgeom:
         return
-    number, turn, matrix = model.geom("object").id, np.zeros(4), np.zeros(9)
+    own = np.flatnonzero(model.geom_bodyid == model.body("object").id)
+    number = own[model.geom_rgba[own, 3] > 0][0]  # of its forms the one that is seen
+    turn, matrix = np.zeros(4), np.zeros(9)
     mujoco.mju_mulQuat(turn, np.asarray(pose[3:], np.float64), model.geom_quat[number])
     mujoco.mju_quat2Mat(matrix, turn)
     geom = scene.geoms[scene.ngeom]

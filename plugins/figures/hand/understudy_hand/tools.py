@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import mujoco
-import numpy as np
 import torch
 from torch import Tensor
 
 from understudy.options import check_range
+from understudy_mujoco.forms import KINDS, Forms, Kind, lie_along_x
 from understudy_tensors import rotations
 
 __all__ = [
@@ -49,6 +49,9 @@ _DENSITY = 1000.0
 _WOOD = ((0.80, 0.58, 0.30, 1.0), (0.55, 0.27, 0.15, 1.0))
 _STEEL, _HANDLE = (0.62, 0.65, 0.70, 1.0), (0.45, 0.20, 0.12, 1.0)
 _FRUIT, _LEAF = (0.85, 0.25, 0.22, 1.0), (0.36, 0.55, 0.30, 1.0)
+#: What an object is where worlds differ in it (thesis, table 5.2), and m: how high the middle of the tallest is.
+FORMS: tuple[Kind, ...] = ("sphere", "capsule", "box")
+_TALLEST = 0.01
 #: Names of the bodies, the upper one first.
 BODIES: dict[Tool, tuple[str, ...]] = {
     "sticks": ("upper_stick", "lower_stick"),
@@ -138,8 +141,9 @@ def add(spec: mujoco.MjSpec, tool: Tool, friction: float, contact: tuple[int, in
 class Thing:
     """An object on the table, free to move."""
 
-    kind: Literal["sphere", "capsule", "box"] = "sphere"  #: its form; a capsule lies along x
-    #: m: radius of a sphere; radius and length (of the cylinder) of a capsule; the three sides of a box
+    #: its form; a capsule lies along x; ``any`` is another of these in each world
+    kind: Literal["sphere", "capsule", "box", "any"] = "sphere"
+    #: m: radius of a sphere; radius and length (of the cylinder) of a capsule; the three sides of a box; none of ``any``
     sizes: tuple[float, ...] = (0.01,)
     density: float = 1000.0  #: kg/m³, of the sticks' wood and the hand alike
     friction: float | None = (
@@ -150,19 +154,26 @@ class Thing:
     )
 
     def __post_init__(self) -> None:
-        count = {"sphere": 1, "capsule": 2, "box": 3}[self.kind]
+        count = {"sphere": 1, "capsule": 2, "box": 3, "any": 0}[self.kind]
         if len(self.sizes) != count:
-            raise ValueError(
-                f"sizes={list(self.sizes)} are not possible: a {self.kind} has {count} of them."
-            )
+            what = "what is any has none, since worlds" if not count else f"a {self.kind} has {count}"
+            more = " differ in them" if not count else " of them"
+            raise ValueError(f"sizes={list(self.sizes)} are not possible: {what}{more}.")
         check_range(self, "sizes", above=0, most=1.0)
         check_range(self, "density", "friction", above=0)
         check_range(self, "rolling", least=0, most=0.01)
 
     @property
     def height(self) -> float:
-        """m: of the middle above what it lies on."""
+        """m: of the middle above what it lies on; of what is any, of the tallest."""
+        if self.kind == "any":
+            return _TALLEST
         return 0.5 * self.sizes[2] if self.kind == "box" else self.sizes[0]
+
+    @property
+    def forms(self) -> Forms | None:
+        """What ``object`` may be, where worlds differ in it."""
+        return Forms("object", FORMS, self.density) if self.kind == "any" else None
 
 
 def add_thing(
@@ -172,31 +183,29 @@ def add_thing(
     y = {"object": 0.25, "below": 0.15, "above": 0.05}[name]
     body = spec.worldbody.add_body(name=name, pos=[-0.5, y, thing.height])
     body.add_freejoint(name=name)
-    kinds = {
-        "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-        "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-        "box": mujoco.mjtGeom.mjGEOM_BOX,
-    }
-    size = np.zeros(3)
-    size[: len(thing.sizes)] = thing.sizes
-    if thing.kind == "box":
-        size *= 0.5
-    elif thing.kind == "capsule":
-        size[1] *= 0.5
+    sliding = friction if thing.friction is None else thing.friction
+    options = {
+        "contype": contact[0], "conaffinity": contact[1],
+        "condim": 6 if thing.rolling > 0 else 4, "friction": [sliding, 0.005, thing.rolling or 0.0001],
+        # Of two frictions the larger one counts, unless one has priority.
+        "priority": int(thing.friction is not None), "rgba": _FRUIT if name == "object" else _LEAF,
+    }  # fmt: skip
+    if thing.kind == "any":
+        Forms(name, FORMS, thing.density).add(body, **options)
+        return
+    size = mujoco_sizes(thing.kind, thing.sizes)
     geom = body.add_geom(
-        name=name, type=kinds[thing.kind], size=size, density=thing.density, condim=4,
-        contype=contact[0], conaffinity=contact[1], friction=[friction, 0.005, 0.0001],
-        rgba=_FRUIT if name == "object" else _LEAF,
-    )  # fmt: skip
-    if (
-        thing.friction is not None
-    ):  # of two frictions the larger one counts, unless one has priority
-        geom.friction[0], geom.priority = thing.friction, 1
-    if thing.rolling > 0:
-        geom.friction[2], geom.condim = thing.rolling, 6
-    if thing.kind == "capsule":
-        half = float(np.sqrt(0.5))
-        geom.quat = [half, 0, half, 0]
+        name=name, type=KINDS[thing.kind], size=size, density=thing.density, **options
+    )
+    lie_along_x(geom)
+
+
+def mujoco_sizes(kind: Kind, sizes: tuple[float, ...]) -> tuple[float, ...]:
+    """m (3,): of an object of those `sizes` as MuJoCo has them, which halves lengths."""
+    if kind == "box":
+        return tuple(0.5 * side for side in sizes)
+    radius, *length = sizes
+    return (radius, 0.5 * length[0] if length else 0.0, 0.0)
 
 
 def _shape(
@@ -207,9 +216,7 @@ def _shape(
     colour: tuple[float, float, float, float],
 ) -> None:
     geom = body.add_geom(name=name, type=kind, size=size, density=_DENSITY, condim=4, rgba=colour)
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        half = float(np.sqrt(0.5))
-        geom.quat = [half, 0, half, 0]  # along x
+    lie_along_x(geom)
     body.add_site(name=f"{name}_tip", pos=TIP, size=[0.002] * 3, group=4)
     body.add_site(name=f"touch_{name}_tip", pos=TIP, size=[_TOUCH] * 3, group=4)
 

@@ -18,6 +18,8 @@ __all__ = ["Shape"]
 
 Kind = Literal["sphere", "capsule", "box"]
 KINDS: tuple[Kind, ...] = ("sphere", "capsule", "box")
+#: How many sizes each has.
+COUNTS: dict[Kind, int] = {"sphere": 1, "capsule": 2, "box": 3}
 #: m, table 5.2: radius; length of a capsule; width, length and height of a box.
 RADIUS, LENGTH, SIDE = (0.005, 0.01), (0.02, 0.04), (0.01, 0.02)
 

@@ -16,7 +16,7 @@ from understudy_hand.tools import tips
 
 #: The object as it is, and as it is planned.
 _OBJECT = ("object_state", "object_ahead")
-_STROKE = ("tip_offset",)
+_SHAPE, _STROKE = ("object_shape",), ("tip_offset",)
 
 
 class State(Encoder):
@@ -31,6 +31,7 @@ class State(Encoder):
         forces: bool = True  #: normal forces on fingertips and on the sticks' tips
         planned_hand: bool = True  #: the plan of arm and hand beside that of the sticks
         object: bool = False  #: the object as it is and as it is planned, in the palm's frame
+        shape: bool = False  #: of what kind the object is, and how large: where worlds differ in it
         stroke: bool = (
             False  #: how far a brush's tip is from where it shall be, in the palm's frame
         )
@@ -49,13 +50,15 @@ class State(Encoder):
         self._from = tuple(f"from_{name}" for name in made.names) if made.several else ()
         self.reads = (
             "qpos", "qvel", "stick_state", "tip_distance", "plan_ahead", *self._touch, *self._from,
-            *(_OBJECT if options.object else ()), *(_STROKE if options.stroke else ()),
+            *(_OBJECT if options.object else ()), *(_SHAPE if options.shape else ()),
+            *(_STROKE if options.stroke else ()),
         )  # fmt: skip
         planned = GRIPPER + (2 * scene.hinges if options.planned_hand else 0)
         size = (
             2 * scene.hinges + 13 * made.parts + touching + len(self._touch) + len(AHEAD) * planned
         )
         size += (13 + 7 * len(AHEAD) if options.object else 0) + (3 if options.stroke else 0)
+        size += 6 if options.shape else 0
         self.shape = (size + len(self._from),)
 
     def encode(
@@ -79,6 +82,7 @@ class State(Encoder):
                 ahead.flatten(1),
                 *(more[name][:, None] for name in self._from),
                 *(more[name].flatten(1) for name in _OBJECT if self._options.object),
+                *(more[name] for name in _SHAPE if self._options.shape),
                 *(more[name] for name in _STROKE if self._options.stroke),
             ],
             dim=1,

@@ -24,6 +24,7 @@ from understudy.task import Context, Fields, InitialStates, Rollout, Shape, Stat
 from understudy.task.terms import ranges
 from understudy_chopsticks.plan import AHEAD, PLANNED, Gripping, gripping, planned
 from understudy_hand.table import ARM_POSE
+from understudy_hand.tools import mujoco_sizes
 from understudy_tensors import rotations
 from understudy_tool_planner import objects
 from understudy_tool_planner.configuration import NoPlan
@@ -37,7 +38,7 @@ from understudy_tool_planner.planner import (
     Plan,
     Planner,
 )
-from understudy_tool_planner.tasks import APART, Table, random_goal
+from understudy_tool_planner.tasks import APART, Table, random_goal, random_shape
 
 #: Numbers of a plan's frame: the arm, the angle between the sticks, the object's pose, whether it is held, which
 #: relocation it is of, and 1 in that one's last frame.
@@ -57,6 +58,8 @@ LONGER, ON_TABLE = 3.0, 0.003
 FARTHEST = 0.06
 #: s in which a plan that has failed slows down by 1 / e.
 SLOWING = 0.1
+#: Of a plan that has not drawn its object yet.
+_SOME = objects.Shape("sphere", (0.01,))
 
 
 class Bank:
@@ -72,7 +75,9 @@ class Bank:
             raise ConfigError(
                 "Relocation takes one grip. Set grip.name, grip.file or grip.style, and no grip.candidates."
             )
-        self._shape = objects.Shape(thing.kind, thing.sizes)
+        #: What every plan moves; None where each draws another.
+        self._alike = None if thing.kind == "any" else objects.Shape(thing.kind, thing.sizes)
+        self.forms = made.scene.forms
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.
         self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
@@ -130,6 +135,12 @@ class Bank:
         #: (P,) m: how much further along its lower part the tool is held.
         self.shifts = torch.zeros(count, device=self._device)
         self._along = [0.0] * count
+        self._shapes = [self._alike or _SOME] * count
+        #: (P,) int64 and (P, 3) m: number of the object's kind, and MuJoCo's sizes of it.
+        self.kinds = torch.zeros(count, dtype=torch.int64, device=self._device)
+        self.sizes = torch.zeros(count, 3, device=self._device)
+        for row, shape in enumerate(self._shapes):
+            self._set_shape(row, shape)
         #: (P, nq) as a plan of a tool that is held further along begins.
         self.starts = torch.zeros(
             count if self.shifted else 0, self._made.scene.model.nq, device=self._device
@@ -176,12 +187,31 @@ class Bank:
         self.lengths = torch.cat([self.lengths, self.lengths[:1].repeat(count)])
         self.shifts = torch.cat([self.shifts, self.shifts[:1].repeat(count)])
         self._along += self._along[:1] * count
+        self._shapes += self._shapes[:1] * count
+        self.kinds = torch.cat([self.kinds, self.kinds[:1].repeat(count)])
+        self.sizes = torch.cat([self.sizes, self.sizes[:1].repeat(count, 1)])
+
+    def _set_shape(self, row: int, shape: objects.Shape) -> None:
+        self._shapes[row], self.kinds[row] = shape, objects.KINDS.index(shape.kind)
+        self.sizes[row] = torch.tensor(mujoco_sizes(shape.kind, shape.sizes))
+
+    def extents(self, row: Tensor) -> Tensor:
+        """(N, 6) of the objects of the plans `row` (N,): 1 for their kind of three, and half of their extent along each of their axes, m."""
+        kind, sizes = self.kinds[row], self.sizes[row]
+        ball, rod = (kind == 0)[:, None], (kind == 1)[:, None]
+        radius = sizes[:, :1].expand(-1, 3)
+        long = radius + torch.where(rod, sizes[:, 1:2], 0.0) * torch.eye(3, device=row.device)[0]
+        half = torch.where(ball | rod, long, sizes)
+        return torch.cat([torch.nn.functional.one_hot(kind, len(objects.KINDS)), half], dim=1)
 
     def replace(self, row: int) -> None:
         """Put a new plan into a row, in place."""
+        if self._alike is None:
+            stream = random.generator(self._seed, f"{self._stream}/shape/{self._drawn}")
+            self._set_shape(row, random_shape(stream))
         if self.shifted:
             self._hold_further(row)
-        plans = self._plans(self._planner.shifted(self._along[row]))
+        plans = self._plans(self._planner.shifted(self._along[row]), self._shapes[row])
         for leg, plan in enumerate(plans):
             self.goals[row, leg:] = plan.object[-1, :3].float().to(self._device)
         self._put(row, plans, 0)
@@ -207,7 +237,8 @@ class Bank:
         leg = int(here[_LEG])
         planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
-        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
+        shape = self._shapes[row]
+        if abs(float(place[2]) - shape.height) > ON_TABLE:
             return None
         known = leg + 1 if self.one_by_one else self._relocations
         goals = [(float(x), float(y)) for x, y in self.goals[row, leg:known, :2]]
@@ -215,7 +246,7 @@ class Bank:
         plans: list[Plan] = []
         try:
             for k, goal in enumerate(goals):
-                table = Table((self._shape,), (start,), (heading,))
+                table = Table((shape,), (start,), (heading,))
                 plan = planner.plan(table.task(0, goal), now, table.without(0), anew=k == 0)
                 plans.append(plan)
                 now, heading = plan.end, float(rotations.heading(plan.object[-1, 3:]))
@@ -234,7 +265,7 @@ class Bank:
         """
         for number in range(_TRIES):
             name = f"{self._stream}/onward/{self._onwards}/{number}"
-            empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
+            empty = Table((self._shapes[row],), ((9.0, 9.0),), (0.0,))
             goal = random_goal(empty, 0, random.generator(self._seed, name))
             try:
                 found = self.toward(row, world, frame, place, turn, goal, along)
@@ -265,14 +296,15 @@ class Bank:
         """
         frame = min(frame, int(self.lengths[row]))
         here = self.frames[row, frame].double().cpu()
-        if abs(float(place[2]) - self._shape.height) > ON_TABLE:
+        shape = self._shapes[row]
+        if abs(float(place[2]) - shape.height) > ON_TABLE:
             raise NoPlan("No plan reaches the goal: the object does not lie on the table.")
         if self._above is not None:
             raise NoPlan("No plan reaches the goal: what lay upon the object may be in the way.")
         start, heading = (float(place[0]), float(place[1])), float(rotations.heading(turn))
         planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
-        table = Table((self._shape,), (start,), (heading,))
+        table = Table((shape,), (start,), (heading,))
         plan = planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
         own, leg = self.drawn + world, int(here[_LEG])
         if not self._put(own, [plan], leg):
@@ -285,6 +317,7 @@ class Bank:
         """What a plan that is made anew has of the plan `row` before it, with the tool held `along` m further."""
         self.goals[own] = self.goals[row].clone()
         self._along[own] = self.shifts[own] = along
+        self._set_shape(own, self._shapes[row])
 
     def way(self, row: int) -> np.ndarray:
         """(T, 3) m: where the object is in the plan `row`."""
@@ -320,21 +353,25 @@ class Bank:
         return frames
 
     def _table(
-        self, start: tuple[float, float], heading: float, goal: tuple[float, float]
+        self,
+        shape: objects.Shape,
+        start: tuple[float, float],
+        heading: float,
+        goal: tuple[float, float],
     ) -> Table:
         """The object, and at its goal what it is put upon."""
         if self._below is None:
-            return Table((self._shape,), (start,), (heading,))
-        return Table((self._shape, self._below), (start, goal), (heading, 0.0))
+            return Table((shape,), (start,), (heading,))
+        return Table((shape, self._below), (start, goal), (heading, 0.0))
 
-    def _plans(self, planner: Planner) -> list[Plan]:
+    def _plans(self, planner: Planner, shape: objects.Shape) -> list[Plan]:
         """Of the next relocations, each from where the last one ended."""
         plans: list[Plan] = []
         for _ in range(1 if self.one_by_one else self._relocations):
-            plans.append(self._plan(planner, plans[-1] if plans else None))
+            plans.append(self._plan(planner, shape, plans[-1] if plans else None))
         return plans
 
-    def _plan(self, planner: Planner, before: Plan | None) -> Plan:
+    def _plan(self, planner: Planner, shape: objects.Shape, before: Plan | None) -> Plan:
         """The next plan of a stream of random starts and goals; of those that there is none for, none."""
         room = self.frames.shape[1] - (self._relocations - 1) * round(RESTING / DT)
         room //= self._relocations
@@ -342,7 +379,7 @@ class Bank:
         for _ in range(_TRIES):
             self._drawn += 1
             stream = random.generator(self._seed, f"{self._stream}/{self._drawn}")
-            empty = Table((self._shape,), ((9.0, 9.0),), (0.0,))
+            empty = Table((shape,), ((9.0, 9.0),), (0.0,))
             start, goal = (random_goal(empty, 0, stream) for _ in range(2))
             if self._thrown:
                 share = torch.rand(2, generator=stream).tolist()
@@ -350,17 +387,17 @@ class Bank:
                     low + (high - low) * s for (low, high), s in zip(_FAR, share, strict=True)
                 )
             if (by := self._below or self._above) is not None:
-                apart = self._shape.reach + by.reach + APART
+                apart = shape.reach + by.reach + APART
                 if math.dist(start, goal) < apart:
                     continue
-            most = 0.25 if self._shape.kind == "capsule" else 0.5
+            most = 0.25 if shape.kind == "capsule" else 0.5
             heading = most * float(torch.rand((), generator=stream)) * np.pi
             error = self._noise * torch.randn(3, generator=stream, dtype=torch.float64)
             now = planner.start()
             if before is not None:
                 now, (x, y) = before.end, before.object[-1, :2].tolist()
                 start, heading = (x, y), float(rotations.heading(before.object[-1, 3:]))
-            table = self._table(start, heading, goal)
+            table = self._table(shape, start, heading, goal)
             try:
                 task = table.task(0, goal, self._upon)
                 task = replace(task, above=self._above, thrown=self._thrown)
@@ -383,12 +420,21 @@ class Bank:
         return {
             "frames": self.frames, "goals": self.goals, "lengths": self.lengths, "drawn": self._drawn,
             **({"shifts": self.shifts, "starts": self.starts} if self.shifted else {}),
+            **({"shapes": self._of_shapes()} if self._alike is None else {}),
         }  # fmt: skip
 
+    def _of_shapes(self) -> Tensor:
+        """(P, 4) float64: number of the kind, and the sizes that it has, m."""
+        rows = [[objects.KINDS.index(s.kind), *s.sizes, 0.0, 0.0][:4] for s in self._shapes]
+        return torch.tensor(rows, dtype=torch.float64)
+
     def load_state_dict(self, state: State) -> None:
-        for name in self.state_dict().keys() - {"drawn"}:
+        for name in self.state_dict().keys() - {"drawn", "shapes"}:
             getattr(self, name).copy_(state[name])
         self._along = self.shifts.tolist()
+        for row, (kind, *sizes) in enumerate(state.get("shapes", torch.zeros(0, 4)).tolist()):
+            name = objects.KINDS[int(kind)]
+            self._set_shape(row, objects.Shape(name, tuple(sizes[: objects.COUNTS[name]])))
         self._drawn = int(state["drawn"])
 
 
@@ -402,11 +448,12 @@ class Relocations(InitialStates):
     """The sticks in the hand, open, and the object at the start of a plan that each world draws; in an evaluation each from
     a share of the bank of its own.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
+    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end; ``object_shape`` (6,) 1 for
+    its kind of sphere, capsule and box, and half of its extent along each of its axes, m.
     """
 
     rollout_fields = ("plan_row",)
-    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,)}
+    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,), "object_shape": (6,)}
 
     @dataclass(frozen=True)
     class Options:
@@ -479,6 +526,8 @@ class Relocations(InitialStates):
         self._over = None if above is None else int(model.joint("above").qposadr[0])
         if above is not None and made.scene.options.object is not None:
             self._up = made.scene.options.object.height + above.height
+        if self.bank.forms is not None:
+            self.varies = self.bank.forms.varies
         #: Rows that may be drawn, then those that wait to be replaced.
         self._order = torch.arange(options.plans, device=device)
         self._waiting: list[int] = []
@@ -503,11 +552,15 @@ class Relocations(InitialStates):
         if self._over is not None:
             qpos[:, self._over : self._over + 7] = thing
             qpos[:, self._over + 2] += self._up
+        forms, bank = self.bank.forms, self.bank
+        of_forms = {} if forms is None else forms.values(bank.kinds[row], bank.sizes[row])
         return {
+            **of_forms,
             "qpos": qpos,
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
             "plan_goal": self.bank.goals[row, -1],
+            "object_shape": self.bank.extents(row),
         }
 
     def update(self, rollout: Rollout) -> dict[str, float]:
@@ -687,7 +740,7 @@ class Object(Fields):
 
     reads = (
         "qpos", "qvel", "xpos", "xquat", "planned_object", "planned_goal", "planned_leg", "leg_over",
-        "plan_lasts", "plan_time", "plan_stopped",
+        "plan_lasts", "plan_time", "plan_stopped", "object_shape",
     )  # fmt: skip
     provides: Mapping[str, Shape] = {
         "object_state": (13,),
@@ -723,7 +776,6 @@ class Object(Fields):
         if above is not None and own is not None:
             self._up, self._half = own.height + above.height, 0.5 * min(own.sizes)
         self._legs = torch.arange(MOST, device=context.device)
-        self._round = model.geom("object").type[0] == 2  # a sphere's rotation is nobody's
 
     def compute(
         self,
@@ -738,6 +790,7 @@ class Object(Fields):
         plan_lasts: Tensor,
         plan_time: Tensor,
         plan_stopped: Tensor,
+        object_shape: Tensor,
     ) -> dict[str, Tensor]:
         place, rotation = qpos[:, self._at : self._at + 3], qpos[:, self._at + 3 : self._at + 7]
         speed = qvel[:, self._dof : self._dof + 3]
@@ -768,7 +821,7 @@ class Object(Fields):
             ),
             # Where a plan has stopped there is none for the object.
             "object_distance": (place - planned_object[:, :3]).norm(dim=-1) * goes,
-            "object_turn": torch.zeros_like(turned) if self._round else turned,
+            "object_turn": turned * (object_shape[:, 0] == 0),  # a sphere's rotation is nobody's
             "goal_distance": away,
             "object_placed": (over & good).float(),
             "plan_over": over.float(),

@@ -58,7 +58,8 @@ def parameters(model: mujoco.MjModel) -> dict[str, Parameter]:
 
     ``gravity`` (3,), m/s²; every field of :data:`FIELDS` as a whole; ``FIELD/OBJECT`` for every named
     object it has a row for (joints: one number a degree of freedom); and ``active/BODY`` (), which
-    takes all contacts from a body and those attached to it where it is 0.
+    takes all contacts from a body and those attached to it where it is 0, or ``active/GEOM``, from one
+    geom that is not named like a body.
     """
     found = {"gravity": Parameter("gravity", "gravity", slice(None), (3,))}
     data = mujoco.MjData(model)
@@ -76,6 +77,9 @@ def parameters(model: mujoco.MjModel) -> dict[str, Parameter]:
         name, geoms = model.body(body).name, _geoms_below(model, body)
         if name and geoms.stop > geoms.start:
             found[f"active/{name}"] = Parameter(f"active/{name}", "active", geoms, ())
+    for geom in range(model.ngeom):
+        if (name := f"active/{model.geom(geom).name}") not in found and model.geom(geom).name:
+            found[name] = Parameter(name, "active", slice(geom, geom + 1), ())
     return found
 
 

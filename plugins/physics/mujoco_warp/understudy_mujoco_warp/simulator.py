@@ -59,6 +59,8 @@ _DERIVED = {
     ),
     _INERTIA: ("dof_invweight0", "body_invweight0", "tendon_invweight0", "actuator_acc0"),
 }  # fmt: skip
+#: Of a body that floats by itself, for which the weights need no solves (:meth:`MujocoWarpSimulator._weigh`).
+_LONE = {"body_mass": _BOUNDS | _POSES, "body_inertia": 0}
 #: Warp places the geoms of bodies that are fixed to the world once for all, unless told otherwise.
 _PLACES = {"body_pos", "body_quat", "geom_pos", "geom_quat"}
 #: Contacts begin where the distance of two geoms is less than the sum of their margins, so a geom
@@ -133,6 +135,8 @@ class MujocoWarpSimulator(Simulator):
         self._initial = {name: view[:1].clone() for name, view in self._state.items()}
         self._varied: dict[str, Tensor] = {}  # (N, …), Warp's own memory
         self._switches: list[Parameter] = []
+        self._lone = _lone_bodies(self.model)
+        self._weighed: list[int] = []  #: of those, the ones whose mass or inertia differs by world
         self._unwelded: Any = None  # the model, were no body fixed to the world
         self._overflow = wp.to_torch(self._d.overflow)
         dropped = mjw.OverflowType
@@ -227,7 +231,7 @@ class MujocoWarpSimulator(Simulator):
         if not picked:
             return
         fields = {_SWITCHED if p.field == "active" else p.field for p in picked}
-        groups = self._groups(p.name for p in picked)
+        groups = self._groups((p.name for p in picked), all_bodies=True)
         derived = {name for group, names in _DERIVED.items() if groups & group for name in names}
         batched = (fields | derived) - {"gravity", *MOCAP}
         with self._kernels.scope():
@@ -246,6 +250,8 @@ class MujocoWarpSimulator(Simulator):
         if self._switches:
             self._margins = wp.to_torch(self._m.geom_margin)
             self._model_margins = self._margins.clone()
+        lone = {p.rows for p in picked if self._is_lone(p)}
+        self._weighed = sorted(row for row in lone if isinstance(row, int))
         self.fields = {**self.fields, **{p.name: p.shape for p in picked}}
         self._views.update(self._varied)
         self._settle(groups)
@@ -260,12 +266,32 @@ class MujocoWarpSimulator(Simulator):
         )
         return wp.to_torch(array)[:, parameter.rows].view(self._n, *parameter.shape)
 
-    def _groups(self, names: Iterable[str]) -> int:
-        """The groups of the model's constants that derive from these parameters."""
+    def _is_lone(self, parameter: Parameter) -> bool:
+        """Whether what derives from it is of a body that floats by itself."""
+        one = isinstance(parameter.rows, int)
+        return one and parameter.field in _LONE and parameter.rows in self._lone
+
+    def _groups(self, names: Iterable[str], all_bodies: bool = False) -> int:
+        """The groups of the model's constants that derive from these parameters, but for what :meth:`_weigh` computes unless of
+        `all_bodies`."""
         groups = 0
-        for name in names:
-            groups |= _GROUPS.get(self._known[name].field, 0)
+        for parameter in map(self._known.__getitem__, names):
+            of = _LONE if self._is_lone(parameter) and not all_bodies else _GROUPS
+            groups |= of.get(parameter.field, 0)
         return groups
+
+    def _weigh(self) -> None:
+        """The inverse weights of bodies that float by themselves. Warp solves once for each coordinate and six times for each body."""
+        for body in self._weighed:
+            dof = self._lone[body]
+            weight = wp.to_torch(self._m.body_invweight0)[:, body]
+            more = wp.to_torch(self._m.dof_armature)[:, dof : dof + 6]
+            # Means of three; the angular one does not depend on how the axes lie.
+            weight[:, 0] = 1.0 / (wp.to_torch(self._m.body_mass)[:, body] + more[:, 0])
+            inertia = wp.to_torch(self._m.body_inertia)[:, body] + more[:, 3:4]
+            weight[:, 1] = (1.0 / inertia).mean(dim=1)
+            of_dofs = wp.to_torch(self._m.dof_invweight0)[:, dof : dof + 6].view(-1, 2, 3)
+            of_dofs.copy_(weight[:, :, None])
 
     def _set_parameters(self, worlds: Tensor, values: Mapping[str, Tensor]) -> int:
         """Write those that `values` has; returns the groups of constants to be computed anew."""
@@ -277,6 +303,7 @@ class MujocoWarpSimulator(Simulator):
             for switch in self._switches:
                 off = (self._varied[switch.name] == 0).unsqueeze(1)
                 self._margins[:, switch.rows].masked_fill_(off, _FAR)
+        self._weigh()
         return self._groups(given)
 
     # ------------------------------------------------------------------ Simulator
@@ -353,3 +380,25 @@ class MujocoWarpSimulator(Simulator):
         ).tolist()
         found = {"contact_or_constraint_overflows": overflows} if overflows else {}
         return found | often(iterations, limits, steps, self.model.nu)
+
+
+def _lone_bodies(model: mujoco.MjModel) -> dict[int, int]:
+    """Bodies that float by themselves, with nothing attached and nothing that drives them, and the first of their coordinates."""
+    joints, kinds = (
+        np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE),
+        model.actuator_trntype,
+    )
+    if model.ntendon or (kinds != mujoco.mjtTrn.mjTRN_JOINT).any():
+        return {}
+    driven, found = set(model.actuator_trnid[:, 0].tolist()), dict[int, int]()
+    for joint in joints.tolist():
+        body, dof = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
+        armature = model.dof_armature[dof : dof + 6]
+        if (
+            joint not in driven
+            and body not in model.body_parentid
+            and not model.body_ipos[body].any()
+            and (armature.reshape(2, 3) == armature[::3, None]).all()
+        ):
+            found[body] = dof
+    return found
