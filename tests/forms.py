@@ -8,12 +8,12 @@ import mujoco
 import torch
 
 from understudy.task import Context, Simulator
-from understudy_mujoco.forms import KINDS, Forms, Kind, lie_along_x
+from understudy_mujoco.forms import KINDS, Forms, lie_along_x
 from understudy_mujoco.scene import MujocoScene
 
 FORMS = Forms("thing", tuple(KINDS), density=700.0)
 #: m, MuJoCo's sizes.
-SIZES: dict[Kind, tuple[float, float, float]] = {
+SIZES: dict[str, tuple[float, float, float]] = {
     "sphere": (0.08, 0.0, 0.0),
     "capsule": (0.04, 0.09, 0.0),
     "cylinder": (0.06, 0.05, 0.0),
@@ -25,8 +25,8 @@ SIZES: dict[Kind, tuple[float, float, float]] = {
 class Drop(MujocoScene):
     """The thing above a floor: in any form, or in `only` one, compiled by MuJoCo from its density."""
 
-    def __init__(self, only: Kind | None = None) -> None:
-        self.only = only
+    def __init__(self, only: str | None = None) -> None:
+        self.only: str | None = only
 
     def spec(self) -> mujoco.MjSpec:
         spec = mujoco.MjSpec()

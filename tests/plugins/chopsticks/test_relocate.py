@@ -273,6 +273,7 @@ def test_a_relocation_succeeds_where_the_object_lies_at_its_goal_when_the_plan_i
         planned_goal=torch.zeros(4, 3), planned_leg=torch.tensor([2.0, 2.0, 2.0, 0.0]),
         leg_over=torch.tensor([0.0, 1.0, 1.0, 1.0]), plan_lasts=torch.full((4,), 1.5),
         plan_stopped=torch.full((4,), -1.0), plan_time=torch.tensor([1.8, 1.79, 1.8, 5.0]),
+        object_shape=torch.zeros(4, 6),
     )  # fmt: skip
     assert found["object_placed"].tolist() == [1, 0, 0, 1]
     assert found["plan_over"].tolist() == [1, 0, 1, 1]
@@ -371,6 +372,55 @@ def test_two_boxes_are_moved_together(plugins: Plugins) -> None:
             environment.advance(torch.zeros(2, 36))
         assert field(made, "object_placed").tolist() == [placed_together] * 2
     made.environment.close()
+
+
+ANY = "scene.object={kind: any, sizes: [], rolling: 0.0005}"
+
+
+def test_each_plan_moves_another_object(plugins: Plugins) -> None:
+    """Spheres, capsules and boxes of table 5.2 side by side: each lies still on the table at its own height, is seen as it is, and what is
+    known of it goes with its plan."""
+    words = [*WORDS[:1], "num_worlds=8", "initial_states.plans=8", "initial_states.refill=0", ANY]
+    made = build_environment(
+        load_experiment([*words, "encoder.state.shape=true"], plugins), evaluating=True
+    )
+    initial, bank = parts(made)
+    environment, table = made.environment, made.environment.table
+    environment.reset(seed=0)
+    height = table["qpos"][:, 52].clone()
+    kind, half = table["object_shape"][:, :3], table["object_shape"][:, 3:]
+    assert (kind.sum(0) > 0).all(), "one kind is missing: the test shows less"
+    assert len(height.unique()) == 8
+    torch.testing.assert_close(height, half[:, 2])
+    mass = table["body_mass/object"]
+    boxes = kind[:, 2] > 0
+    torch.testing.assert_close(mass[boxes], 8000.0 * half[boxes].prod(dim=1))
+    balls = kind[:, 0] > 0
+    torch.testing.assert_close(mass[balls], 4000 / 3 * math.pi * half[balls, 0] ** 3)
+    for _ in range(29):
+        environment.advance(torch.zeros(8, 36))
+    seen = environment.advance(torch.zeros(8, 36)).observations
+    assert (table["object_distance"] < 3e-4).all(), "each lies where it is planned to"
+    torch.testing.assert_close(seen["state"][:, -6:], table["object_shape"])
+    turned = rotations.from_heading(torch.full((8,), 0.3))
+    found = Object(Object.Options(), made.context).compute(
+        **{n: table[n] for n in Object.reads if n != "planned_object"},
+        planned_object=torch.cat([torch.zeros(8, 3), turned], dim=1),
+    )
+    assert ((found["object_turn"] > 0) == ~balls).all(), "a sphere's rotation is nobody's"
+    state = initial.state_dict()
+    again = build_environment(load_experiment([*words, "seed=5"], plugins), evaluating=True)
+    other, _ = parts(again)
+    other.load_state_dict(state)
+    torch.testing.assert_close(other.bank.seen, bank.seen)
+    forms = other.bank.forms
+    assert forms is not None
+    own = forms.values(bank.kinds, bank.sizes)
+    rows = table["plan_row"].long()
+    for name, value in own.items():
+        torch.testing.assert_close(table[name], value[rows])
+    for one in (made, again):
+        one.environment.close()
 
 
 def test_an_object_is_thrown_to_the_far_side(plugins: Plugins) -> None:
@@ -544,11 +594,13 @@ def test_trainings_never_plan_anew(plugins: Plugins) -> None:
     made.environment.close()
 
 
-def rollout(rows: list[list[float]]) -> Any:
+def rollout(rows: list[list[float]], rewards: list[list[float]] | None = None) -> Any:
     class Noted:
         fields = {"plan_row": torch.tensor(rows)}
 
-    return Noted()
+    found: Any = Noted()
+    found.rewards = torch.tensor(rewards or [])
+    return found
 
 
 def test_the_bank_is_refilled_without_a_jolt_to_those_that_follow(plugins: Plugins) -> None:
@@ -571,6 +623,31 @@ def test_the_bank_is_refilled_without_a_jolt_to_those_that_follow(plugins: Plugi
     assert torch.equal(bank.frames[1:], before[1:])
     assert initial._waiting == [1]
     made.environment.close()
+
+
+def test_plans_that_go_badly_are_drawn_more_often(plugins: Plugins) -> None:
+    """With exp(-harder r), r the mean reward of a decision in the last rollout that followed one."""
+    words = [*WORDS, "initial_states.refill=0", "initial_states.harder=2"]
+    made = build_environment(load_experiment(words, plugins), num_worlds=1)
+    initial, _ = parts(made)
+
+    def shares() -> list[float]:
+        streams = WorldStreams(0, "starts", 20000, made.context.device)
+        rows = initial.sample(streams)["plan_row"].long()
+        return (rows.bincount(minlength=5) / 20000).tolist()
+
+    assert shares() == pytest.approx([0.2] * 5, abs=0.01), "evenly while nobody knows"
+    initial.update(rollout([[0, 1, 2], [0, 1, 3]], [[0.9, 0.2, 0.6], [0.7, 0.0, 0.5]]))
+    weights = [math.exp(-2 * r) for r in (0.8, 0.1, 0.6, 0.5, 0.0)]
+    assert shares() == pytest.approx([w / sum(weights) for w in weights], abs=0.01)
+    initial.update(rollout([[0]], [[0.1]]))  # of the others it stays known
+    weights[0] = weights[1]
+    assert shares() == pytest.approx([w / sum(weights) for w in weights], abs=0.01)
+    again = build_environment(load_experiment(words, plugins), num_worlds=1)
+    parts(again)[0].load_state_dict(initial.state_dict())
+    torch.testing.assert_close(parts(again)[0]._going, initial._going)
+    made.environment.close()
+    again.environment.close()
 
 
 def test_a_rollout_says_which_plans_are_followed(built: Built) -> None:
@@ -640,9 +717,12 @@ def test_plans_have_all_phases(built: Built) -> None:
         (["scene.object=null"], "needs an object on the table"),
         (["scene.object.sizes=[0.03]"], "none of table 5.2, where it is from 0.5 to 1 cm"),
         (["scene.object={kind: box, sizes: [0.01, 0.05, 0.01]}"], "A box with a length of 5 cm is none"),
-        (["scene.object={kind: box, sizes: [0.01]}"], "a box has 3 of them"),
+        (["scene.object={kind: box, sizes: [0.01]}"], "kind=box has 3 of them"),
         (["scene.object.kind=cone"], "cone"),
+        (["scene.object.kind=any"], "kind=any has 0 of them"),
+        (["scene.below={kind: any, sizes: []}"], "worlds differ in the object alone"),
         (["initial_states.refill=5"], "some have to stay"),
+        (["initial_states.harder=-1"], "harder=-1"),
         (["initial_states.shift=[0.05, -0.05]"], "the first is the lower one"),
         (["initial_states.shift=[0.0, 0.07]"], "from -0.06 to 0.06 m"),
         (["scene.below={kind: box, sizes: [0.02, 0.02, 0.02]}", "initial_states.relocations=2"], "stays there"),

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from understudy.options import check_range
-from understudy_mujoco.forms import KINDS, Forms, Kind, lie_along_x
+from understudy_mujoco.forms import KINDS, Forms, lie_along_x
 from understudy_tensors import rotations
 
 __all__ = [
@@ -50,7 +50,7 @@ _WOOD = ((0.80, 0.58, 0.30, 1.0), (0.55, 0.27, 0.15, 1.0))
 _STEEL, _HANDLE = (0.62, 0.65, 0.70, 1.0), (0.45, 0.20, 0.12, 1.0)
 _FRUIT, _LEAF = (0.85, 0.25, 0.22, 1.0), (0.36, 0.55, 0.30, 1.0)
 #: What an object is where worlds differ in it (thesis, table 5.2), and m: how high the middle of the tallest is.
-FORMS: tuple[Kind, ...] = ("sphere", "capsule", "box")
+FORMS: tuple[str, ...] = ("sphere", "capsule", "box")
 _TALLEST = 0.01
 #: Names of the bodies, the upper one first.
 BODIES: dict[Tool, tuple[str, ...]] = {
@@ -156,9 +156,9 @@ class Thing:
     def __post_init__(self) -> None:
         count = {"sphere": 1, "capsule": 2, "box": 3, "any": 0}[self.kind]
         if len(self.sizes) != count:
-            what = "what is any has none, since worlds" if not count else f"a {self.kind} has {count}"
-            more = " differ in them" if not count else " of them"
-            raise ValueError(f"sizes={list(self.sizes)} are not possible: {what}{more}.")
+            raise ValueError(
+                f"sizes={list(self.sizes)} are not possible: kind={self.kind} has {count} of them."
+            )
         check_range(self, "sizes", above=0, most=1.0)
         check_range(self, "density", "friction", above=0)
         check_range(self, "rolling", least=0, most=0.01)
@@ -200,7 +200,7 @@ def add_thing(
     lie_along_x(geom)
 
 
-def mujoco_sizes(kind: Kind, sizes: tuple[float, ...]) -> tuple[float, ...]:
+def mujoco_sizes(kind: str, sizes: tuple[float, ...]) -> tuple[float, ...]:
     """m (3,): of an object of those `sizes` as MuJoCo has them, which halves lengths."""
     if kind == "box":
         return tuple(0.5 * side for side in sizes)

@@ -7,7 +7,6 @@ one is not, and a box where the radius is 0. So distances to all of them are one
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch import Tensor
@@ -16,10 +15,9 @@ from understudy.errors import ConfigError
 
 __all__ = ["Shape"]
 
-Kind = Literal["sphere", "capsule", "box"]
-KINDS: tuple[Kind, ...] = ("sphere", "capsule", "box")
+KINDS = ("sphere", "capsule", "box")
 #: How many sizes each has.
-COUNTS: dict[Kind, int] = {"sphere": 1, "capsule": 2, "box": 3}
+COUNTS = {"sphere": 1, "capsule": 2, "box": 3}
 #: m, table 5.2: radius; length of a capsule; width, length and height of a box.
 RADIUS, LENGTH, SIDE = (0.005, 0.01), (0.02, 0.04), (0.01, 0.02)
 
@@ -28,7 +26,7 @@ RADIUS, LENGTH, SIDE = (0.005, 0.01), (0.02, 0.04), (0.01, 0.02)
 class Shape:
     """An object of table 5.2."""
 
-    kind: Kind
+    kind: str  #: of KINDS
     #: m: radius of a sphere; radius and length (of the cylinder) of a capsule; the three sides of a box.
     sizes: tuple[float, ...]
 

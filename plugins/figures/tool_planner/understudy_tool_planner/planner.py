@@ -36,6 +36,9 @@ __all__ = ["ASIDE", "CLOSING", "DT", "LEAST", "PHASES", "PRESSING", "Plan", "Pla
 
 #: s of a frame; m/s and s: speed of the sticks (thesis), and the least that a phase takes (release).
 DT, SPEED, LEAST = 0.01, 0.25, 0.5
+#: rad/s at which the gripper turns at most. By the release's 0.4 π a hinge of the wrist moves at 2.3 rad/s at once, and from 2 on its servo
+#: is at its limit, which throws the sticks out of the hand.
+TURNING = 0.6
 #: s that closing and opening take; that closed sticks rest before they lift; that open ones take to go aside.
 CLOSING, PRESSING, ASIDE = 0.15, 0.1, 0.1
 #: s that sticks wait before they begin anew, as long as a plan takes to be found; m and s of their way up first.
@@ -334,7 +337,8 @@ class Planner:
     def _best(self, way: Way, inner: Tensor, value: Tensor) -> tuple[Frames, float]:
         """Frames of the cheapest start that is clear, and its clearance; if none is, those of the clearest."""
         length = float((way.end.place - way.start.place).square().sum().sqrt())
-        count = max(round(LEAST / DT), round(length / SPEED / DT))
+        turned = float(rotations.angle_between(way.start.turn, way.end.turn))
+        count = round(max(LEAST, length / SPEED, turned / TURNING) / DT)
         shares = torch.linspace(0.0, 1.0, count + 1, dtype=torch.float64)
         best: tuple[Frames, float] | None = None
         for row in value.argsort().tolist():

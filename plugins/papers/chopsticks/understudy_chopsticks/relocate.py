@@ -136,9 +136,10 @@ class Bank:
         self.shifts = torch.zeros(count, device=self._device)
         self._along = [0.0] * count
         self._shapes = [self._alike or _SOME] * count
-        #: (P,) int64 and (P, 3) m: number of the object's kind, and MuJoCo's sizes of it.
+        #: (P,) int64 and (P, 3) m: number of the object's kind, and MuJoCo's sizes of it; and what is seen of both (P, 6).
         self.kinds = torch.zeros(count, dtype=torch.int64, device=self._device)
         self.sizes = torch.zeros(count, 3, device=self._device)
+        self.seen = torch.zeros(count, 2 * len(objects.KINDS), device=self._device)
         for row, shape in enumerate(self._shapes):
             self._set_shape(row, shape)
         #: (P, nq) as a plan of a tool that is held further along begins.
@@ -190,19 +191,15 @@ class Bank:
         self._shapes += self._shapes[:1] * count
         self.kinds = torch.cat([self.kinds, self.kinds[:1].repeat(count)])
         self.sizes = torch.cat([self.sizes, self.sizes[:1].repeat(count, 1)])
+        self.seen = torch.cat([self.seen, self.seen[:1].repeat(count, 1)])
 
     def _set_shape(self, row: int, shape: objects.Shape) -> None:
-        self._shapes[row], self.kinds[row] = shape, objects.KINDS.index(shape.kind)
+        number = objects.KINDS.index(shape.kind)
+        self._shapes[row], self.kinds[row] = shape, number
         self.sizes[row] = torch.tensor(mujoco_sizes(shape.kind, shape.sizes))
-
-    def extents(self, row: Tensor) -> Tensor:
-        """(N, 6) of the objects of the plans `row` (N,): 1 for their kind of three, and half of their extent along each of their axes, m."""
-        kind, sizes = self.kinds[row], self.sizes[row]
-        ball, rod = (kind == 0)[:, None], (kind == 1)[:, None]
-        radius = sizes[:, :1].expand(-1, 3)
-        long = radius + torch.where(rod, sizes[:, 1:2], 0.0) * torch.eye(3, device=row.device)[0]
-        half = torch.where(ball | rod, long, sizes)
-        return torch.cat([torch.nn.functional.one_hot(kind, len(objects.KINDS)), half], dim=1)
+        one_of = [float(k == number) for k in range(len(objects.KINDS))]
+        half = [size + shape.rounding for size in shape.half_sizes]
+        self.seen[row] = torch.tensor([*one_of, *half])
 
     def replace(self, row: int) -> None:
         """Put a new plan into a row, in place."""
@@ -473,8 +470,12 @@ class Relocations(InitialStates):
         #: m: how much further along its lower part the tool is held, drawn evenly for each plan; beyond 0 the hand is nearer
         #: to the tips (section 5.7.2 has -0.05 to 0.05)
         shift: tuple[float, float] = (0.0, 0.0)
+        #: how much more often plans are drawn that go badly: with exp(-harder r), r the mean reward of a decision that follows one
+        #: (the release has 1); 0 draws evenly
+        harder: float = 0.0
 
         def __post_init__(self) -> None:
+            check_range(self, "harder", least=0, most=100.0)
             check_range(self, "plans", least=1, most=100_000)
             check_range(self, "refill", least=0, most=100_000)
             check_range(self, "relocations", least=1, most=MOST)
@@ -532,13 +533,21 @@ class Relocations(InitialStates):
         self._order = torch.arange(options.plans, device=device)
         self._waiting: list[int] = []
         self._next = 0
+        self._harder = 0.0 if context.evaluating else options.harder
+        #: (P,) mean reward of the decisions that followed each plan; 0 of one that nobody followed yet.
+        self._going = torch.zeros(options.plans, device=device)
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         free = len(self._order) - self._refill
         share = streams.uniform(1)[:, 0]
         if self._evaluating:  # no two worlds the same plan, where there are as many: episodes that repeat tell nothing
             share = (torch.arange(len(share), device=share.device) + share) / len(share)
-        place = (share * free).long().clamp(max=free - 1)
+        if self._harder:
+            weight = torch.exp(-self._harder * self._going[self._order[:free]]).cumsum(0)
+            place = torch.searchsorted(weight, share * weight[-1], right=True)
+        else:
+            place = (share * free).long()
+        place = place.clamp(max=free - 1)
         row = self._order[place]
         if self._later:
             self.bank.need(row.unique().tolist())
@@ -560,10 +569,19 @@ class Relocations(InitialStates):
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
             "plan_goal": self.bank.goals[row, -1],
-            "object_shape": self.bank.extents(row),
+            "object_shape": self.bank.seen[row],
         }
 
+    def _learn(self, rollout: Rollout) -> None:
+        """How well plans go, of those that the rollout follows."""
+        row, zero = rollout.fields["plan_row"].long().flatten(), torch.zeros_like(self._going)
+        total = zero.index_add(0, row, rollout.rewards.flatten())
+        count = zero.index_add(0, row, torch.ones_like(rollout.rewards).flatten())
+        self._going.copy_(torch.where(count > 0, total / count.clamp(min=1), self._going))
+
     def update(self, rollout: Rollout) -> dict[str, float]:
+        if self._harder:
+            self._learn(rollout)
         if not self._refill:
             return {}
         # What waited through the whole rollout was not drawn in it, so its last step has all that follow it.
@@ -571,6 +589,7 @@ class Relocations(InitialStates):
         done = [row for row in self._waiting if row not in followed]
         for row in done:
             self.bank.replace(row)
+            self._going[row] = 0.0
         self._waiting = [row for row in self._waiting if row not in done]
         count = len(self._order)
         while len(self._waiting) < self._refill:
@@ -583,12 +602,14 @@ class Relocations(InitialStates):
     def state_dict(self) -> State:
         return {
             "bank": self.bank.state_dict(), "order": self._order, "waiting": list(self._waiting),
-            "next": self._next,
+            "next": self._next, **({"going": self._going} if self._harder else {}),
         }  # fmt: skip
 
     def load_state_dict(self, state: State) -> None:
         self.bank.load_state_dict(state["bank"])
         self._order.copy_(state["order"])
+        if "going" in state:
+            self._going.copy_(state["going"])
         self._waiting, self._next = [int(row) for row in state["waiting"]], int(state["next"])
 
 

@@ -9,17 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["KINDS", "Forms", "Kind", "lie_along_x", "solid"]
+__all__ = ["KINDS", "Forms", "lie_along_x", "solid"]
 
-Kind = Literal["sphere", "capsule", "cylinder", "ellipsoid", "box"]
-KINDS: dict[Kind, mujoco.mjtGeom] = {
+KINDS: dict[str, mujoco.mjtGeom] = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -37,7 +36,7 @@ def lie_along_x(geom: mujoco.MjsGeom) -> None:
         geom.quat = [half, 0, half, 0]
 
 
-def solid(kind: Kind, sizes: Tensor) -> tuple[Tensor, Tensor]:
+def solid(kind: str, sizes: Tensor) -> tuple[Tensor, Tensor]:
     """Volume (…) m³, and inertia (…, 3) m² about the body's axes of a mass of 1 kg: of a solid of MuJoCo's `sizes` (…, 3) m, a capsule and a
     cylinder along x."""
     a, b, c = sizes.unbind(-1)
@@ -65,10 +64,10 @@ class Forms:
     """What the body `body` may be."""
 
     body: str
-    kinds: tuple[Kind, ...]
+    kinds: tuple[str, ...]
     density: float  #: kg/m³
 
-    def geom(self, kind: Kind) -> str:
+    def geom(self, kind: str) -> str:
         """Name of the form `kind`."""
         return f"{self.body}_{kind}"
 

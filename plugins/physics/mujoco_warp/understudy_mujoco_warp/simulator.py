@@ -250,8 +250,8 @@ class MujocoWarpSimulator(Simulator):
         if self._switches:
             self._margins = wp.to_torch(self._m.geom_margin)
             self._model_margins = self._margins.clone()
-        lone = {p.rows for p in picked if self._is_lone(p)}
-        self._weighed = sorted(row for row in lone if isinstance(row, int))
+        rows = (p.rows for p in picked if self._is_lone(p))
+        self._weighed = sorted({row for row in rows if isinstance(row, int)})
         self.fields = {**self.fields, **{p.name: p.shape for p in picked}}
         self._views.update(self._varied)
         self._settle(groups)
@@ -278,7 +278,9 @@ class MujocoWarpSimulator(Simulator):
         for parameter in map(self._known.__getitem__, names):
             of = _LONE if self._is_lone(parameter) and not all_bodies else _GROUPS
             groups |= of.get(parameter.field, 0)
-        return groups
+        model = self.model
+        none = not (model.ncam or model.nlight or model.ntendon or model.neq)
+        return groups & ~_POSES if none else groups
 
     def _weigh(self) -> None:
         """The inverse weights of bodies that float by themselves. Warp solves once for each coordinate and six times for each body."""
