@@ -4,14 +4,16 @@
 processors and GPUs that there are: from 150 Hz on (``resolution.substeps=5``), and at 600 Hz. What was learned is judged as each
 training ends, at 600 Hz, and then played on a CPU, where `measured` of ``shipped.py`` says how feet slide and how deep the
 body is in the floor. A line of JSON each; they are appended to ``docs/benchmarks/sharpened.jsonl`` as they come. Seconds are
-those of trainings that share a machine; several on a GPU want CUDA's Multi-Process Service, and a core each. After ``--minutes`` trainings are told to save and end, and what they have is
-recorded as cut; the same command goes on with them, from ``--runs``. ``--together`` trains nothing: it writes ``sharpened_together.jsonl``, one
-physics beside the other, a line for each seed.
+those of trainings that share a machine; several on a GPU want CUDA's Multi-Process Service, and a core each: each line has whether
+the service ran (``mps``). After ``--minutes`` trainings are told to save and end, and what they have is recorded as cut; the same command
+goes on with them, from ``--runs``. ``--together`` trains nothing: it writes ``sharpened_together.jsonl``, one physics beside the other,
+a line for each seed.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import subprocess
@@ -68,6 +70,21 @@ def visible(count: int, given: str | None) -> list[str]:
     """What chooses each of the `count` GPUs that there are: of those that the variable already names, if it does."""
     named = [name.strip() for name in (given or "").split(",") if name.strip()]
     return (named or [str(index) for index in range(count)])[:count]
+
+
+#: ``CU_DEVICE_ATTRIBUTE_MPS_ENABLED`` of CUDA's driver: whether contexts on a GPU are shared by the Multi-Process Service.
+_SHARED = 133
+
+
+def served() -> bool | None:
+    """Whether CUDA's Multi-Process Service serves the first GPU; None where the driver does not say."""
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return None
+    found = ctypes.c_int()
+    failed = driver.cuInit(0) or driver.cuDeviceGetAttribute(ctypes.byref(found), _SHARED, 0)
+    return None if failed else bool(found.value)
 
 
 def train(words: list[str], folder: Path, gpu: str | None, seconds: float) -> str:
@@ -140,21 +157,22 @@ def row(folder: Path) -> dict[str, Any]:
 
 
 def together(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One physics beside the other: for each day and seed, over the skills that have both.
+    """One physics beside the other: for each day, number of GPUs and seed, over the skills that have both.
 
     Minutes and samples are sums, of which `ratio` and `samples_ratio` are coarse-then-fine to fine; all else is the
     mean of what coarse-then-fine has more. `at_most` is the ratio of minutes over those skills too whose fine training was cut
     and had taken so long by then.
     """
-    found = {(r["when"], r["seed"], r["skill"], r["physics"]): r for r in rows}
+    found = {(r["when"], r["gpus"], r["seed"], r["skill"], r["physics"]): r for r in rows}
     more = {
         "from_start": "measures.success_from_clip_start", "from_any_phase": "measures.success_from_any_phase",
         "slide": "played.slide", "sink": "played.sink", "jerk": "played.jerk",
     }  # fmt: skip
     lines = []
-    for when, seed in sorted({key[:2] for key in found}):
+    for when, gpus, seed in sorted({key[:3] for key in found}):
         pairs = {
-            s: [found.get((when, seed, s, physics), {}) for physics in PHYSICS] for s in SKILLS
+            s: [found.get((when, gpus, seed, s, physics), {}) for physics in PHYSICS]
+            for s in SKILLS
         }
         pairs = {s: pair for s, pair in pairs.items() if all(pair) and not pair[0].get("wrong")}
         pairs = {s: pair for s, pair in pairs.items() if "training_seconds" in pair[1]}
@@ -170,7 +188,7 @@ def together(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
             )
         )
         line = {
-            "when": when, "seed": seed, "skills": list(both), "cut": [s for s in pairs if s not in both],
+            "when": when, "gpus": gpus, "seed": seed, "skills": list(both), "cut": [s for s in pairs if s not in both],
             "minutes": [round(of, 3) for of in minutes], "ratio": round(minutes[0] / minutes[1], 4),
             "at_most": round(least[0] / least[1], 4),
             "samples": samples, "samples_ratio": round(samples[0] / samples[1], 4),
@@ -222,6 +240,7 @@ def main() -> None:
         "when": time.strftime("%Y-%m-%d"),
         "machine": torch.cuda.get_device_name() if gpus else "CPU",
         "gpus": len(gpus),
+        "mps": served() if gpus else None,
         "at_once": given.workers,
     }
 

@@ -36,7 +36,7 @@ def test_trainings_get_the_gpus_that_the_benchmark_was_given(
 def training(skill: str, physics: str, seconds: float, slide: float, **more: Any) -> dict[str, Any]:
     measures = {"success_from_clip_start": 1.0, "success_from_any_phase": 1.0 - slide}
     played = {"slide": slide, "sink": 0.01, "jerk": 100.0}
-    row = {"skill": skill, "seed": 0, "physics": physics, "when": "2026-11-28", "samples": 10}
+    row = {"skill": skill, "seed": 0, "physics": physics, "when": "2026-11-28", "gpus": 3, "samples": 10}
     return row | {"training_seconds": seconds, "measures": measures, "played": played} | more
 
 
@@ -47,6 +47,7 @@ def test_physics_are_compared_over_the_skills_that_have_both() -> None:
         training("run", "coarse_then_fine", 30.0, 0.4, samples=30),
         training("run", "fine", 90.0, 0.1),
         training("run", "fine", 1.0, 0.9, when="2026-11-27"),
+        training("run", "fine", 1.0, 0.9, gpus=2),
         training("roll", "coarse_then_fine", 600.0, 0.9),
         training("roll", "fine", 600.0, 0.0, wrong=sharpened.CUT),
     ]
@@ -59,6 +60,34 @@ def test_physics_are_compared_over_the_skills_that_have_both() -> None:
     assert line["slide"] == pytest.approx(0.2)
     assert line["from_any_phase"] == pytest.approx(-0.2)
     assert line["sink"] == line["jerk"] == line["from_start"] == 0.0
+
+
+def test_without_a_driver_nothing_is_said_of_its_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> None:
+        raise OSError(name)
+
+    monkeypatch.setattr(sharpened.ctypes, "CDLL", absent)
+    assert sharpened.served() is None
+
+
+@pytest.mark.parametrize(("error", "value", "said"), [(0, 1, True), (0, 0, False), (1, 0, None)])
+def test_the_driver_is_asked_whether_its_service_runs(
+    monkeypatch: pytest.MonkeyPatch, error: int, value: int, said: bool | None
+) -> None:
+    class Driver:
+        def __init__(self, name: str) -> None:
+            assert name == "libcuda.so.1"
+
+        def cuInit(self, flags: int) -> int:
+            return 0
+
+        def cuDeviceGetAttribute(self, found: Any, attribute: int, device: int) -> int:
+            assert (attribute, device) == (133, 0)
+            found._obj.value = value
+            return error
+
+    monkeypatch.setattr(sharpened.ctypes, "CDLL", Driver)
+    assert sharpened.served() is said
 
 
 @pytest.mark.slow

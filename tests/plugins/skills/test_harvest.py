@@ -53,5 +53,34 @@ def test_a_change_in_a_world_that_went_wrong_is_none() -> None:
     harvest: Any = object.__new__(Harvest)
     harvest.environment = SimpleNamespace(table=table, advance=advance, begin=lambda worlds: None)
     harvest._names, harvest._begun = ("x",), torch.ones(3, dtype=torch.bool)
-    harvest.options = SimpleNamespace(field="switch", value=2.0, ending="any")
+    harvest._lasted = torch.zeros(3)
+    harvest.options = SimpleNamespace(field="switch", value=2.0, ending="any", lasting=1)
     assert harvest._advance(torch.zeros(3, 1))[1].tolist() == [False, True, False]
+
+
+def test_a_change_counts_when_it_has_lasted() -> None:
+    """The switch is on in each decision's row; an episode of the last world ends after the fourth decision."""
+    rows = ["0110", "0100", "1111", "1111", "1111", "1101"]
+    table = {"x": torch.zeros(4), "switch": torch.tensor([0.0, 1.0, 0.0, 0.0])}
+    step = SimpleNamespace(
+        unsound=flags("0000"), failed=flags("0000"), terminated=flags("0000"), truncated=flags("0000"), endings={}
+    )  # fmt: skip
+    count = iter(range(len(rows)))
+
+    def advance(action: Tensor) -> Any:
+        k = next(count)
+        table["switch"] = flags(rows[k]).float()
+        step.ended = flags("0001" if k == 3 else "0000")
+        return step
+
+    harvest: Any = object.__new__(Harvest)
+    harvest.environment = SimpleNamespace(table=table, advance=advance, begin=lambda worlds: None)
+    harvest._names, harvest._begun = ("x",), torch.zeros(4, dtype=torch.bool)
+    harvest._lasted = torch.zeros(4)
+    harvest.options = SimpleNamespace(field="switch", value=1.0, ending="any", lasting=3)
+    counted = [harvest._advance(torch.zeros(4, 1))[1].tolist() for _ in rows]
+    # the second began switched on, the third was switched off in between
+    assert [row[0] for row in counted] == [False] * 4 + [True, False]
+    assert not any(row[1] for row in counted)
+    assert [row[2] for row in counted] == [False] * 4 + [True, False]
+    assert not any(row[3] for row in counted)

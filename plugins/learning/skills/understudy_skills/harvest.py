@@ -45,6 +45,7 @@ class Harvest(Gathering):
         moment: Literal["end", "anywhere", "change"] = "end"
         field: str | None = None  #: of shape (N,), of a change
         value: float = 0.0  #: of ``field`` after the change
+        lasting: int = 1  #: decisions: the change counts once it has lasted so long
         fields: tuple[str, ...] = ()  #: kept beside the simulator's state
         #: Keep also what was decided from the episode's beginning until then, as ``actions`` (T, A), T decisions of a
         #: whole episode, the last one again from there on: what ``actuation=replay`` plays.
@@ -58,7 +59,7 @@ class Harvest(Gathering):
         patience: int = 50  #: iterations without any state after which there is no hope
 
         def __post_init__(self) -> None:
-            check_range(self, "count", "decisions", "patience", least=1)
+            check_range(self, "count", "decisions", "patience", "lasting", least=1)
             if (self.field is None) is (self.moment == "change"):
                 raise ValueError(
                     f"moment={self.moment} with field={self.field} is not possible: a change has a "
@@ -118,6 +119,7 @@ class Harvest(Gathering):
         self._decide = simulator.replayed(self._advance, environment)
         self._age = torch.zeros(environment.num_worlds, device=self.device)
         self._begun = torch.zeros_like(self._age, dtype=torch.bool)  # by a decision
+        self._lasted = torch.zeros_like(self._age)  # decisions since the change
         self._kept: dict[str, Tensor] = {}  # of each world's present episode
         episode = judged or self._experiment.root.episode.seconds
         count = max(1, round(episode / (environment.control_dt * environment.decision)))
@@ -145,7 +147,11 @@ class Harvest(Gathering):
             states = {name: table[name].clone() for name in self._names}
             counts = which[options.ending] & step.ended
         else:
-            counts = (table[field] == options.value) & (was != options.value) & self._begun
+            changes = (was != options.value) & self._begun
+            lasted = (self._lasted + 1) * (changes | (self._lasted > 0))
+            self._lasted.copy_(lasted * (table[field] == options.value))
+            counts = self._lasted == options.lasting
+            self._lasted.mul_(~step.ended)
         counts, ended = counts & ~step.unsound, step.ended.clone()
         self._begun.copy_(~ended)
         environment.begin(step.ended)
@@ -225,6 +231,7 @@ class Harvest(Gathering):
             **self._gathered.state_dict(),
             "age": self._age,
             "begun": self._begun.clone(),
+            "lasted": self._lasted.clone(),
             "kept": dict(self._kept),
             "actions": self._actions,
         }
@@ -234,6 +241,7 @@ class Harvest(Gathering):
         self._streams.load_state_dict(state["streams"])
         self._age = state["age"].to(self.device)
         self._begun.copy_(state["begun"])
+        self._lasted.copy_(state["lasted"])
         self._kept = {name: value.to(self.device) for name, value in state["kept"].items()}
         self._actions = state["actions"].to(self.device)
         self.load_learned(state, 0)

@@ -101,6 +101,10 @@ class Torques(Actuation):
     @dataclass(frozen=True)
     class Options:
         closed: tuple[bool, ...] = (True,)  #: of each grip of the garment, whether it holds
+        most: float = 1.0  #: an action of 1 asks for so much of a hinge's largest torque (paper: all)
+
+        def __post_init__(self) -> None:
+            check_range(self, "most", above=0, most=1)
 
     def __init__(self, options: Options, context: Context) -> None:
         person = context.need_scene(PersonScene, "actuation 'dressing/torques'")
@@ -111,8 +115,9 @@ class Torques(Actuation):
                 f"actuation.closed={list(options.closed)} does not fit: the garment has {grips} grips."
             )
         self.action_space = box(len(person.hinges))
+        self._most = options.most
         self._closed = torch.tensor(options.closed, dtype=torch.float32, device=context.device)
 
     def control(self, action: Tensor) -> Tensor:
         closed = self._closed.expand(len(action), -1)
-        return torch.cat([action.clamp(-1.0, 1.0), closed], dim=1)
+        return torch.cat([self._most * action.clamp(-1.0, 1.0), closed], dim=1)
