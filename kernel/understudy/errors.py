@@ -17,6 +17,7 @@ __all__ = [
     "RunError",
     "TrainingError",
     "UnderstudyError",
+    "said",
     "shown",
     "suggestion",
 ]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from understudy.errors import PreemptedError
 
-__all__ = ["StopRequest"]
+__all__ = ["StopRequest", "is_stop"]
 
 
 @dataclass(eq=False)

@@ -127,6 +127,7 @@ class Training:
         meta["threads"] = threads()
         checkpoint.save(path, self.state_dict(), meta)
         checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep, path)
+        self._saved_at = self.progress.seconds
         return path
 
     def resume(self) -> None:
@@ -206,7 +207,7 @@ class Training:
         """:meth:`train`, pausing after each iteration; a caller that stops asking leaves the run as
         after a stop signal, saved and resumable."""
         run, root, progress = self.run, self.experiment.root, self.progress
-        saved_at = progress.seconds
+        self._saved_at = progress.seconds
         self.outcome = "failed"
         with StopRequest() as stop:
             try:
@@ -228,10 +229,9 @@ class Training:
                             run.append_metrics(row)
                             self.reporter.notify("iteration", run, row, self.job.stage())
                     if run is not None:
-                        due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
+                        due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
                         if due or stopping:
                             self.save()
-                            saved_at = progress.seconds
                     if stopping:
                         raise self._preempted(stop.received)
                     try:
@@ -364,9 +364,8 @@ class Training:
 def _meaning(config: Any) -> dict[str, Any]:
     """What of a run's configuration says what is learned and judged, not where and for how long."""
     aside = ("run", "budget", "checkpoint", "device")
-    return (
-        {k: v for k, v in config.items() if k not in aside} if isinstance(config, Mapping) else {}
-    )
+    known = config.items() if isinstance(config, Mapping) else ()
+    return {k: v for k, v in known if k not in aside}
 
 
 def _reaches(evaluation: Judgement, criterion: float) -> bool:
