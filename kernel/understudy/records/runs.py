@@ -102,7 +102,7 @@ class Run:
     def experiment(
         self, registry: Registry | None = None, config: Mapping[str, Any] | None = None
     ) -> Experiment:
-        """Its configuration, or this one, validated; what parts read is what the run has copies of."""
+        """Its configuration, or the one given, validated; its parts read the run's copies of files."""
         inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
         return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 

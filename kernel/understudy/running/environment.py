@@ -189,7 +189,7 @@ class Environment:
 
     @property
     def difficulty(self) -> float:
-        """With which episodes began, in the mean over the worlds. Waits for the device."""
+        """Of the running episodes, in the mean over the worlds. Waits for the device."""
         return float(self._constants["difficulty"].mean())
 
     @property

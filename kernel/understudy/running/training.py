@@ -143,15 +143,15 @@ class Training:
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():
                 raise RunError(
-                    f"{self.run.checkpoints} has none, so the training, of which {self.run.metrics_file.name} tells, "
-                    "cannot go on. Bring them back from a copy, or train anew in another folder."
+                    f"{self.run.checkpoints} has no checkpoint, so the training that {self.run.metrics_file.name} tells of "
+                    "cannot go on. Restore the checkpoints from a copy, or train anew in another folder."
                 )
             self.run.keep_metrics_until(0)
             return
         state, meta, _ = checkpoint.load_newest(self.run.checkpoints, self.reporter.message)
         if "config" not in meta:  # as of an unpacked skill
             raise RunError(
-                f"{self.run.path} holds what was learned, and not where the training stood. Begin another with it: "
+                f"{self.run.path} holds what was learned, but not where the training stood. Begin another one with it: "
                 f"`understudy train experiment=NAME start.run={self.run.path}`."
             )
         for change in differences(meta.get("config"), self.run.config):
@@ -160,8 +160,8 @@ class Training:
             self.reporter.message(f"Version differs from the checkpoint: {change}")
         if meta.get("threads", threads()) != threads() and self.job.device.type == "cpu":
             self.reporter.message(
-                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU the same bits follow "
-                f"at an equal number alone: OMP_NUM_THREADS={meta['threads']}."
+                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU the bits are the same "
+                f"only with an equal number: OMP_NUM_THREADS={meta['threads']}."
             )
         self.load_state_dict(state)
         if distributed.rank() > 0:  # the checkpoint's worlds are process 0's
@@ -278,7 +278,7 @@ class Training:
         )
 
     def _sharpen_if_ripe(self) -> dict[str, float]:
-        """Go over from coarse physics once the criterion is met by it, or enough of the budget spent."""
+        """Leave coarse physics once the criterion is met with it, or enough of the budget is spent."""
         if not self.job.coarse():
             return {}
         ripe = self._rehearsed or self._spent() >= self.experiment.root.resolution.budget

@@ -53,8 +53,8 @@ _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
 def _check_length(text: str, overrides: int = 1) -> None:
-    """Raise :class:`ConfigError` if it is longer than so many overrides may be: Hydra's reading of one takes
-    the square of its length."""
+    """Raise :class:`ConfigError` if `text` is longer than so many overrides may be: the time in which Hydra
+    reads one grows with the square of its length."""
     if len(text) > overrides * _LONGEST:
         raise ConfigError(
             f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are read. Shorten it."
@@ -177,7 +177,7 @@ _RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
 
 
 def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
-    """Raise :class:`ConfigError` for overrides of a stranger's, of what is named `of`, that would be
+    """Raise :class:`ConfigError` for overrides that come from a stranger, by way of `of`, and would be
     filled in from this machine (``${oc.env:NAME}``)."""
     for override in overrides:
         if _RESOLVER.search(override):

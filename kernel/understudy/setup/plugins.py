@@ -1,9 +1,9 @@
-"""Plugin loading: entry points, tables and pluggy hooks, and the config directories plugins contribute.
+"""Loading plugins: entry points, tables, pluggy's hook, and the folders of options that plugins bring.
 
 A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in tables
-(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. What has to be
-found out, the hook below registers, marked with ``@understudy.hookimpl``; a module that has it says
-``REQUIRES`` where its tables are to be read. The bundled plugins are loaded exactly like a stranger's.
+(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. The hook below,
+marked with ``@understudy.hookimpl``, registers what has to be found out; a module that has it says ``REQUIRES``
+if its tables are to be read, too. The bundled plugins are loaded exactly like a stranger's.
 """
 
 from __future__ import annotations

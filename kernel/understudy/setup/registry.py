@@ -234,7 +234,7 @@ class Registry:
         raise ConfigError(message + self.absent())
 
     def absent(self) -> str:
-        """Which plugins did not load and why, to end the error about what was not found."""
+        """Which plugins did not load, and why: the end of an error about what was not found."""
         return "".join(f" Plugin '{name}' did not load: {why}" for name, why in self.broken.items())
 
     def remove(self, plugin: str) -> None:
