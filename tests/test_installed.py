@@ -27,7 +27,7 @@ DEFAULTS = {
     "understudy_characters/scene.py", "understudy_skills/skill.py", "understudy_skills/folder.py", "understudy_gym/envs.py",
     "understudy_inspect/replay.py", "understudy_sweeps/sweep.py",
     "understudy_reproduce/comparison.py", "understudy_inspect/origins.py",
-    "understudy_training/workflow.py", "command/cli.py", "understudy_credits/walk.py",
+    "understudy_training/workflow.py", "understudy_training/watching.py", "command/cli.py", "understudy_credits/walk.py",
 }  # fmt: skip
 
 

@@ -31,8 +31,8 @@ class Scene(ABC):
         """Facts for provenance: sizes, masses, names."""
 
     def identity(self) -> Mapping[str, str]:
-        """By state field, of which thing it is the state, in words that differ where the thing does: so that a
-        state of another garment or body is not taken for one of this."""
+        """By state field, the thing whose state it is, in words that differ between things: the state of another
+        garment or body is not to be taken for one of this."""
         return {}
 
     def draw(
