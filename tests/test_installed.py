@@ -33,7 +33,8 @@ DEFAULTS = {
 
 def asks(file: Path) -> bool:
     """Whether it calls ``installed()``."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
+    text = file.read_text(encoding="utf-8")
+    tree = ast.parse(text if "installed" in text else "")
     calls = (node.func for node in ast.walk(tree) if isinstance(node, ast.Call))
     return any(ast.unparse(f).rpartition(".")[2] == "installed" for f in calls)
 

@@ -399,7 +399,7 @@ def test_an_unpacked_skill_is_a_run_that_acts_as_the_skill_does(
 ) -> None:
     run = tmp_path / "sit"
     assert main(["play", "sitting/sit", "--unpack", str(run)]) == 0
-    few = ("num_worlds=4", "episodes=4")
+    few = ("num_worlds=4", "episodes=4", "seconds=1")
     assert main(["evaluate", str(run), *few]) == 0
     assert main(["evaluate", str(run), *few, "initial_states.degrees=0"]) == 0  # composed anew
     skill, again = open_skill("sitting/sit"), open_skill(str(run))
