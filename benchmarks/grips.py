@@ -34,7 +34,12 @@ SECONDS, SETTLE = 10.0, 1.0
 def row(name: str, path: Path) -> dict[str, Any]:
     """The grip in the file `path`, at the worst of its angles; mm."""
     grip = load_grip(path)
-    scene = HandScene(HandScene.Options(**asdict(grip.measures), tool=grip.tool))
+    if grip.robot:  # of a package, as the scene of its name has it
+        options = load_experiment([f"scene=hand/{name}"]).need("scene").options
+        assert isinstance(options, HandScene.Options)
+    else:
+        options = HandScene.Options(**asdict(grip.measures), tool=grip.tool)
+    scene = HandScene(options)
     every = [grip.held(scene, k, SECONDS, SETTLE) for k in range(len(grip.angles))]
     return {
         "grip": name,
@@ -87,6 +92,9 @@ def main() -> None:
     parser.add_argument("--device", help="of MuJoCo Warp: cuda, or cpu to try")
     parser.add_argument("--worlds", type=int, default=1024)
     parser.add_argument("--impratio", type=float, default=100.0)
+    parser.add_argument(
+        "--only", nargs="+", metavar="GRIP", help="measure these anew and leave the others"
+    )
     given = parser.parse_args()
     if given.device is not None:
         line = json.dumps(in_warp(given.device, given.worlds, given.impratio)) + "\n"
@@ -94,12 +102,14 @@ def main() -> None:
             file.write(line)
         print(line, end="")
         return
-    registry, lines = load().registry, []
-    for one in registry.names("grip"):
+    registry = load().registry
+    rows = {r["grip"]: r for r in map(json.loads, RESULTS.read_text().splitlines())}
+    for one in given.only or registry.names("grip"):
         if not load_grip(registry.find("grip", one).factory()).holds:
             continue
-        lines.append(json.dumps(row(one, registry.find("grip", one).factory())) + "\n")
-        print(lines[-1], end="", flush=True)
+        rows[one] = row(one, registry.find("grip", one).factory())
+        print(json.dumps(rows[one]), flush=True)
+    lines = [json.dumps(rows[name]) + "\n" for name in sorted(rows)]
     RESULTS.write_text("".join(lines), encoding="utf-8")
 
 

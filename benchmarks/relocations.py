@@ -5,6 +5,9 @@ skill of relocation in MuJoCo on one core, each episode by a plan of its own tha
 ``docs/benchmarks/relocations.jsonl``. The row is written after every episode, and the same command goes on with it: what was under way
 when it was cut is begun anew, so that quick failures would be counted too often if cuts were many.
 
+``--another`` puts another object of table 5.2 on the table after each relocation, as the thesis' tasks of eight have it, of a skill whose
+object is of any kind (``chopsticks/objects``).
+
 ``--untrained EXPERIMENT`` follows the plans of an experiment without a policy: the targets are the plan's alone.
 """
 
@@ -20,13 +23,16 @@ from typing import Any
 
 import torch
 
+from understudy.running.environment import Environment
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy_chopsticks.relocate import Relocations
+from understudy_chopsticks.relocate import Bank, Relocations
 from understudy_reinforcement.evaluation import wilson_interval
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill
+from understudy_tensors import rotations
 from understudy_tool_planner.planner import CLOSING, DT, PRESSING
+from understudy_tool_planner.tasks import random_table
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "relocations.jsonl"
 SKILL = "chopsticks/relocate"
@@ -90,9 +96,10 @@ def episodes(
     worlds: int,
     seconds: float,
     untrained: bool = False,
+    another: bool = False,
 ) -> Iterator[dict[str, Any]]:
     """Those of the numbers from `begun` to `count`, as they end; as many side by side as there are `worlds`. `name` is
-    a skill's, or of `untrained` worlds an experiment's."""
+    a skill's, or of `untrained` worlds an experiment's; each relocation may move `another` object."""
     worlds = min(worlds, count - begun)
     words = [*words, f"seed={begun}", f"initial_states.plans={worlds}"]
     skill = None if untrained else open_skill(name, words)
@@ -109,11 +116,15 @@ def episodes(
         policy = build_policy(experiment, built.context)
         if skill is not None:
             skill.give(policy)
+        objects = torch.Generator().manual_seed(begun)
         seen, table = environment.reset(begun, "relocations"), environment.table
         watched, begun = [Watched() for _ in range(worlds)], begun + worlds
         while any(w is not None for w in watched):
             step = environment.advance(policy.distribution(seen).mode())
             seen, again = step.observations, torch.zeros(worlds, dtype=torch.bool)
+            over = ((table["leg_placed"] > 0) | (table["leg_missed"] > 0)) & ~step.ended
+            if another and bool(over.any()):
+                _put_another(environment, initial.bank, over, objects)
             for world, one in enumerate(watched):
                 if (
                     one is None
@@ -129,6 +140,28 @@ def episodes(
                 seen = environment.begin(again)
     finally:
         environment.close()
+
+
+def _put_another(
+    environment: Environment, bank: Bank, worlds: torch.Tensor, generator: torch.Generator
+) -> None:
+    """In these `worlds` (N,) bool the object goes and another one lies elsewhere on the table: as in the release one is in play at a time."""
+    simulator, forms, scene = environment.parts.simulator, bank.forms, bank.scene
+    assert forms is not None
+    joint = scene.model.joint("object")
+    at, dof = int(joint.qposadr[0]), int(joint.dofadr[0])
+    state = {name: simulator.read(name).clone() for name in simulator.state_fields}
+    rows = environment.table["followed"].long()
+    for world in worlds.nonzero()[:, 0].tolist():
+        table = random_table(generator, count=1)
+        bank.give(int(rows[world]), table.shapes[0])
+        lies = torch.tensor([*table.places[0], table.shapes[0].height])
+        turn = rotations.from_heading(torch.tensor(table.headings[0]))
+        state["qpos"][world, at : at + 7] = torch.cat([lies, turn])
+        state["qvel"][world, dof : dof + 6] = 0.0
+    state |= forms.values(bank.kinds[rows], bank.sizes[rows])
+    simulator.set_state(worlds, state)
+    environment.refresh()
 
 
 def summary(episodes: list[dict[str, Any]], relocations: int) -> dict[str, Any]:
@@ -164,6 +197,7 @@ def main() -> None:
     parser.add_argument("--what", required=True, help="name of the row")
     parser.add_argument("--skill", default=SKILL, help="that ships, a packed one, or a run")
     parser.add_argument("--untrained", metavar="EXPERIMENT", help="whose plans no policy follows")
+    parser.add_argument("--another", action="store_true", help="object after each relocation")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--worlds", type=int, default=16, help="episodes side by side")
     parser.add_argument("--seconds", type=float, default=32.0, help="of an episode, at most")
@@ -183,7 +217,7 @@ def main() -> None:
     spent = row.get("core_seconds", 0.0)
     for found in episodes(
         given.untrained or given.skill, words, done, given.episodes, given.worlds, given.seconds,
-        given.untrained is not None,
+        given.untrained is not None, given.another,
     ):  # fmt: skip
         row["episodes"].append(found)
         row |= {

@@ -35,8 +35,10 @@ from understudy_chopsticks.relocate import (
 from understudy_chopsticks.tracking import turned
 from understudy_tensors import rotations
 from understudy_tool_planner import arm
+from understudy_tool_planner.configuration import NoPlan
 from understudy_tool_planner.gripper import Jaws
 from understudy_tool_planner.planner import PHASES
+from understudy_tool_planner.tasks import Table
 
 WORDS = ["task=chopsticks/relocate", "num_worlds=4", "initial_states.plans=5"]
 
@@ -575,6 +577,34 @@ def test_the_next_relocation_is_planned_from_where_the_object_lies(plugins: Plug
     )
     assert abs(float((lower - planned[:3]) @ axis)) < 5e-5
     assert bank.shifts[rows[0]] == 0.0, "what was planned before did not"
+    made.environment.close()
+
+
+def test_a_tool_that_touches_what_it_let_go_of_goes_up_first(plugins: Plugins) -> None:
+    """An object that lies 4 mm beside where it was put is touched by an open stick: each way to it begins inside it."""
+    words = [
+        *WORDS[:1], "num_worlds=2", "initial_states.plans=2", "initial_states.relocations=2", "memory.again.onward=true",
+    ]  # fmt: skip
+    made = build_environment(load_experiment(words, plugins), evaluating=True)
+    made.environment.reset(seed=3)
+    _, bank = parts(made)
+    bank.need([0])
+    frames, row, goal = bank.frames[0].clone(), 0, (0.05, -0.02)
+    end = int(((frames[:, 16] == 0) & (frames[:, 17] == 1)).nonzero()[0, 0])
+    here = frames[end].double()
+    now = replace(bank._planner.begin(tuple(here[:7].tolist())), angle=here[7])
+    start = (float(here[8]), float(here[9]) + 0.004)
+    table = Table((bank._shapes[0],), (start,), (0.0,))
+    with pytest.raises(NoPlan, match="in the phase 'approach' something is in the way"):
+        bank._planner.plan(table.task(0, goal), now, table.without(0))
+    turn = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    own = bank.toward(row, 0, end, torch.tensor([*start, 0.01]).double(), turn, goal, 0.0)
+    new = bank.frames[own]
+    rises = bank._planner.begin(tuple(new[40, :7].double().tolist())).lower[2] - now.lower[2]
+    assert float(rises) == pytest.approx(0.03, abs=2e-3)
+    torch.testing.assert_close(new[int(bank.lengths[own]), 8:10], torch.tensor(goal))
+    with pytest.raises(NoPlan, match="the arm is too short"):  # and not that the way up was none
+        bank.toward(row, 0, end, torch.tensor([*start, 0.01]).double(), turn, (0.6, 0.2), 0.0)
     made.environment.close()
 
 

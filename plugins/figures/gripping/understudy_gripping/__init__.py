@@ -14,6 +14,7 @@ PARTS = {
         "long": ("grip:long", "the style 11120, of a hand with long fingers"),
         "large": ("grip:large", "the style 11200, of a hand twice as large"),
         "tri_finger": ("grip:tri_finger", "the style 112, of a hand with three fingers"),
+        "adroit": ("grip:adroit", "the style 11120, of the Adroit hand (scene=hand/adroit)"),
     },
     "command": {
         "grip": ("command:FindGrip", "find how a hand holds a tool"),

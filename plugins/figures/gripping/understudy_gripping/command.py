@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from understudy.command.command import Command
 from understudy.errors import ConfigError
+from understudy.setup.composition import load_experiment
 from understudy_gripping.grip import find_grip, search_grip
 from understudy_gripping.holding import holding
 from understudy_gripping.styles import read_style, written
@@ -18,6 +20,14 @@ from understudy_hand.tools import HALF_LENGTH
 
 #: Of a search, at most: they are solved side by side.
 MOST_TRIES = 1000
+
+
+def _of_scene(name: str) -> HandScene.Options:
+    """What the config group's scene `name` is."""
+    found = load_experiment([f"scene={name}"]).need("scene").options
+    if not isinstance(found, HandScene.Options):
+        raise ConfigError(f"--scene {name} has no hand. Give one that has, such as hand/adroit.")
+    return found
 
 
 class FindGrip(Command):
@@ -43,9 +53,13 @@ class FindGrip(Command):
         parser.add_argument(
             "--tool", default="sticks", help="sticks, tongs or brush (default: sticks)"
         )
-        parser.add_argument("--fingers", type=int, default=5, help="of the hand (default: 5)")
-        parser.add_argument("--finger-length", type=float, default=1.0, help="default: 1")
-        parser.add_argument("--size", type=float, default=1.0, help="of the hand (default: 1)")
+        parser.add_argument(
+            "--scene", default="hand", metavar="NAME",
+            help="whose hand it is, such as hand/adroit (default: hand, the human one)",
+        )  # fmt: skip
+        parser.add_argument("--fingers", type=int, help="of the hand (default: 5)")
+        parser.add_argument("--finger-length", type=float, help="default: 1")
+        parser.add_argument("--size", type=float, help="of the hand (default: 1)")
 
     def writes(self, options: argparse.Namespace) -> Iterator[Path | None]:
         yield options.file
@@ -55,14 +69,14 @@ class FindGrip(Command):
         if not 0 <= options.tries <= MOST_TRIES or options.seed < 0:
             raise ConfigError(f"--tries is a number from 0 to {MOST_TRIES}, and --seed at least 0.")
         try:
-            chosen = HandScene.Options(
-                options.fingers, options.finger_length, options.size, options.tool
-            )
+            given = {name: getattr(options, name) for name in ("fingers", "finger_length", "size")}
+            given = {name: value for name, value in given.items() if value is not None}
+            chosen = replace(_of_scene(options.scene), tool=options.tool, **given)
         except ValueError as error:
             raise ConfigError(
                 f"--{str(error).replace('finger_length', 'finger-length')}"
             ) from error
-        style = read_style(options.style, options.fingers, options.tool)
+        style = read_style(options.style, chosen.fingers, options.tool)
         touching = sum(map(bool, style))
         places = [p / 1e3 for p in options.places or []] or own.first_guess(style)
         if len(places) != touching:

@@ -69,6 +69,7 @@ class Grip:
     tool: Tool = "sticks"
     #: Whether it holds the tool without a policy; the T-pose of figure 5.6 does not touch it.
     holds: bool = True
+    robot: str = ""  #: the model of the hand (``HandScene.robot``); empty is the human one
 
     @property
     def upper(self) -> np.ndarray:
@@ -93,6 +94,12 @@ class Grip:
                 f"The grip {written(self.style)} holds {_TOOLS[self.tool]}, and the scene has "
                 f"{_TOOLS[scene.options.tool]}. Set scene.tool={self.tool}, or another grip."
             )
+        if scene.robot != self.robot:
+            hands = [name or "the human one" for name in (self.robot, scene.robot)]
+            raise ConfigError(
+                f"The grip {written(self.style)} is one of another hand: {hands[0]}, and the scene's is {hands[1]}. "
+                "Set another scene, such as scene=hand/adroit, or another grip."
+            )
         if scene.measures != self.measures:
             raise ConfigError(
                 f"The grip {written(self.style)} is one of a hand with {_said(self.measures)}, and the "
@@ -116,6 +123,7 @@ class Grip:
             "hinges": list(self.hinges),
             **{n: _rounded(getattr(self, n)) for n in ("lower", "angles", "poses", "targets")},
             **({} if self.holds else {"holds": False}),
+            **({"robot": self.robot} if self.robot else {}),
         }
         lines = ",\n".join(f" {json.dumps(k)}: {json.dumps(v)}" for k, v in values.items())
         write_atomically(path, f"{{\n{lines}\n}}\n".encode())
@@ -257,7 +265,7 @@ def _find(
     targets = [_balanced(solver, style, poses, row)[1].targets[arm:] for row in range(count)]
     grip = Grip(
         scene.measures, style, candidate.places, poses.hinges, poses.lower[0].numpy(),
-        np.array(angles), poses.pose.numpy(), np.array(targets), solver.tool,
+        np.array(angles), poses.pose.numpy(), np.array(targets), solver.tool, robot=scene.robot,
     )  # fmt: skip
     for row, angle in enumerate(angles):
         if (fell := grip.held(scene, row, 1.0).fell) is not None:
@@ -313,6 +321,7 @@ def load_grip(path: Path) -> Grip:
             _numbers(values, "targets", (rows, len(hinges))),
             tool,
             holds,
+            str(values.get("robot", "")),
         )
         if rows < 2 or (np.diff(grip.angles) <= 0).any():
             raise ValueError("its angles are not two or more that rise")
@@ -524,5 +533,7 @@ def t_pose() -> Path:
 
 #: Other tools in the human hand.
 tongs, tongs_wide, brush = (partial(_packaged, name) for name in ("tongs", "tongs_wide", "brush"))
-#: Sticks in other hands (section 5.7.3).
-long, large, tri_finger = (partial(_packaged, name) for name in ("long", "large", "tri_finger"))
+#: Sticks in other hands (section 5.7.3), the last a robot's.
+long, large, tri_finger, adroit = (
+    partial(_packaged, name) for name in ("long", "large", "tri_finger", "adroit")
+)

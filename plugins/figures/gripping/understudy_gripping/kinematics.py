@@ -38,6 +38,7 @@ class HandKinematics:
         row = {body: k for k, body in enumerate(bodies)} | {palm: -1}
         self._parents = [row[int(model.body_parentid[body])] for body in bodies]
         self._offsets = _tensor(model.body_pos[bodies])
+        self._turns = _tensor([_matrix(model.body_quat[body]) for body in bodies])
         joints = [j for b in bodies for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])]  # fmt: skip
         #: Names of the hinges, in the model's order.
         self.hinges = [model.joint(j).name for j in joints]
@@ -54,11 +55,11 @@ class HandKinematics:
             torch.eye(3, dtype=torch.float64).expand(len(axes), 3, 3),
             dim=1,
         )
-        geoms = {name: model.geom(name) for name in self.names}
+        geoms = {n: model.geom(n) for n in self.names if model.body(n).geomnum[0]}
         capsule = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
         #: Links that are capsules, and their radii (C,) m.
-        self.capsules = [n for n in self.names if int(geoms[n].type[0]) == capsule]
-        self.boxes = [n for n in self.names if n not in self.capsules]
+        self.capsules = [n for n in geoms if int(geoms[n].type[0]) == capsule]
+        self.boxes = [n for n in geoms if n not in self.capsules]
         self.radii = _tensor([geoms[n].size[0] for n in self.capsules])
         self.box_sizes = _tensor([geoms[n].size for n in self.boxes]).reshape(-1, 3)
         self._capsule_rows = torch.tensor([self.names.index(n) for n in self.capsules])
@@ -82,10 +83,10 @@ class HandKinematics:
         for link, parent in enumerate(self._parents):
             if parent < 0:
                 place = self._offsets[link].expand(count, 3)
-                matrix = torch.eye(3, dtype=pose.dtype).expand(count, 3, 3)
+                matrix = self._turns[link].expand(count, 3, 3)
             else:
-                matrix = matrices[parent]
-                place = places[parent] + matrix @ self._offsets[link]
+                place = places[parent] + matrices[parent] @ self._offsets[link]
+                matrix = matrices[parent] @ self._turns[link]
             for hinge in self._hinges_of[link]:
                 anchor, turned = self._anchors[hinge], matrix @ turns[:, hinge]
                 place = place + matrix @ anchor - turned @ anchor

@@ -88,9 +88,11 @@ class PoseSolver:
         self._size = scene.measures.size
         capsules = hand.capsules
         self._tips = torch.tensor([capsules.index(f"{f}_distal") for f in self.fingers])
-        self._supports = [name for name in self.holding.supports if name in capsules]
+        #: Links that bear the tool: of capsules and boxes their rows among all of both, capsules first.
+        self._shapes = [*capsules, *hand.boxes]
+        self._supports = [name for name in self.holding.supports if name in self._shapes]
         self._support_rows = torch.tensor(
-            [capsules.index(name) for name in self._supports], dtype=torch.long
+            [self._shapes.index(name) for name in self._supports], dtype=torch.long
         )
         self._apart = torch.tensor(_pairs_apart(capsules)).T
         low, high = hand.ranges.T
@@ -100,13 +102,14 @@ class PoseSolver:
     def rest(self, style: Style) -> Tensor:
         """(H,) rad: the T-pose of figure 5.6, whose numbers the thesis does not give."""
         last = max(finger for finger, stick in enumerate(style) if stick)
-        values = []
+        robot, values = self.scene.options.robot, []
+        own = {} if robot is None else robot.rest
         for name in self.kinematics.hinges:
             finger, _, what = name.partition("_")
             row = FINGERS.index(finger)
             bend = _BEND if style[row] else _IDLE_BEND if row < last else _LAST_BEND
             bends = finger != "thumb" and what in ("proximal", "middle", "distal")
-            values.append(_THUMB.get(name, bend if bends else 0.0))
+            values.append(own.get(name, _THUMB.get(name, bend if bends else 0.0)))
         return torch.tensor(values, dtype=torch.float64).clamp(self._low, self._high)
 
     def solve(
@@ -236,6 +239,13 @@ class _Problem:
             between = segment_distance(ends[:, :1], ends[:, 1:]) - 2.0 * RADIUS
         return shapes, ends, gaps, boxes, between
 
+    def _held(self, gaps: Tensor, boxes: Tensor) -> Tensor:
+        """(B, S) m: of the links that bear it, from their part."""
+        rows = self._solver._support_rows
+        if not len(rows):
+            return gaps.new_zeros(len(gaps), 0)
+        return torch.cat([gaps, boxes], dim=1)[:, rows, self._support_sticks]
+
     def cost(self, point: Tensor) -> Tensor:
         """(B,)"""
         solver, hand = self._solver, self._hand
@@ -250,10 +260,11 @@ class _Problem:
         away = _norm(at(tips, nearest) - goals) - hand.radii[solver._tips]  # of f_i(q) from p_i(x)
         tip_gaps = gaps[:, solver._tips].gather(2, self._stick[..., None])[..., 0]
         cost = _CONTACT * (self._touches * (away**2 + (tip_gaps - _GAP) ** 2)).sum(1)
-        held = gaps[:, solver._support_rows, self._support_sticks]
-        _, along = nearest_places(
-            shapes.ends[:, solver._support_rows], ends[:, self._support_sticks]
-        )
+        held = self._held(gaps, boxes)
+        # Where a capsule is nearest to it, or the middle of a box.
+        middles = shapes.boxes[:, :, None].expand(-1, -1, 2, -1)
+        bearing = torch.cat([shapes.ends, middles], dim=1)[:, solver._support_rows]
+        _, along = nearest_places(bearing, ends[:, self._support_sticks])
         place = (2.0 * along - 1.0) * HALF_LENGTH
         cost = cost + _CONTACT * ((held - _GAP) ** 2).sum(1)
         cost = cost + _ALONG * ((place - self._support_places) ** 2).sum(1)
@@ -282,7 +293,7 @@ class _Problem:
         _, _, gaps, boxes, _ = self._distances(point)
         positions, turns = self.sticks(point)
         tip_gaps = gaps[:, solver._tips].gather(2, self._stick[..., None])[..., 0]
-        held = gaps[:, solver._support_rows, self._support_sticks]
+        held = self._held(gaps, boxes)
         open_ = torch.cat([torch.where(self._touches, tip_gaps, 0.0), held], dim=1)
         clearance = torch.cat([gaps.flatten(1), boxes.flatten(1)], dim=1).amin(1)
         lower = torch.cat([positions[:, -1], turns[:, -1]], dim=1)

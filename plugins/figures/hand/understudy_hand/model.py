@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from understudy_hand import tools
-from understudy_hand.table import ARM, DENSITY, Link, Measures, Shape, links
+from understudy_hand.table import ARM, DENSITY, Link, Shape
 
 #: Bits of contact masks.
 _HAND, _TOOL, _TABLE = 1, 2, 4
@@ -15,6 +17,8 @@ ARM_SERVO, HAND_SERVO = (5000.0, 500.0, 1000.0), (1.0, 0.1, 10.0)
 _ARM_ARMATURE, _WRIST_ARMATURE, _HAND_ARMATURE = 1.0, 0.005, 0.001
 #: m: how far around a tip a contact counts as one of it.
 _AROUND = 0.002
+#: kg m², of links without a shape (the release).
+_SMALL = 1e-5
 _FRICTION_LOSS, _HAND_DAMPING = 0.001, 0.05
 #: rad: how far before a limit it acts (the release), but at most this share of a hinge's range: some
 #: ranges are so narrow that both limits would act at once.
@@ -25,14 +29,15 @@ TABLE_SIZE, TABLE_CENTRE = (0.5, 0.315, 0.2), (-0.24, 0.0, -0.2)
 
 
 def build_spec(
-    measures: Measures,
+    links: Sequence[Link],
+    fingers: Sequence[str],
     tool: tools.Tool,
     friction: float = 1.0,
     thing: tools.Thing | None = None,
     below: tools.Thing | None = None,
     above: tools.Thing | None = None,
 ) -> mujoco.MjSpec:
-    """Arm, hand, tool and table, with a `thing` on it, one `below` and one `above`, or without. Arm and hand bear their own weight, the others do
+    """Arm and hand of these `links` and `fingers`, tool and table, with a `thing` on it, one `below` and one `above`, or without. Arm and hand bear their own weight, the others do
     not.
 
     Every hinge of arm and hand has a position servo of its name, in the order of the joints. Hand links
@@ -47,18 +52,21 @@ def build_spec(
     half = float(np.sqrt(0.5))
     base = spec.worldbody.add_body(name="base", pos=[0, -0.45, 0.2], quat=[half, -half, 0, 0])
     bodies, arm = {"base": base}, {link.name for link in ARM}
-    for link in links(measures):
-        body = bodies[link.parent].add_body(name=link.name, pos=link.offset)
+    for link in links:
+        body = bodies[link.parent].add_body(name=link.name, pos=link.offset, quat=link.turn)
         body.gravcomp = 1.0
         bodies[link.name] = body
         _add_hinges(spec, body, link, link.name in arm)
         if link.shape is not None:
             _add_shape(body, link, link.shape, friction, link.name in arm)
+        elif link.mass:
+            body.explicitinertial, body.mass = True, link.mass
+            body.ipos, body.inertia = np.zeros(3), np.full(3, _SMALL)
     tools.add(spec, tool, friction, (_TOOL, _HAND | _TOOL))
     for name, lying in (("object", thing), ("below", below), ("above", above)):
         if lying is not None:
             tools.add_thing(spec, name, lying, friction, (_TOOL, _HAND | _TOOL))
-    for name in (*(f"{finger}_distal" for finger in measures.names), *tools.tips(tool)):
+    for name in (*(f"{finger}_distal" for finger in fingers), *tools.tips(tool)):
         _add_touch(spec, name)
     return spec
 
@@ -112,5 +120,7 @@ def _add_shape(body: mujoco.MjsBody, link: Link, shape: Shape, friction: float, 
     half = float(np.sqrt(0.5))
     turn = shape.tilt / 2
     geom.quat = [half, -half, 0, 0] if shape.along_y else [np.cos(turn), 0, np.sin(turn), 0]
+    if shape.turn is not None:
+        geom.quat = shape.turn
     if link.mass is not None:
         geom.mass = link.mass

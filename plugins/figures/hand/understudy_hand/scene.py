@@ -14,7 +14,8 @@ from understudy.options import check_range
 from understudy.task import Context
 from understudy_hand import tools
 from understudy_hand.model import build_spec
-from understudy_hand.table import Measures, links
+from understudy_hand.robot import Robot, robot_links
+from understudy_hand.table import Link, Measures, links
 from understudy_mujoco.contact import Contact
 from understudy_mujoco.drawing import draw_motion
 from understudy_mujoco.scene import MujocoScene
@@ -59,9 +60,16 @@ class HandScene(MujocoScene):
         contact: Contact = field(
             default_factory=Contact
         )  #: how contacts are solved, where not FIRM
+        robot: Robot | None = (
+            None  #: another hand than the human one, of a package that is installed
+        )
 
         def __post_init__(self) -> None:
-            Measures(self.fingers, self.finger_length, self.size)
+            measures = Measures(self.fingers, self.finger_length, self.size)
+            if self.robot is not None and measures != Measures():
+                raise ValueError(
+                    "robot is a hand of its own: leave out fingers, finger_length and size."
+                )
             check_range(self, "friction", above=0)
             for name in ("below", "above"):
                 if (lying := getattr(self, name)) is not None and lying.kind == "any":
@@ -84,8 +92,8 @@ class HandScene(MujocoScene):
 
     def spec(self) -> mujoco.MjSpec:
         spec = build_spec(
-            self.measures, self.options.tool, self.options.friction, self.options.object,
-            self.options.below, self.options.above,
+            self._links, self.measures.names, self.options.tool, self.options.friction,
+            self.options.object, self.options.below, self.options.above,
         )  # fmt: skip
         spec.option.timestep = self.timestep
         FIRM.apply(spec)
@@ -115,9 +123,19 @@ class HandScene(MujocoScene):
         return spec
 
     @cached_property
+    def _links(self) -> tuple[Link, ...]:
+        robot = self.options.robot
+        return links(self.measures) if robot is None else robot_links(robot)
+
+    @property
     def links(self) -> tuple[str, ...]:
         """Names of the bodies of arm and hand, parents first."""
-        return tuple(link.name for link in links(self.measures))
+        return tuple(link.name for link in self._links)
+
+    @property
+    def robot(self) -> str:
+        """Of what model the hand is; empty is the human one of the table."""
+        return self.options.robot.name if self.options.robot is not None else ""
 
     @property
     def hinges(self) -> int:

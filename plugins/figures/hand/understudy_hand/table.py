@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 
 from understudy.options import check_range
 
-__all__ = ["ARM", "ARM_POSE", "FEWEST", "FINGERS", "Measures"]
+__all__ = ["ARM", "ARM_POSE", "FEWEST", "FINGERS", "PALM", "Measures"]
 
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, ...]
 
 #: From the thumb on. A hand has the first N of them.
 FINGERS = ("thumb", "index", "middle", "ring", "little")
@@ -47,6 +48,7 @@ class Shape:
     tilt: float = 0.0
     box: Vector | None = None
     along_y: bool = False
+    turn: Quaternion | None = None  #: in place of both
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class Link:
     hinges: tuple[Hinge, ...] = ()
     shape: Shape | None = None
     mass: float | None = None  #: None: by density
+    turn: Quaternion = (1.0, 0.0, 0.0, 0.0)  #: in the parent's frame
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ ARM = (
         Shape(0.025, 0.0, (0, 0, 0.01)), 0.365,
     ),
 )  # fmt: skip
-_PALM = Link("palm", "wrist", (0, 0, 0.034))
+PALM = Link("palm", "wrist", (0, 0, 0.034))
 
 
 @dataclass(frozen=True)
@@ -202,7 +205,7 @@ def _finger(name: str, row: _Finger) -> Iterator[Link]:
 
 def links(measures: Measures) -> tuple[Link, ...]:
     """Arm and hand, parents before children."""
-    hand = [_PALM, *_THUMB]
+    hand = [PALM, *_THUMB]
     for name in measures.names[1:]:
         hand += _finger(name, _ROWS[name])
     return (*ARM, *(_scaled(link, measures) for link in hand))

@@ -77,7 +77,7 @@ class Bank:
             )
         #: What every plan moves; None where each draws another.
         self._alike = None if thing.kind == "any" else objects.Shape(thing.kind, thing.sizes)
-        self.forms = made.scene.forms
+        self.scene, self.forms = made.scene, made.scene.forms
         below = made.scene.options.below
         #: What the object is put upon, and how high that is, m.
         self._below = objects.Shape(below.kind, below.sizes) if below is not None else None
@@ -141,7 +141,7 @@ class Bank:
         self.sizes = torch.zeros(count, 3, device=self._device)
         self.seen = torch.zeros(count, 2 * len(objects.KINDS), device=self._device)
         for row, shape in enumerate(self._shapes):
-            self._set_shape(row, shape)
+            self.give(row, shape)
         #: (P, nq) as a plan of a tool that is held further along begins.
         self.starts = torch.zeros(
             count if self.shifted else 0, self._made.scene.model.nq, device=self._device
@@ -193,7 +193,8 @@ class Bank:
         self.sizes = torch.cat([self.sizes, self.sizes[:1].repeat(count, 1)])
         self.seen = torch.cat([self.seen, self.seen[:1].repeat(count, 1)])
 
-    def _set_shape(self, row: int, shape: objects.Shape) -> None:
+    def give(self, row: int, shape: objects.Shape) -> None:
+        """Have the plan `row` move an object of this shape."""
         number = objects.KINDS.index(shape.kind)
         self._shapes[row], self.kinds[row] = shape, number
         self.sizes[row] = torch.tensor(mujoco_sizes(shape.kind, shape.sizes))
@@ -205,7 +206,7 @@ class Bank:
         """Put a new plan into a row, in place."""
         if self._alike is None:
             stream = random.generator(self._seed, f"{self._stream}/shape/{self._drawn}")
-            self._set_shape(row, random_shape(stream))
+            self.give(row, random_shape(stream))
         if self.shifted:
             self._hold_further(row)
         plans = self._plans(self._planner.shifted(self._along[row]), self._shapes[row])
@@ -284,7 +285,8 @@ class Bank:
         anew: bool = False,
     ) -> int:
         """The row of `world` itself with a plan to `goal` m: from where the arm is in the plan `row` at its frame `frame`, the tool is
-        held (`along` m further), and the object lies; `anew` where something has failed.
+        held (`along` m further), and the object lies; `anew` where something has failed, or where the tool that let go of the object still
+        touches it: then it opens and goes up first.
 
         Raises
         ------
@@ -302,7 +304,16 @@ class Bank:
         planner = self._planner.shifted(along)
         now = replace(planner.begin(tuple(here[:7].tolist())), angle=here[7])
         table = Table((shape,), (start,), (heading,))
-        plan = planner.plan(table.task(0, goal), now, table.without(0), anew=anew)
+        task, rest = table.task(0, goal), table.without(0)
+        try:
+            plan = planner.plan(task, now, rest, anew=anew)
+        except NoPlan as refused:
+            if anew:
+                raise
+            try:
+                plan = planner.plan(task, now, rest, anew=True)
+            except NoPlan:
+                raise refused from None
         own, leg = self.drawn + world, int(here[_LEG])
         if not self._put(own, [plan], leg):
             raise NoPlan("No plan reaches the goal in time. Choose another goal.")
@@ -314,7 +325,7 @@ class Bank:
         """What a plan that is made anew has of the plan `row` before it, with the tool held `along` m further."""
         self.goals[own] = self.goals[row].clone()
         self._along[own] = self.shifts[own] = along
-        self._set_shape(own, self._shapes[row])
+        self.give(own, self._shapes[row])
 
     def way(self, row: int) -> np.ndarray:
         """(T, 3) m: where the object is in the plan `row`."""
@@ -431,7 +442,7 @@ class Bank:
         self._along = self.shifts.tolist()
         for row, (kind, *sizes) in enumerate(state.get("shapes", torch.zeros(0, 4)).tolist()):
             name = objects.KINDS[int(kind)]
-            self._set_shape(row, objects.Shape(name, tuple(sizes[: objects.COUNTS[name]])))
+            self.give(row, objects.Shape(name, tuple(sizes[: objects.COUNTS[name]])))
         self._drawn = int(state["drawn"])
 
 
@@ -445,12 +456,11 @@ class Relocations(InitialStates):
     """The sticks in the hand, open, and the object at the start of a plan that each world draws; in an evaluation each from
     a share of the bank of its own.
 
-    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end; ``object_shape`` (6,) 1 for
-    its kind of sphere, capsule and box, and half of its extent along each of its axes, m.
+    ``plan_row`` () is its number in the bank; ``plan_goal`` (3,) m, where the object is to be put in the end.
     """
 
     rollout_fields = ("plan_row",)
-    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,), "object_shape": (6,)}
+    episode_fields: Mapping[str, Shape] = {"plan_row": (), "plan_goal": (3,)}
 
     @dataclass(frozen=True)
     class Options:
@@ -569,7 +579,6 @@ class Relocations(InitialStates):
             "qvel": self._velocity.expand(len(row), -1),
             "plan_row": row.float(),
             "plan_goal": self.bank.goals[row, -1],
-            "object_shape": self.bank.seen[row],
         }
 
     def _learn(self, rollout: Rollout) -> None:
@@ -620,7 +629,8 @@ class Follow(Fields):
     - ``planned_object`` (7,): where the object shall be, in the world; ``planned_held`` () 1 while the sticks hold it
     - ``planned_goal`` (3,) m, of the relocation that is on; ``planned_leg`` () its number, from 0; ``leg_over`` () 1
       in its last frame
-    - ``object_ahead`` (6, 7): the same every 0.05 s of the next 0.3 s, in the frame of the palm as it is
+    - ``object_shape`` (6,): 1 for its kind of sphere, capsule and box, and half of its extent along each of its axes, m
+    - ``object_ahead`` (6, 7): where it shall be every 0.05 s of the next 0.3 s, in the frame of the palm as it is
     """
 
     reads = (
@@ -635,6 +645,7 @@ class Follow(Fields):
         "planned_goal": (3,),
         "planned_leg": (),
         "leg_over": (),
+        "object_shape": (2 * len(objects.KINDS),),
         "object_ahead": (len(AHEAD), 7),
     }
 
@@ -726,6 +737,7 @@ class Follow(Fields):
             "planned_goal": self._bank.goals[row, leg.long()],
             "planned_leg": leg,
             "leg_over": here[:, 0, _LAST],
+            "object_shape": self._bank.seen[row],
             "object_ahead": torch.cat(
                 [
                     rotations.inverse_rotate(turn.expand(-1, len(AHEAD), 4), thing[..., :3] - palm),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from html import escape
 
 import mujoco
 import numpy as np
 import trimesh
 import viser
+from torch import Tensor
 
 from understudy_mujoco.scene import MujocoScene
 from understudy_play.controls import Controls
@@ -47,7 +48,7 @@ class ScenePage:
         self._steps, self._every = 0, max(1, round(1.0 / (_FRAMES * world.dt)))
         self._server, self.url = open_server(host, port)
         self._dress()
-        self._draw(world.shown()["qpos"].double().numpy())
+        self._draw(world.shown())
 
     def run(self) -> None:
         """Act in real time until the page is closed."""
@@ -70,7 +71,7 @@ class ScenePage:
         for shown in self._world.step():
             self._steps += 1
             if self._steps % self._every == 0:
-                self._draw(shown["qpos"].double().numpy())
+                self._draw(shown)
             after_each()
 
     def send(self, x: float, y: float) -> None:
@@ -105,14 +106,9 @@ class ScenePage:
         self._parts: list[tuple[int, viser.MeshHandle]] = []
         for geom in range(model.ngeom):
             mesh = geom_mesh(model, geom)
-            red, green, blue, opacity = (float(part) for part in model.geom_rgba[geom])
-            if mesh is None or opacity == 0.0:
+            if mesh is None or model.geom_rgba[geom, 3] == 0.0:
                 continue
-            part = scene.add_mesh_simple(
-                f"/scene/{geom}", mesh.vertices, np.asarray(mesh.faces),
-                color=np.array([red, green, blue]), opacity=None if opacity == 1.0 else opacity,
-            )  # fmt: skip
-            self._parts.append((geom, part))
+            self._parts.append((geom, self._add(geom, mesh)))
         camera, extent = self._server.initial_camera, float(model.stat.extent)
         camera.look_at = np.array(model.stat.center)
         camera.position = camera.look_at + extent * np.array([-0.5, 0.7, 0.4])
@@ -126,11 +122,33 @@ class ScenePage:
         if self._following is not None:
             self._following.add_to(gui)
 
+    def _add(self, geom: int, mesh: trimesh.Trimesh) -> viser.MeshHandle:
+        *colour, opacity = (float(part) for part in self._model.geom_rgba[geom])
+        return self._server.scene.add_mesh_simple(
+            f"/scene/{geom}", mesh.vertices, np.asarray(mesh.faces), color=np.array(colour),
+            opacity=None if opacity == 1.0 else opacity,
+        )  # fmt: skip
+
+    def _reshape(self, shown: Mapping[str, Tensor]) -> None:
+        """Show of geoms in which worlds differ those that this world has, as large as they are in it."""
+        for row, (geom, part) in enumerate(self._parts):
+            name = self._model.geom(geom).name
+            if f"active/{name}" not in shown:
+                continue
+            size = shown[f"geom_size/{name}"].double().numpy()
+            if not np.array_equal(size, self._model.geom_size[geom]):
+                self._model.geom_size[geom] = size
+                mesh = geom_mesh(self._model, geom)
+                assert mesh is not None
+                part = self._add(geom, mesh)
+                self._parts[row] = geom, part
+            part.visible = bool(shown[f"active/{name}"] > 0)
+
     def _lead(self, body: str) -> None:
         """A target to drag, the planned way to it, and buttons for nudges."""
         scene, gui = self._server.scene, self._server.gui
-        geom = self._model.geom(body)
-        size = float(np.min(geom.size[geom.size > 0]))
+        sizes = self._model.geom_size[self._model.geom_bodyid == self._model.body(body).id]
+        size = float(np.min(sizes[sizes > 0]))
         self._handle = scene.add_transform_controls(
             "/target", scale=8.0 * size, active_axes=(True, True, False), disable_rotations=True,
             depth_test=False,
@@ -165,11 +183,12 @@ class ScenePage:
         self._way.visible = not leads.refused
         return leads.refused
 
-    def _draw(self, qpos: np.ndarray) -> None:
-        self._data.qpos[:] = qpos
+    def _draw(self, shown: Mapping[str, Tensor]) -> None:
+        self._data.qpos[:] = shown["qpos"].double().numpy()
         mujoco.mj_kinematics(self._model, self._data)
         turn, told = np.zeros(4), ""
         with self._server.atomic():
+            self._reshape(shown)
             if self._world.leads is not None:
                 told = self._draw_way()
             for geom, part in self._parts:
