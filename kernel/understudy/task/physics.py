@@ -91,10 +91,10 @@ class Simulator(ABC):
 
     @abstractmethod
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        """Put the worlds where `worlds` (N,) bool is true into `state` at rest time, all controls 0.
+        """Put the worlds where `worlds` (N,) bool is true into `state` at rest time.
 
-        `state` has the ``state_fields`` and may have varied parameters, each (N, …). Parameters that
-        it leaves out keep their values.
+        `state` has the ``state_fields`` and may have controls, which are 0 else, and varied parameters,
+        each (N, …). Parameters that it leaves out keep their values.
         """
 
     @abstractmethod

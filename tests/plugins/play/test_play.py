@@ -80,9 +80,12 @@ def test_a_skill_is_small_and_has_a_card(name: str) -> None:
 
 
 def test_a_push_moves_the_character(player: Player) -> None:
+    player.step()
     simulator = player.environment.parts.simulator
     before = simulator.read("qvel").clone()
+    told = simulator.read("ctrl").clone()
     player.push((0.0, 9.0, 0.0))
+    assert torch.equal(simulator.read("ctrl"), told), "servos know nothing of it"
     after = simulator.read("qvel")
     mass = float(player.scene.model.body_mass.sum())  # type: ignore[attr-defined]
     expected = before.clone()
