@@ -66,6 +66,8 @@ check: install
 	$(BIN)/ruff format --check kernel plugins tests benchmarks
 	$(BIN)/ruff check kernel plugins tests benchmarks
 	$(BIN)/typos
+	$(BIN)/toml-sort --check pyproject.toml
+	$(BIN)/towncrier build --draft --version next > /dev/null
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/python -m pytest -q tests/plugins/test_every_component.py
 

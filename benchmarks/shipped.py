@@ -76,20 +76,30 @@ def episodes(qpos: np.ndarray) -> list[np.ndarray]:
 
 
 def measured(qpos: np.ndarray, dt: float, character: Character) -> dict[str, float]:
-    """Foot slide, penetration, air time and jerk of a motion (T, nq)."""
-    found = Measurements(clip_of(qpos, dt, character), character)
-    lowest = np.where(np.isfinite(found.heights), found.heights, np.inf).min(1)
-    feet = list(found.feet)
-    speed = np.linalg.norm(found.slides, axis=-1)[:, feet] / found.dt
-    stands = (found.touching[:-1] & found.touching[1:])[:, feet]
-    aloft = (lowest > 0.02) & ~found.supported  # who sits is carried by the chair
-    up = [(last - first + 1) * found.dt for first, last in intervals(aloft, close=1)]
-    third = np.diff(found.kinematics[0].numpy(), n=3, axis=0) / found.dt**3
+    """Foot slide, penetration, air time and jerk of a motion (T, nq), episode by episode: where a figure is put back it
+    does not slide."""
+    parts = [
+        Measurements(clip_of(part, dt, character), character)
+        for part in episodes(qpos)
+        if len(part) > 3  # of fewer there is no jerk
+    ]
+    slides, sink, air, jerks = [np.zeros(0)], 0.0, 0.0, []
+    for found in parts:
+        lowest = np.where(np.isfinite(found.heights), found.heights, np.inf).min(1)
+        feet = list(found.feet)
+        speed = np.linalg.norm(found.slides, axis=-1)[:, feet] / found.dt
+        slides.append(speed[(found.touching[:-1] & found.touching[1:])[:, feet]])
+        aloft = (lowest > 0.02) & ~found.supported  # who sits is carried by the chair
+        up = [(last - first + 1) * found.dt for first, last in intervals(aloft, close=1)]
+        third = np.diff(found.kinematics[0].numpy(), n=3, axis=0) / found.dt**3
+        jerks.append(np.linalg.norm(third, axis=-1).ravel())
+        sink, air = max(sink, -float(lowest.min())), max(air, *up, 0.0)
+    stands = np.concatenate(slides)
     return {
-        "slide": float(speed[stands].mean()) if stands.any() else 0.0,
-        "sink": float(max(0.0, -lowest.min())),
-        "air": float(max(up, default=0.0)),
-        "jerk": float(np.median(np.linalg.norm(third, axis=-1))),
+        "slide": float(stands.mean()) if len(stands) else 0.0,
+        "sink": sink,
+        "air": float(air),
+        "jerk": float(np.median(np.concatenate(jerks))),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,16 @@ if _DATA.is_dir():
     os.environ.setdefault("UNDERSTUDY_DATA", str(_DATA))
 
 torch.set_num_threads(1)  # the networks are tiny, and tests share their machine
+
+
+gc.disable()  # of the million objects that imports make hardly one goes
+
+
+def pytest_collection_finish() -> None:
+    """What is there stays to the end: not to be gone through again and again."""
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -37,7 +37,7 @@ from understudy.task import (
 )
 from understudy.task.terms import Term, Wired, make_term, renamed
 from understudy.testing import fake
-from understudy_inspect import commands, judging, origins
+from understudy_inspect import commands, origins
 from understudy_reinforcement.learner import Learner
 from understudy_reinforcement.policy import Distribution, Policy
 from understudy_sweeps import sweep
@@ -346,5 +346,5 @@ def push(environment: Environment, *forces: float) -> Step:
 
 def install(monkeypatch: Any, plugins: Plugins) -> None:
     """Make `plugins` those that commands find installed."""
-    for module in (setup_plugins, composition, commands, judging, origins, sweep, workflow):
+    for module in (setup_plugins, composition, commands, origins, sweep, workflow):
         monkeypatch.setattr(module, "installed", lambda: plugins)

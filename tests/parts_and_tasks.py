@@ -41,8 +41,8 @@ ABOVE = {
 
 #: So that an iteration and an evaluation take next to no time.
 TINY = (
-    "num_worlds=2",
-    "learner.rollout_steps=128",
+    "num_worlds=8",
+    "learner.rollout_steps=32",
     "evaluation.episodes=2",
     "evaluation.final_episodes=2",
     "evaluation.seconds=0.2",

@@ -27,13 +27,14 @@ DEFAULTS = {
     "understudy_characters/scene.py", "understudy_skills/skill.py", "understudy_skills/folder.py", "understudy_gym/envs.py",
     "understudy_inspect/replay.py", "understudy_sweeps/sweep.py",
     "understudy_reproduce/comparison.py", "understudy_inspect/origins.py",
-    "understudy_training/workflow.py", "command/cli.py", "understudy_credits/walk.py",
+    "understudy_training/workflow.py", "understudy_training/watching.py", "command/cli.py", "understudy_credits/walk.py",
 }  # fmt: skip
 
 
 def asks(file: Path) -> bool:
     """Whether it calls ``installed()``."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
+    text = file.read_text(encoding="utf-8")
+    tree = ast.parse(text if "installed" in text else "")
     calls = (node.func for node in ast.walk(tree) if isinstance(node, ast.Call))
     return any(ast.unparse(f).rpartition(".")[2] == "installed" for f in calls)
 

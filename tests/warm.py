@@ -6,6 +6,7 @@ Nothing runs here that a fork could see: no thread, no random number, no file.
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 
 import torch
@@ -15,12 +16,13 @@ from understudy.setup.plugins import installed
 
 #: What takes long, and is imported where it is first needed: by optimisers, films, pages, progress, searches.
 LATE = (
-    "torch._dynamo", "pytest", "PIL.ImageDraw", "imageio_ffmpeg", "rich.live", "rich.progress", "scipy.optimize",
+    "pytest", "PIL.ImageDraw", "imageio_ffmpeg", "rich.live", "rich.progress", "scipy.optimize",
     "scipy.spatial", "tensorboard.summary.writer.event_file_writer", "trimesh", "understudy.testing",
     "understudy_ppo.learner", "understudy_report.page", "understudy_report.video", "understudy_sweeps.processes",
     "commands", "executors", "worlds",
 )  # fmt: skip
 
+gc.disable()  # of what imports make hardly anything goes
 torch.set_num_threads(1)
 for name in LATE:
     importlib.import_module(name)
@@ -29,3 +31,5 @@ for component in installed().registry.components.values():
         with contextlib.suppress(Exception):  # one that cannot be imported is for its test to say
             _ = component.factory
 load_experiment(["experiment=miniature/stop"])
+gc.freeze()  # and no fork has to go through it
+gc.enable()

@@ -17,6 +17,7 @@ __all__ = [
     "RunError",
     "TrainingError",
     "UnderstudyError",
+    "said",
     "shown",
     "suggestion",
 ]
@@ -57,7 +58,7 @@ class PreemptedError(UnderstudyError):
 
 
 def said(error: BaseException) -> str:
-    """What a stranger's `error` says, on one line, whatever becomes of asking it."""
+    """What a stranger's `error` says, on one line, even where asking it fails."""
     kind = type(error).__name__
     try:
         return " ".join(f"{kind}: {error}".split("\n")[0].split())
@@ -66,13 +67,13 @@ def said(error: BaseException) -> str:
 
 
 def shown(text: str) -> str:
-    """`text` as a terminal gets it: what strangers wrote into their files tells that nothing to do."""
+    """`text` without what would command a terminal: strangers' files may have it."""
     return "".join(c for c in text if c.isprintable() or c == "\n")
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """`` Did you mean 'x'?`` for a near miss of known names, or their ends, in letters of any size, else all known names; many
-    are grouped by what stands before their slash."""
+    """`` Did you mean 'x'?`` for a near miss of a known name or its end, whatever the case of letters; else
+    all known names, and many of them grouped by what stands before their slash."""
     names = sorted(set(known))
     small, low = word.lower(), {n.lower(): n for n in reversed(names)}
     close = [low[small]] if small in low else []
@@ -92,5 +93,5 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def _first(names: list[str], most: int = 48) -> list[str]:
-    """What a reader looks through, and how many there are beside."""
+    """As many as a reader looks through, and how many more there are."""
     return names if len(names) <= most else [*names[:most], f"… and {len(names) - most} more"]

@@ -10,7 +10,7 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,6 @@ __all__ = [
     "check_range",
     "checked_options",
     "in_words",
-    "known_option",
     "make_options",
     "options_of",
     "schema_of",
@@ -48,7 +47,6 @@ def options_of(factory: Any) -> dict[str, Option]:
     A class's options are the fields of its ``Options`` dataclass; a function's (a term's) are its
     keyword-only parameters.
     """
-    function: Any = factory
     schema = schema_of(factory)
     if schema is not None:
         hints = typing.get_type_hints(schema)
@@ -61,10 +59,10 @@ def options_of(factory: Any) -> dict[str, Option]:
         return result
     if inspect.isclass(factory):
         return {}
-    hints = typing.get_type_hints(getattr(function, "func", function))  # of a functools.partial
+    hints = typing.get_type_hints(getattr(factory, "func", factory))  # of a functools.partial
     return {
         name: Option(name, hints.get(name, Any), parameter.default)
-        for name, parameter in inspect.signature(function).parameters.items()
+        for name, parameter in inspect.signature(factory).parameters.items()
         if parameter.kind is inspect.Parameter.KEYWORD_ONLY
     }
 
@@ -121,11 +119,9 @@ def coerce(value: Any, annotation: Any, where: str) -> Any:
             coerce(v, kind, f"{where}[{i}]")
             for i, (v, kind) in enumerate(zip(value, kinds, strict=True))
         )
-    if origin in (dict, Mapping) and isinstance(value, Mapping):
+    if (origin or annotation) in (dict, Mapping) and isinstance(value, Mapping):
         kind = arguments[1] if arguments else Any
         return {str(k): coerce(v, kind, f"{where}.{k}") for k, v in value.items()}
-    if annotation in (dict, Mapping) and isinstance(value, Mapping):
-        return dict(value)
     if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
         return make_options(annotation, value, where)
     raise _not_of([annotation], value, where)
@@ -177,11 +173,7 @@ def in_words(annotation: Any) -> str:
     if origin in (typing.Union, types.UnionType):
         choices = [in_words(kind) for kind in inner if kind is not type(None)]
         return " or ".join([*dict.fromkeys(choices), *(["null"] if type(None) in inner else [])])
-    if (
-        origin in (dict, Mapping)
-        or annotation in (dict, Mapping)
-        or dataclasses.is_dataclass(annotation)
-    ):
+    if (origin or annotation) in (dict, Mapping) or dataclasses.is_dataclass(annotation):
         return "a mapping"
     return getattr(annotation, "__name__", str(annotation))
 
@@ -242,20 +234,15 @@ def _below(where: str) -> str:
     return f"{where}." if where else ""
 
 
-def known_option(key: Any, known: Collection[str], where: str) -> None:
-    """Raise :class:`ConfigError` unless what stands at `where` takes the option `key`."""
-    if key not in known:
-        owner = where or "The configuration"
-        raise ConfigError(f"{owner} has no option '{key}'.{suggestion(str(key), known)}")
-
-
 def checked_options(
     options: Mapping[str, Option], values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
     """`values` coerced to the types of `options`, and their defaults; unknown and missing ones are
     errors."""
     for key in values:
-        known_option(key, options, where)
+        if key not in options:
+            owner = where or "The configuration"
+            raise ConfigError(f"{owner} has no option '{key}'.{suggestion(str(key), options)}")
     result = {}
     for name, option in options.items():
         if name in values:

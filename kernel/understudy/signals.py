@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 
 from understudy.errors import PreemptedError
 
-__all__ = ["StopRequest"]
+__all__ = ["StopRequest", "is_stop"]
 
 
 @dataclass(eq=False)
 class StopRequest:
     """Inside, stop signals are noted in `received`; `at_once`, the first is a KeyboardInterrupt too.
 
-    They nest: the innermost decides, and what led to no PreemptedError goes to the next outer one in
-    the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored where it was
-    (``nohup``). Beside the main thread nothing happens: whoever runs us sees to signals.
+    They nest: the innermost decides, and a signal that led to no PreemptedError goes on to the next outer
+    one in the end. After one that is `for_good`, signals do nothing. SIGHUP stays ignored where it was
+    (``nohup``). Outside the main thread nothing happens: whoever runs us handles signals.
     """
 
     at_once: bool = False
@@ -55,7 +55,7 @@ class StopRequest:
 
 
 def is_stop(error: BaseException) -> bool:
-    """Whether a stop signal raised it, not some code by itself."""
+    """Whether a stop signal raised the error, rather than some code by itself."""
     asked = any(r.received is not None for r in StopRequest._nested) or not StopRequest._nested
     return isinstance(error, KeyboardInterrupt) and asked
 

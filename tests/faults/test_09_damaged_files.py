@@ -120,7 +120,7 @@ def test_checkpoints_that_are_gone_do_not_begin_a_training_anew(
         (run / "checkpoints").mkdir()
     before = {path: path.read_bytes() for path in run.iterdir() if path.is_file()}
     with pytest.raises(
-        RunError, match=r"checkpoints has none, .* metrics\.jsonl tells, cannot go on"
+        RunError, match=r"checkpoints has no checkpoint, .* metrics\.jsonl tells of cannot go on"
     ):
         resumed(plugins, run)
     assert {path: path.read_bytes() for path in run.iterdir() if path.is_file()} == before

@@ -72,7 +72,7 @@ def test_harmless_differences_are_told(plugins: Plugins, run: Path) -> None:
 
 def test_another_number_of_threads_is_told(plugins: Plugins, run: Path, two_threads: None) -> None:
     """It was made at one, before there were two; the run says so, and so do its checkpoints."""
-    told = "Threads differ from the checkpoint: 1 → 2. On a CPU the same bits follow at an equal number"
+    told = "Threads differ from the checkpoint: 1 → 2. On a CPU the bits are the same only with an equal number"
     assert runs.open_run(run).info["machine"]["threads"] == 1
     messages: list[str] = []
     training = resumed(plugins, run, messages)

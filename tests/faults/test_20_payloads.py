@@ -6,6 +6,7 @@ import ast
 import builtins
 import contextlib
 import hashlib
+import itertools
 import json
 import os
 import pickle
@@ -182,7 +183,8 @@ def executes(source: str) -> list[int]:
         return ""
 
     def bad(path: str) -> bool:
-        return any(path == name or path.startswith(f"{name}.") for name in FORBIDDEN)
+        above = itertools.accumulate(path.split("."), "{}.{}".format)
+        return any(name in FORBIDDEN for name in above)
 
     def without_pickle(call: ast.Call) -> bool:
         """``np.load(file, allow_pickle=False)``, which is also what it does unasked."""

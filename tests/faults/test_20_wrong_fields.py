@@ -20,7 +20,6 @@ from understudy.command.cli import main
 from understudy.records import checkpoint
 from understudy.setup import composition
 from understudy.setup import plugins as setup_plugins
-from understudy_inspect import judging
 from understudy_training import workflow
 
 GONE = object()
@@ -39,7 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     assert training.run is not None
     training.run.unlock()
     with pytest.MonkeyPatch.context() as patch:
-        for module in (setup_plugins, composition, workflow, judging):
+        for module in (setup_plugins, composition, workflow):
             patch.setattr(module, "installed", lambda: plugins)
         yield folder
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import gc
 import itertools
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,6 +24,7 @@ pytest.importorskip(
 
 from faults_on_gpu import TASK, apart_after_a_second, build, cold_start, dropped
 
+from understudy.command.cli import main
 from understudy.errors import ConfigError
 from understudy.running.training import Training
 from understudy.setup.building import build_environment
@@ -171,20 +170,11 @@ def test_what_sharpens_goes_on_from_its_state_and_is_captured_anew(device: str) 
     plain.close()
 
 
-def test_without_a_gpu_one_line_says_what_is_missing() -> None:
+def test_without_a_gpu_one_line_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
     if torch.cuda.is_available():
         pytest.skip("this machine has a GPU")
-    command = [
-        sys.executable,
-        "-m",
-        "understudy.command.cli",
-        "train",
-        *TASK,
-        "simulator=mujoco_warp",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 2
-    assert done.stderr.strip().splitlines()[-1] == (
+    assert main(["train", *TASK, "simulator=mujoco_warp"]) == 2
+    assert capsys.readouterr().err.strip().splitlines()[-1] == (
         "understudy: device=cuda, but torch sees no CUDA GPU here. Use device=cpu."
     )
 

@@ -54,6 +54,7 @@ GUARD, GUARDED = (
 SIZES = "tests/faults/test_27_sizes.py"
 UNSOUND, F23 = "tests/faults/test_01_unsound_episodes.py", "tests/faults/test_23_broken_plugins.py"
 REINFORCEMENT = "plugins/learning/reinforcement/understudy_reinforcement"
+WATCHING = "plugins/learning/training/understudy_training/watching.py"
 HOPELESS, PLUGINS, REGISTRY = (
     f"{REINFORCEMENT}/hopeless.py",
     f"{KERNEL}/setup/plugins.py",
@@ -186,12 +187,8 @@ MUTANTS = (
            "        meaning += _unsound(evaluation)\n", "", "tests/plugins/report/test_report_page.py -k went_wrong"),
     Mutant("a sweep is silent about them", "plugins/search/sweeps/understudy_sweeps/tables.py",
            "figures += [UNSOUND] if UNSOUND in measures_of(results) else []", "pass", f"{SWEEPS}/test_results_page.py -k unsound"),
-    Mutant("an import ends every command", PLUGINS, """        except BaseException as error:  # a stranger's import may raise anything
-            if is_stop(error):
-                raise
-""", """        except Exception as error:
-""", f"{F23} -k whatever"),
-    Mutant("a registration ends every command", PLUGINS, "    except BaseException as error:  # as at import: named, isolated",
+    Mutant("an import or a registration ends every command", PLUGINS,
+           "    except BaseException as error:  # a stranger's import, or registration, may raise anything",
            "    except Exception as error:", f"{F23} -k whatever"),
     Mutant("a stop signal counts as a plugin's", SIGNALS, "    return isinstance(error, KeyboardInterrupt) and asked", "    return False",
            f"{F23} -k stop_signal"),
@@ -226,12 +223,9 @@ MUTANTS = (
            "            except ZeroDivisionError as error:", f"{F23} -k observers_that_end"),
     Mutant("an observer leaves", TRAINING, "            except BaseException as error:  # it only watches: the run goes on",
            "            except Exception as error:", f"{F23} -k observers_that_end"),
-    Mutant("what is no observer", PLUGINS, "if not isinstance(observer, RunObserver):", "if False:", f"{F23} -k observers_that_are_none"),
-    Mutant("a plugin's observers end a run", PLUGINS, """            except BaseException as error:
-                if is_stop(error):
-                    raise
-                tell(""", """            except Exception as error:
-                tell(""", f"{F23} -k observers_that_are_none"),
+    Mutant("what is no observer", WATCHING, "if not isinstance(observer, RunObserver):", "if False:", f"{F23} -k observers_that_are_none"),
+    Mutant("a plugin's observers end a run", WATCHING, "except BaseException as error:  # a stranger's may raise anything",
+           "except Exception as error:", f"{F23} -k observers_that_are_none"),
     Mutant("a count has no end", f"{KERNEL}/options.py", "end = MANY if most is None and", "end = MANY if False and", SIZES),
     Mutant("tuples have no range", f"{KERNEL}/options.py", "given if isinstance(given, tuple) else (given,)", "(given,) if type(given) is not tuple else ()", SIZES),
     Mutant("a decision has no end", f"{KERNEL}/setup/root.py", "if self.substeps * self.decision > _STEPS:", "if False:", f"{SIZES} -k asks"),
@@ -370,7 +364,7 @@ MUTANTS = (
     # Data from strangers.
     Mutant("lists may name code", f"{KERNEL}/setup/validation.py", 'refuse_code(item, f"{where}[{i}]")', "pass", F21),
     Mutant("code may be named", f"{KERNEL}/setup/validation.py", "if key in CODE_KEYS:", "if False:", F21),
-    Mutant("run folders may name code", RUNS, "        refuse_code(config)\n", "", F21),
+    Mutant("run folders may name code", RUNS, "        refuse_code(info[\"config\"])\n", "", F21),
     Mutant("options may be infinite", f"{KERNEL}/options.py", "if not math.isfinite(value):", "if False:",
            "tests/faults/test_27_invalid_values.py"),
     Mutant("a clip's time may be NaN", CLIP, 'self._require(times.isfinite(), "time is not a finite number")',

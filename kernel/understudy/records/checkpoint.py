@@ -41,7 +41,7 @@ _TYPES = {str(t): t for t in (torch.float32, torch.float64, torch.int32, torch.i
 
 
 def sync(descriptor: int) -> None:
-    """Have the disk hold what was written, on file systems that can be asked to."""
+    """Force what was written onto the disk, on file systems that can be asked to."""
     try:
         os.fsync(descriptor)
     except OSError as error:
@@ -252,7 +252,6 @@ def prune(folder: Path, keep: int, last: Path | None = None) -> None:
     interrupted writes. What is numbered higher than the last was damaged."""
     for path in (p for p in newest(folder)[keep:] if p != last):
         path.with_suffix(".json").unlink(missing_ok=True)
-        path.with_suffix(".safetensors").unlink(missing_ok=True)
     for path in folder.glob("*.safetensors"):
         if not path.with_suffix(".json").exists():
             path.unlink(missing_ok=True)

@@ -27,11 +27,7 @@ class Recording:
 
     def save(self, path: Path) -> None:
         """Write it as a NumPy archive of plain arrays."""
-        arrays: dict[str, Any] = {
-            "control_dt": self.control_dt,
-            "first_episode": self.first_episode,
-            **self.tracks,
-        }
+        tracks: dict[str, Any] = dict(self.tracks)
         file = io.BytesIO()
-        np.savez(file, **arrays)
+        np.savez(file, control_dt=self.control_dt, first_episode=self.first_episode, **tracks)
         write_atomically(path, file.getvalue())

@@ -102,7 +102,7 @@ class Run:
     def experiment(
         self, registry: Registry | None = None, config: Mapping[str, Any] | None = None
     ) -> Experiment:
-        """Its configuration, or this one, validated; what parts read is what the run has copies of."""
+        """Its configuration, or the one given, validated; its parts read the run's copies of files."""
         inputs = Inputs(self.path / "inputs", dict(self.info.get("inputs", {})))
         return replace(validate(config or self.config, registry or self.registry), inputs=inputs)
 
@@ -245,21 +245,25 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
         if the folder holds a run already or cannot be written.
     """
     root = experiment.root
+    named = [o.partition("=")[2] for o in overrides if o.lstrip("+").startswith("experiment=")]
     try:
-        path = Path(root.run.dir or _free_folder(_name(overrides) or root.task or "run"))
+        path = Path(root.run.dir or _free_folder([root.task or "run", *named][-1]))
         path.mkdir(parents=True, exist_ok=True)
+        _refuse_a_second(path)
+        run = Run(path, {}, experiment.registry)
+        run.lock()
+        _refuse_a_second(path)  # that another process has made meanwhile
+        for folder in ("checkpoints", "faults"):
+            (path / folder).mkdir(exist_ok=True)
+        inputs = experiment.inputs.copy(path / "inputs")
     except OSError as error:
         raise RunError(
             f"The run folder {root.run.dir or 'runs'} cannot be made: {error.strerror}. Give run.dir "
             "another one."
         ) from error
-    _refuse_a_second(path)
-    run = Run(path, {}, experiment.registry)
-    run.lock()
-    _refuse_a_second(path)  # that another process has made meanwhile
     used = {(c.kind, c.name): c for c in experiment.components()}
     facts = ("kind", "name", "plugin", "distribution", "version")
-    info = {
+    run.info = {
         "layout": LAYOUT,
         "config": experiment.effective(),
         "overrides": list(overrides),
@@ -274,17 +278,9 @@ def create(experiment: Experiment, overrides: Sequence[str], sources: Mapping[st
             for (plugin, _), text in experiment.registry.citations.items()
             if any(c.plugin == plugin for c in used.values())
         ],
+        "inputs": inputs,
     }
-    try:
-        for folder in ("checkpoints", "faults"):
-            (path / folder).mkdir(parents=True, exist_ok=True)
-        info["inputs"] = experiment.inputs.copy(path / "inputs")
-    except OSError as error:
-        raise RunError(
-            f"The run folder {path} cannot be made: {error.strerror}. Give run.dir another one."
-        ) from error
-    run.info = info
-    run.write_json("run.json", info)
+    run.write_json("run.json", run.info)
     return run
 
 
@@ -294,12 +290,6 @@ def _refuse_a_second(path: Path) -> None:
             f"{path} already holds a run. Continue it with `understudy resume {path}`, or give "
             "run.dir another folder."
         )
-
-
-def _name(overrides: Sequence[str]) -> str:
-    """The experiment that the command line names."""
-    found = [o.partition("=")[2] for o in overrides if o.lstrip("+").startswith("experiment=")]
-    return found[-1] if found else ""
 
 
 def _free_folder(name: str) -> Path:
@@ -331,10 +321,8 @@ def open_run(path: str | Path) -> Run:
         info = json.loads(read(file))
         if not (isinstance(info, dict) and {"layout", "config"} <= info.keys()):
             raise ValueError("it does not say what was trained")
-        layout = info["layout"]
-        config = info["config"]
-        refuse_code(config)
-        if not isinstance(config, dict):
+        refuse_code(info["config"])
+        if not isinstance(info["config"], dict):
             raise ValueError("its config is no mapping")
         if not {"overrides", "sources"} <= info.keys():
             raise ValueError("it lacks overrides or sources")
@@ -348,6 +336,7 @@ def open_run(path: str | Path) -> Run:
         raise RunError(f"{file} cannot be read: {error.strerror}.") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise RunError(f"{file} is damaged: {error}.") from error
+    layout = info["layout"]
     if layout != LAYOUT:
         who, what = "a newer understudy", "Install that version or a newer one."
         if isinstance(layout, int) and layout < LAYOUT:

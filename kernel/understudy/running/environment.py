@@ -189,7 +189,7 @@ class Environment:
 
     @property
     def difficulty(self) -> float:
-        """With which episodes began, in the mean over the worlds. Waits for the device."""
+        """Of the running episodes, in the mean over the worlds. Waits for the device."""
         return float(self._constants["difficulty"].mean())
 
     @property
@@ -298,14 +298,12 @@ class Environment:
             "failure": self._unsound,
             "truncation": seconds >= self._constants["episode_limit"] - 0.5 * self.control_dt,
             "success": self._nowhere,
+            "report": self._nowhere,
         }
-        violated = self._unsound
         for term in parts.terminations:
-            if term.outcome in ("failure", "report"):
-                violated = violated | endings[term.name]
-            if term.outcome != "report":
-                outcomes[term.outcome] = outcomes[term.outcome] | endings[term.name]
+            outcomes[term.outcome] = outcomes[term.outcome] | endings[term.name]
         failed = outcomes["failure"]
+        violated = failed | outcomes["report"]
         succeeded = outcomes["success"] & ~failed
         table.put({"failed": failed, "succeeded": succeeded, "violated": violated})
         rewards = self._reward()
@@ -320,17 +318,15 @@ class Environment:
         table.put(
             {"failed": failed, "succeeded": succeeded, "violated": violated, "reward": rewards}
         )
-        self.statistics.digest(
-            rewards, seconds, endings, succeeded=succeeded, truncated=truncated,
-            unsound=unsound, ended=terminated | truncated,
-        )  # fmt: skip
         self._quarantine(unsound, before)
         self.observations = reached
-        returns = self.statistics.returns.clone()
         kept = {name: without_unsound(table[name]).clone() for name in self.next_fields}
-        return Step(
+        returns = self.statistics.add(rewards)
+        step = Step(
             reached, rewards, terminated, failed, truncated, unsound, returns, endings, kept
         )
+        self.statistics.digest(step, seconds)
+        return step
 
     @_as_physics
     def begin(self, worlds: Tensor) -> dict[str, Tensor]:
@@ -408,10 +404,10 @@ class Environment:
             kept = self._previous[name]
             if kept is None:
                 kept = self._previous[name] = value.clone()
-            elif worlds is None:
-                kept.copy_(value)
             else:
-                kept.copy_(torch.where(rows(worlds, kept), value, kept))
+                kept.copy_(
+                    value if worlds is None else torch.where(rows(worlds, kept), value, kept)
+                )
             self.table.put({name: kept})
 
     def _evaluate(self, term: Term) -> Tensor:
@@ -445,7 +441,7 @@ class Environment:
         return {name: without_unsound(value) for name, value in self._encode().items()}
 
     def _begin(self, worlds: Tensor) -> None:
-        self.statistics.forget(worlds)
+        self.statistics.returns.masked_fill_(worlds, 0.0)
         parts, before = self.parts, self._streams.state_dict()
         given = dict(parts.curriculum.begin(self._streams)) if parts.curriculum else {}
         self._hold(worlds, given)
@@ -497,9 +493,7 @@ class Environment:
             {
                 "episode_step": self.episode_step,
                 "episode_time": self.episode_step * self.control_dt,
-                "failed": self._nowhere,
-                "succeeded": self._nowhere,
-                "violated": self._nowhere,
+                **dict.fromkeys(("failed", "succeeded", "violated"), self._nowhere),
                 "reward": self._nothing,
                 "action": self.action,
                 **self._constants,

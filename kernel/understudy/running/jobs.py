@@ -86,7 +86,7 @@ class Job(ABC):
         return False
 
     def sharpen(self) -> str:
-        """Go over to the physics that counts; returns what it is, in a few words. Only if `coarse`."""
+        """Switch to the physics that counts; returns what it is, in a few words. Only if `coarse`."""
         raise NotImplementedError
 
     def rehearse(
@@ -120,7 +120,7 @@ class Job(ABC):
         return {}
 
     def notes(self) -> Sequence[str]:
-        """What whoever starts it should hear of how it is put together, in sentences."""
+        """What whoever starts it should know about how it is put together, in sentences."""
         return ()
 
     def report(self) -> Mapping[str, int]:

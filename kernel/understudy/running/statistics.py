@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
+from understudy.running.step import Step
 from understudy.task import State
 from understudy.task.terms import Term
 
@@ -23,25 +24,15 @@ class EpisodeStatistics:
         self._names += [f"ended_by/{t}" for t in self.terms]
         self._sums = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
-    def forget(self, worlds: Tensor) -> None:
-        """Begin new returns where `worlds` (N,) is true."""
-        self.returns.masked_fill_(worlds, 0.0)
+    def add(self, rewards: Tensor) -> Tensor:
+        """(N,) the running episodes' returns up to and with the `rewards` (N,) of one step."""
+        return self.returns.add_(rewards).clone()
 
-    def digest(
-        self,
-        rewards: Tensor,
-        seconds: Tensor,
-        endings: Mapping[str, Tensor],
-        *,
-        succeeded: Tensor,
-        truncated: Tensor,
-        unsound: Tensor,
-        ended: Tensor,
-    ) -> None:
+    def digest(self, step: Step, seconds: Tensor) -> None:
         """Digest one step, before ended worlds begin anew; `seconds` (N,) is the episodes' time."""
-        self.returns.add_(rewards)
-        amounts = (torch.stack([seconds, self.returns]) * ended).sum(1)
-        flags = [ended, succeeded, truncated, unsound, *(endings[t] for t in self.terms)]
+        ended, endings = step.ended, [step.endings[t] for t in self.terms]
+        amounts = (torch.stack([seconds, step.returns]) * ended).sum(1)
+        flags = [ended, step.succeeded, step.truncated, step.unsound, *endings]
         self._sums += torch.cat([amounts, (torch.stack(flags) & ended).sum(1)])
 
     def collect(self) -> dict[str, float]:

@@ -27,6 +27,11 @@ class Step:
     final_observations: dict[str, Tensor] | None = None
 
     @property
+    def succeeded(self) -> Tensor:
+        """(N,) bool"""
+        return self.terminated & ~self.failed
+
+    @property
     def ended(self) -> Tensor:
         """(N,) bool"""
         return self.terminated | self.truncated

@@ -75,9 +75,8 @@ class FieldTable:
         """Raise :class:`ConfigError` if `who` reads a field that nothing provides."""
         for name in names:
             if name not in self.shapes:
-                found = givers(name)
-                hint = f" It would come from {' or '.join(found)}." if found else ""
-                hint = hint or suggestion(name, self.shapes)
+                found = " or ".join(givers(name))
+                hint = f" It would come from {found}." if found else suggestion(name, self.shapes)
                 raise ConfigError(
                     f"{who} needs the state field '{name}', which nothing in this task "
                     f"provides.{hint}"

@@ -127,6 +127,7 @@ class Training:
         meta["threads"] = threads()
         checkpoint.save(path, self.state_dict(), meta)
         checkpoint.prune(run.checkpoints, self.experiment.root.checkpoint.keep, path)
+        self._saved_at = self.progress.seconds
         return path
 
     def resume(self) -> None:
@@ -142,15 +143,15 @@ class Training:
         if not checkpoint.newest(self.run.checkpoints):
             if self.run.metrics():
                 raise RunError(
-                    f"{self.run.checkpoints} has none, so the training, of which {self.run.metrics_file.name} tells, "
-                    "cannot go on. Bring them back from a copy, or train anew in another folder."
+                    f"{self.run.checkpoints} has no checkpoint, so the training that {self.run.metrics_file.name} tells of "
+                    "cannot go on. Restore the checkpoints from a copy, or train anew in another folder."
                 )
             self.run.keep_metrics_until(0)
             return
         state, meta, _ = checkpoint.load_newest(self.run.checkpoints, self.reporter.message)
         if "config" not in meta:  # as of an unpacked skill
             raise RunError(
-                f"{self.run.path} holds what was learned, and not where the training stood. Begin another with it: "
+                f"{self.run.path} holds what was learned, but not where the training stood. Begin another one with it: "
                 f"`understudy train experiment=NAME start.run={self.run.path}`."
             )
         for change in differences(meta.get("config"), self.run.config):
@@ -159,8 +160,8 @@ class Training:
             self.reporter.message(f"Version differs from the checkpoint: {change}")
         if meta.get("threads", threads()) != threads() and self.job.device.type == "cpu":
             self.reporter.message(
-                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU the same bits follow "
-                f"at an equal number alone: OMP_NUM_THREADS={meta['threads']}."
+                f"Threads differ from the checkpoint: {meta['threads']} → {threads()}. On a CPU the bits are the same "
+                f"only with an equal number: OMP_NUM_THREADS={meta['threads']}."
             )
         self.load_state_dict(state)
         if distributed.rank() > 0:  # the checkpoint's worlds are process 0's
@@ -206,7 +207,7 @@ class Training:
         """:meth:`train`, pausing after each iteration; a caller that stops asking leaves the run as
         after a stop signal, saved and resumable."""
         run, root, progress = self.run, self.experiment.root, self.progress
-        saved_at = progress.seconds
+        self._saved_at = progress.seconds
         self.outcome = "failed"
         with StopRequest() as stop:
             try:
@@ -228,10 +229,9 @@ class Training:
                             run.append_metrics(row)
                             self.reporter.notify("iteration", run, row, self.job.stage())
                     if run is not None:
-                        due = progress.seconds - saved_at >= 60 * root.checkpoint.minutes
+                        due = progress.seconds - self._saved_at >= 60 * root.checkpoint.minutes
                         if due or stopping:
                             self.save()
-                            saved_at = progress.seconds
                     if stopping:
                         raise self._preempted(stop.received)
                     try:
@@ -278,7 +278,7 @@ class Training:
         )
 
     def _sharpen_if_ripe(self) -> dict[str, float]:
-        """Go over from coarse physics once the criterion is met by it, or enough of the budget spent."""
+        """Leave coarse physics once the criterion is met with it, or enough of the budget is spent."""
         if not self.job.coarse():
             return {}
         ripe = self._rehearsed or self._spent() >= self.experiment.root.resolution.budget
@@ -364,9 +364,8 @@ class Training:
 def _meaning(config: Any) -> dict[str, Any]:
     """What of a run's configuration says what is learned and judged, not where and for how long."""
     aside = ("run", "budget", "checkpoint", "device")
-    return (
-        {k: v for k, v in config.items() if k not in aside} if isinstance(config, Mapping) else {}
-    )
+    known = config.items() if isinstance(config, Mapping) else ()
+    return {k: v for k, v in known if k not in aside}
 
 
 def _reaches(evaluation: Judgement, criterion: float) -> bool:

@@ -53,8 +53,8 @@ _PLAIN = re.compile(r"[+~]{0,2}[\w@./-]+=[\w./-]*", re.ASCII)
 
 
 def _check_length(text: str, overrides: int = 1) -> None:
-    """Raise :class:`ConfigError` if it is longer than so many overrides may be: Hydra's reading of one takes
-    the square of its length."""
+    """Raise :class:`ConfigError` if `text` is longer than so many overrides may be: the time in which Hydra
+    reads one grows with the square of its length."""
     if len(text) > overrides * _LONGEST:
         raise ConfigError(
             f"{text[:60]} … has {len(text)} characters, and at most {overrides * _LONGEST} are read. Shorten it."
@@ -155,20 +155,15 @@ def _check(override: str, plugins: Plugins) -> None:
             raise ConfigError(
                 f"{override} names no option: those are files in the folders of options."
             )
-        name = _as_typed(chosen) if isinstance(chosen, str) else chosen
-        if name != chosen and name in options(plugins, group):
-            raise ConfigError(f"There is no {group}={chosen}. Write {group}={name}.")
+        if isinstance(chosen, str):  # as one types it: without a suffix, ``./`` and doubled slashes
+            name = Path(re.sub(r"\.ya?ml$", "", chosen)).as_posix()
+            if name != chosen and name in options(plugins, group):
+                raise ConfigError(f"There is no {group}={chosen}. Write {group}={name}.")
     if several:
-        form = (
-            f" A list is written [{value}], a text with commas {key}=\"'{value}'\"; runs and seeds are "
-            "compared by `understudy sweep`."
+        raise ConfigError(
+            f"{override} has several values and a run takes one. A list is written [{value}], a text with "
+            f"commas {key}=\"'{value}'\"; runs and seeds are compared by `understudy sweep`."
         )
-        raise ConfigError(f"{override} has several values and a run takes one.{form}")
-
-
-def _as_typed(name: str) -> str:
-    """The option's `name` where it was given as a file's: without a suffix, ``./`` and doubled slashes."""
-    return Path(re.sub(r"\.ya?ml$", "", name)).as_posix()
 
 
 def _leads_out(name: Any) -> bool:
@@ -182,7 +177,7 @@ _RESOLVER = re.compile(r"\$\{[^}]*(:|\$\{)")
 
 
 def refuse_resolvers(overrides: Sequence[str], of: str) -> None:
-    """Raise :class:`ConfigError` for overrides of a stranger's, of what is named `of`, that would be
+    """Raise :class:`ConfigError` for overrides that come from a stranger, by way of `of`, and would be
     filled in from this machine (``${oc.env:NAME}``)."""
     for override in overrides:
         if _RESOLVER.search(override):
@@ -206,10 +201,9 @@ def _plain(error: Exception, plugins: Plugins, overrides: Sequence[str]) -> str:
         return f"There is no configuration key '{slashed[1]}'. A part's option has dots: {dotted}=VALUE."
     stray = re.search(r"Could not override '(\w+)'", text)
     if stray:
-        slots = {s.name: s for s in plugins.registry.slots.values()}
-        if stray[1] in slots:
+        if slot := plugins.registry.slots.get(stray[1]):
             one = "{name: COMPONENT, …}"
-            form = f"{{NAME: {one}}}" if slots[stray[1]].many else one
+            form = f"{{NAME: {one}}}" if slot.many else one
             return f"There is no such choice of {stray[1]}. Give one: '{stray[1]}={form}'."
         return unknown_key(stray[1], plugins.registry)
     if unknown := re.search(r"Interpolation key '([^']*)' not found", text):
@@ -237,13 +231,12 @@ def option_directories(plugins: Plugins) -> list[Path]:
 
 
 def options(plugins: Plugins, group: str) -> dict[str, Path]:
-    """The options that files offer for `group`, as one types them, and their files."""
+    """The options that files offer for `group`, as one types them, and their files. Those whose name begins
+    with an underscore are for other files to build on."""
     return {
         file.relative_to(folder / group).with_suffix("").as_posix(): file
         for folder in option_directories(plugins)
-        for file in sorted(
-            (folder / group).rglob("[!_]*.yaml")
-        )  # _NAME: for other files to build on
+        for file in sorted((folder / group).rglob("[!_]*.yaml"))
     }
 
 
@@ -286,7 +279,6 @@ def split_overrides(
 
 def replaced(overrides: Sequence[str], by: Sequence[str]) -> list[str]:
     """`overrides`, then `by`, without those of the former that the latter set anew."""
-
     new = {*map(_key, by)}
     return [*(o for o in overrides if _key(o) not in new), *by]
 

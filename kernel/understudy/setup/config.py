@@ -121,7 +121,7 @@ class Experiment:
         found = _plain_data(dataclasses.asdict(self.root))
         for slot in self.registry.slots.values():
             chosen = self.choices[slot.name]
-            if not chosen and f"slot {slot.name}" in self.registry.owners:
+            if not chosen and slot.plugin:
                 continue
             value: Any = {c.name: c.effective() for c in chosen}
             if not slot.many:

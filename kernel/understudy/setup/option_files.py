@@ -26,8 +26,12 @@ from omegaconf import DictConfig, OmegaConf
 
 __all__ = ["OptionFiles", "choices", "compose", "parsed"]
 
-#: What was read, by the file's path, time of change, size and number.
-_read: dict[tuple[str | int, ...], ConfigResult | None] = {}
+#: A file's path, time of change, size and number.
+State = tuple[str | int, ...]
+_read: dict[State, ConfigResult | None] = {}
+#: What files alone compose, by their folders and what chose them, and which files these were.
+_composed: dict[tuple[str, ...], tuple[dict[str, State | None], DictConfig]] = {}
+_MOST = 100  #: such compositions that are kept
 
 
 @functools.lru_cache(1024)
@@ -41,11 +45,15 @@ class OptionFiles(ConfigRepository):
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self.sources = [FileConfigSource("understudy", f"file://{folder}") for folder in folders]
+        self.states: dict[str, State | None] = {}  #: of what was asked for
         self._loaded: dict[str, ConfigResult | None] = {}
+
+    def group_exists(self, config_path: str) -> bool:
+        return any(os.path.isdir(os.path.join(s.path, config_path)) for s in self.sources)
 
     def load_config(self, config_path: str) -> ConfigResult | None:
         if config_path not in self._loaded:
-            state = self._state(f"{config_path.removesuffix('.yaml')}.yaml")
+            state = self.states[config_path] = self.state(config_path)
             if state and state not in _read:
                 _read[state] = found = super().load_config(config_path)
                 if found:
@@ -54,8 +62,9 @@ class OptionFiles(ConfigRepository):
             self._loaded[config_path] = copy.deepcopy(kept)  # Hydra changes what it is given
         return self._loaded[config_path]
 
-    def _state(self, name: str) -> tuple[str | int, ...] | None:
+    def state(self, config_path: str) -> State | None:
         """The first file of that name, and what changes when its content does."""
+        name = f"{config_path.removesuffix('.yaml')}.yaml"
         for source in self.sources:
             file = os.path.join(source.path, name)
             try:
@@ -78,9 +87,30 @@ def choices(files: OptionFiles, overrides: Sequence[str]) -> DefaultsList:
 def compose(folders: Iterable[Path], overrides: Sequence[str]) -> DictConfig:
     """What Hydra composes from the files in `folders`, whatever its errors."""
     files = OptionFiles(folders)
-    chosen = choices(files, overrides)
-    loader = ConfigLoaderImpl(ConfigSearchPathImpl())
-    config = loader._compose_config_from_defaults_list(chosen.defaults, files)
-    OmegaConf.set_struct(config, True)
-    loader._apply_overrides_to_config(chosen.config_overrides, config)
+    choosing = [o for o in overrides if not _sets(parsed(o), files)]
+    config = _of_files(files, choosing)
+    values = [parsed(o) for o in overrides if _sets(parsed(o), files)]
+    ConfigLoaderImpl._apply_overrides_to_config(values, config)
     return config
+
+
+def _sets(override: Override, files: OptionFiles) -> bool:
+    """Whether it sets a value; else Hydra takes it for a choice of files, or for nothing."""
+    if override.is_sweep_override():
+        return False
+    return isinstance(override.value(), dict) or not files.group_exists(override.key_or_group)
+
+
+def _of_files(files: OptionFiles, overrides: Sequence[str]) -> DictConfig:
+    """What the files have that `overrides` choose, composed anew only if one of them has changed."""
+    key = (*(source.path for source in files.sources), *overrides)
+    states, config = _composed.get(key, ({}, None))
+    if config is None or any(files.state(path) != state for path, state in states.items()):
+        defaults = choices(files, overrides).defaults
+        loader = ConfigLoaderImpl(ConfigSearchPathImpl())
+        config = loader._compose_config_from_defaults_list(defaults, files)
+        OmegaConf.set_struct(config, True)
+        if len(_composed) >= _MOST:
+            _composed.clear()
+        _composed[key] = (files.states, config)
+    return copy.deepcopy(config)

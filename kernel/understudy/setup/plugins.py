@@ -1,9 +1,9 @@
-"""Plugin loading: entry points, tables and pluggy hooks, and the config directories plugins contribute.
+"""Loading plugins: entry points, tables, pluggy's hook, and the folders of options that plugins bring.
 
 A plugin is a module named in the entry-point group ``understudy``. It declares what it provides in tables
-(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. What has to be
-found out, the hook below registers, marked with ``@understudy.hookimpl``; a module that has it says
-``REQUIRES`` where its tables are to be read. The bundled plugins are loaded exactly like a stranger's.
+(:data:`understudy.setup.registry.TABLES`), and config options in a folder ``conf`` beside it. The hook below,
+marked with ``@understudy.hookimpl``, registers what has to be found out; a module that has it says ``REQUIRES``
+if its tables are to be read, too. The bundled plugins are loaded exactly like a stranger's.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pluggy
 
@@ -22,9 +22,6 @@ from understudy.errors import PluginError, RunError, said, suggestion
 from understudy.folders import read
 from understudy.setup.registry import Registrar, Registry
 from understudy.signals import is_stop
-
-if TYPE_CHECKING:
-    from understudy.records.observer import RunObserver
 
 __all__ = ["Plugins", "installed", "kernel_conf"]
 
@@ -46,9 +43,9 @@ class LoadedPlugin:
     """One plugin found on this machine. ``status`` is ``ok`` or the reason it did not load."""
 
     name: str
-    distribution: str
-    version: str
-    status: str
+    distribution: str = ""
+    version: str = ""
+    status: str = "ok"
     config_directory: Path | None = None
 
 
@@ -56,31 +53,11 @@ class LoadedPlugin:
 class Plugins:
     """The loaded plugins and the registry they filled."""
 
-    manager: pluggy.PluginManager
-    registry: Registry
+    registry: Registry = field(default_factory=Registry)
     loaded: list[LoadedPlugin] = field(default_factory=list)
 
     def config_directories(self) -> list[tuple[str, Path]]:
         return [(p.name, p.config_directory) for p in self.loaded if p.config_directory]
-
-    def observers(self, tell: Callable[[str], None]) -> list[RunObserver]:
-        """Fresh observers from every plugin; `tell` is told of plugins that fail to give theirs."""
-        from understudy.records.observer import RunObserver
-
-        found: list[RunObserver] = []
-        for part in [c for c in self.registry.components.values() if c.kind == "observer"]:
-            try:
-                observer = part.factory()
-                if not isinstance(observer, RunObserver):
-                    raise TypeError(f"{observer!r} is no run observer")
-                found.append(observer)
-            except BaseException as error:
-                if is_stop(error):
-                    raise
-                tell(
-                    f"The observer '{part.name}' of plugin '{part.plugin}' is left out: {said(error)}"
-                )
-        return found
 
 
 def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] = ()) -> Plugins:
@@ -96,9 +73,7 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
     PluginError
         if a variable names no plugin.
     """
-    manager = pluggy.PluginManager(GROUP)
-    manager.add_hookspecs(Hooks)
-    result = Plugins(manager, Registry())
+    result = Plugins()
     about = functools.cache(_about)  # many plugins are of one distribution
     found = sorted(
         metadata.entry_points(group=GROUP),
@@ -114,26 +89,15 @@ def load(*, only: Iterable[str] | None = None, extra: Iterable[tuple[str, Any]] 
         distribution, version = about(entry.dist)
         first = seen.setdefault(entry.name, entry)
         if first.value != entry.value:
-            other = about(first.dist)[0] or "another distribution"
+            other, by = about(first.dist)[0] or "another distribution", distribution or entry.value
             error = PluginError(
-                f"{other} provides a plugin named '{entry.name}' already. Uninstall {distribution or entry.value}, "
-                "or rename its plugin."
+                f"{other} provides a plugin named '{entry.name}' already. Uninstall {by}, or rename its plugin."
             )
-            name = f"{entry.name} of {distribution or entry.value}"
-            _isolate(result, LoadedPlugin(name, distribution, version, ""), error)
-            continue
-        if first is not entry:
-            continue  # the same distribution seen twice on the path
-        try:
-            module = entry.load()
-        except BaseException as error:  # a stranger's import may raise anything
-            if is_stop(error):
-                raise
-            _isolate(result, LoadedPlugin(entry.name, distribution, version, ""), error)
-            continue
-        _add(result, entry.name, module, distribution, version)
+            _isolate(result, LoadedPlugin(f"{entry.name} of {by}", distribution, version), error)
+        elif first is entry:  # else the same distribution, seen twice on the path
+            _add(result, LoadedPlugin(entry.name, distribution, version), entry.load)
     for name, module in extra:
-        _add(result, name, module, "", "")
+        _add(result, LoadedPlugin(name), lambda module=module: module)
     registry = result.registry
     faults = _broken_options(result) | registry.unknown_kinds() | registry.clashing_commands()
     for plugin in [p for p in result.loaded if p.name in faults]:
@@ -158,17 +122,17 @@ def _names(variable: str, there: set[str]) -> set[str]:
 def _isolate(plugins: Plugins, plugin: LoadedPlugin, error: BaseException) -> None:
     """Keep nothing of `plugin` but its name and why it did not load."""
     reason = said(error)
-    if plugins.manager.has_plugin(plugin.name):
-        plugins.manager.unregister(name=plugin.name)
     plugins.registry.remove(plugin.name)
     plugins.registry.broken[plugin.name] = reason
     plugins.loaded.append(replace(plugin, status=reason, config_directory=None))
 
 
-def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: str) -> None:
-    manager = plugins.manager
-    plugin = LoadedPlugin(name, distribution, version, "ok")
+def _add(plugins: Plugins, plugin: LoadedPlugin, find: Callable[[], Any]) -> None:
+    """Register what the plugin's module, which `find` gives, declares."""
+    manager = pluggy.PluginManager(GROUP)  # one each, so that no other's hook is called again
+    manager.add_hookspecs(Hooks)
     try:
+        module = find()
         hooked = [item for item in dir(module) if item.startswith("understudy_")]
         for item in hooked:
             if item not in vars(Hooks) and callable(getattr(module, item)):
@@ -177,20 +141,17 @@ def _add(plugins: Plugins, name: str, module: Any, distribution: str, version: s
                 )
             if item in vars(Hooks) and not manager.parse_hookimpl_opts(module, item):
                 raise PluginError(f"its '{item}' is no function marked with @understudy.hookimpl.")
-        manager.register(module, name)
+        manager.register(module)
         manager.check_pending()
-        register = Registrar(plugins.registry, name, distribution, version)
+        register = Registrar(plugins.registry, plugin.name, plugin.distribution, plugin.version)
         if not hooked or "REQUIRES" in dir(module):  # else its constants may be its own
             register.tables(module)
-        others = [p for p in manager.get_plugins() if p is not module]
-        manager.subset_hook_caller("understudy_register", others)(register=register)
-        plugin = replace(plugin, config_directory=_conf(module))
-    except BaseException as error:  # as at import: named, isolated
+        manager.hook.understudy_register(register=register)
+        plugins.loaded.append(replace(plugin, config_directory=_conf(module)))
+    except BaseException as error:  # a stranger's import, or registration, may raise anything
         if is_stop(error):
             raise
         _isolate(plugins, plugin, error)
-        return
-    plugins.loaded.append(plugin)
 
 
 def _conf(module: Any) -> Path | None:
@@ -210,11 +171,10 @@ def kernel_conf() -> Path:
 def _broken_options(plugins: Plugins) -> dict[str, BaseException]:
     """By plugin: a config option that the kernel or an earlier plugin provides already, or that cannot
     be read."""
-    own = {file.relative_to(kernel_conf()) for file in kernel_conf().rglob("*.yaml")}
-    owner = dict.fromkeys(own, "")  # the kernel's come first
+    owner: dict[Path, str] = {}
     faults: dict[str, BaseException] = {}
-    bundled = {p.name for p in plugins.loaded if p.distribution == "understudy"}
-    for name, directory in plugins.config_directories():
+    bundled = {"", *(p.name for p in plugins.loaded if p.distribution == "understudy")}
+    for name, directory in [("", kernel_conf()), *plugins.config_directories()]:
         for file in sorted(directory.rglob("*.yaml")):
             option = file.relative_to(directory)
             if owner.setdefault(option, name) != name:

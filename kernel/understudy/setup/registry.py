@@ -31,6 +31,7 @@ class Slot:
     kind: str  #: of component
     summary: str
     many: bool = False
+    plugin: str = ""  #: that added it
 
 
 #: The slots that the kernel itself knows. Plugins may add slots, and kinds, of their own.
@@ -53,12 +54,22 @@ KERNEL_SLOTS: tuple[Slot, ...] = (
     Slot("outer_loop", "outer_loop", "proposes trials and digests reports"),
     Slot("executor", "executor", "runs trials"),
 )
-KERNEL_KINDS: dict[str, str] = {
-    **{slot.kind: slot.summary for slot in KERNEL_SLOTS},
-    "command": "a command of the command line",
-    "observer": "is told what happens in every run",
-}
 
+
+@dataclass(frozen=True)
+class Entry:
+    """A task, whose parts are the config option ``task/<name>``, or a kind of component."""
+
+    name: str
+    summary: str
+    plugin: str = ""
+
+
+KERNEL_KINDS: tuple[Entry, ...] = (
+    *(Entry(slot.kind, slot.summary) for slot in KERNEL_SLOTS),
+    Entry("command", "a command of the command line"),
+    Entry("observer", "is told what happens in every run"),
+)
 
 #: What a plugin's module can declare as data, and how a row of each is written.
 TABLES: dict[str, str] = {
@@ -140,15 +151,6 @@ class Section:
         return self._resolve(self.build)(options, registry, inputs)
 
 
-@dataclass(frozen=True)
-class TaskEntry:
-    """A task's place in the registry; its parts are the config option ``task/<name>``."""
-
-    name: str
-    summary: str
-    plugin: str
-
-
 def _check_texts(plugin: str, what: str, name: Any, *texts: Any) -> None:
     """Raise :class:`PluginError` unless `name` can be typed, and `texts` are text."""
     typed = isinstance(name, str) and name.isprintable() and name == " ".join(name.split()) != ""
@@ -158,7 +160,7 @@ def _check_texts(plugin: str, what: str, name: Any, *texts: Any) -> None:
         )
 
 
-def _refuse_twice(other: Component | TaskEntry | Section | None, plugin: str, what: str) -> None:
+def _refuse_twice(other: Component | Entry | Section | None, plugin: str, what: str) -> None:
     """Raise :class:`PluginError` if `plugin` registers `what` an earlier plugin registered already, or
     under a name that is not as it is typed."""
     if "." in what:
@@ -175,12 +177,10 @@ def _refuse_twice(other: Component | TaskEntry | Section | None, plugin: str, wh
 class Registry:
     """All components, tasks, sections and citations of the loaded plugins."""
 
-    kinds: dict[str, str] = field(default_factory=lambda: dict(KERNEL_KINDS))
+    kinds: dict[str, Entry] = field(default_factory=lambda: {k.name: k for k in KERNEL_KINDS})
     slots: dict[str, Slot] = field(default_factory=lambda: {s.name: s for s in KERNEL_SLOTS})
-    #: By "kind NAME" or "slot NAME" that a plugin added: the plugin.
-    owners: dict[str, str] = field(default_factory=dict)
     components: dict[tuple[str, str], Component] = field(default_factory=dict)
-    tasks: dict[str, TaskEntry] = field(default_factory=dict)
+    tasks: dict[str, Entry] = field(default_factory=dict)
     sections: dict[str, Section] = field(default_factory=dict)
     #: By (plugin, key): how to cite what the plugin implements.
     citations: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -234,21 +234,17 @@ class Registry:
         raise ConfigError(message + self.absent())
 
     def absent(self) -> str:
-        """Which plugins did not load and why, to end the error about what was not found."""
+        """Which plugins did not load, and why: the end of an error about what was not found."""
         return "".join(f" Plugin '{name}' did not load: {why}" for name, why in self.broken.items())
 
     def remove(self, plugin: str) -> None:
         """Forget what `plugin` registered."""
-        tables: Any = (self.components, self.tasks, self.sections)
+        tables: Any = (self.components, self.tasks, self.sections, self.kinds, self.slots)
         for table in tables:
             for key in [k for k, entry in table.items() if entry.plugin == plugin]:
                 del table[key]
         for citation in [c for c in self.citations if c[0] == plugin]:
             del self.citations[citation]
-        for name in [n for n, owner in self.owners.items() if owner == plugin]:
-            del self.owners[name]
-            self.kinds.pop(name.removeprefix("kind "), None)
-            self.slots.pop(name.removeprefix("slot "), None)
 
 
 @dataclass(frozen=True)
@@ -310,7 +306,7 @@ class Registrar:
         """Register a task whose parts stand in the plugin's ``conf/task/<name>.yaml``."""
         _check_texts(self.plugin, "task", name, summary)
         _refuse_twice(self.registry.tasks.get(name), self.plugin, f"task '{name}'")
-        self.registry.tasks[name] = TaskEntry(name, summary, self.plugin)
+        self.registry.tasks[name] = Entry(name, summary, self.plugin)
 
     def section(self, name: str, options: type | str, build: Callable[..., Any] | str) -> None:
         """Register a top-level config section and what is built from it."""
@@ -325,8 +321,7 @@ class Registrar:
         _check_texts(self.plugin, "kind", name, summary)
         if name in self.registry.kinds:
             raise PluginError(f"Plugin '{self.plugin}' adds the kind '{name}', which there is.")
-        self.registry.kinds[name] = summary
-        self.registry.owners[f"kind {name}"] = self.plugin
+        self.registry.kinds[name] = Entry(name, summary, self.plugin)
 
     def slot(self, name: str, kind: str, summary: str, *, many: bool = False) -> None:
         """Add a top-level slot `name` of the plugin's own, filled by components of `kind`; jobs
@@ -337,8 +332,7 @@ class Registrar:
             raise PluginError(
                 f"Plugin '{self.plugin}' adds the slot '{name}', which exists already or has a dot."
             )
-        self.registry.slots[name] = Slot(name, kind, summary, many)
-        self.registry.owners[f"slot {name}"] = self.plugin
+        self.registry.slots[name] = Slot(name, kind, summary, many, self.plugin)
 
     def citation(self, key: str, text: str) -> None:
         """Record how to cite what the plugin implements; kept with every run that uses the plugin."""

@@ -37,8 +37,8 @@ class ControlOptions:
 class ResolutionOptions:
     """Coarser physics that a training begins with; ``control.substeps`` is what it is judged by.
 
-    It goes over to the latter, *sharpens*, as soon as the criterion is met at the coarse physics, the
-    curriculum has come to `difficulty`, or the share `budget` of the budget is spent.
+    It switches to the latter, *sharpens*, as soon as the criterion is met at the coarse physics, the
+    curriculum has reached `difficulty`, or the share `budget` of the budget is spent.
     """
 
     substeps: int | None = None  #: physics steps per control period at first; null is the task's
@@ -65,7 +65,7 @@ class BudgetOptions:
 
     samples: int | None = None  #: environment steps, summed over worlds
     minutes: float | None = None  #: minutes of training time
-    #: After so many ``evaluation.criterion`` is usually met, as far as is known: for the time shown.
+    #: Samples after which ``evaluation.criterion`` is usually met, if known: for the time shown.
     usual_samples: int | None = None
 
     def __post_init__(self) -> None:

@@ -136,8 +136,7 @@ def _choice(slot: Slot, name: str, value: Any, where: str, registry: Registry) -
     component = registry.find(slot.kind, component_name, where)
     extra = EXTRAS.get(slot.kind, {})
     schema = getattr(component.factory, "Options", None)
-    own = component.options if schema is None else options_of(schema)
-    checked: Any = checked_options({**own, **extra}, options, where)
+    checked: Any = checked_options({**component.options, **extra}, options, where)
     extras = {key: checked.pop(key) for key in extra}
     if schema is not None:
         checked = filled(schema, checked, where)

@@ -31,8 +31,8 @@ class Scene(ABC):
         """Facts for provenance: sizes, masses, names."""
 
     def identity(self) -> Mapping[str, str]:
-        """By state field, of which thing it is the state, in words that differ where the thing does: so that a
-        state of another garment or body is not taken for one of this."""
+        """By state field, the thing whose state it is, in words that differ between things: the state of another
+        garment or body is not to be taken for one of this."""
         return {}
 
     def draw(
@@ -91,10 +91,10 @@ class Simulator(ABC):
 
     @abstractmethod
     def set_state(self, worlds: Tensor, state: Mapping[str, Tensor]) -> None:
-        """Put the worlds where `worlds` (N,) bool is true into `state` at rest time, all controls 0.
+        """Put the worlds where `worlds` (N,) bool is true into `state` at rest time.
 
-        `state` has the ``state_fields`` and may have varied parameters, each (N, …). Parameters that
-        it leaves out keep their values.
+        `state` has the ``state_fields`` and may have controls, which are 0 else, and varied parameters,
+        each (N, …). Parameters that it leaves out keep their values.
         """
 
     @abstractmethod

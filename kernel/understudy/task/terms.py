@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
@@ -12,7 +11,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 
-__all__ = ["Margin", "Reduction", "Term", "Wired", "ranges", "renamed"]
+__all__ = ["Reduction", "Term", "Wired", "ranges", "renamed"]
 
 T = TypeVar("T")
 
@@ -31,16 +30,6 @@ class Wired(Generic[T]):
     part: T
     reads: Mapping[str, str] = field(default_factory=dict)  #: its own name → the field's
     provides: Mapping[str, str] = field(default_factory=dict)  #: its own name → the field's
-
-
-class Margin(ABC):
-    """A termination that knows how near it is, for learners that use derivatives. Implemented by a
-    term's class beside ``__call__``, which takes the same fields."""
-
-    @abstractmethod
-    def used(self, *args: Any, **fields: Any) -> Tensor:
-        """(N, K): how much of the way to its end each of K things has gone, differentiable in the
-        fields: 0 where none of it, 1 where the term begins to hold."""
 
 
 def renamed(
@@ -108,12 +97,6 @@ def make_term(
 ) -> Term:
     """The term `name` of `function`, whose parameters `reads` may rename."""
     parameters = parameters_of(function)
-    return Term(
-        where,
-        name,
-        function,
-        options,
-        renamed(where, "reads", tuple(parameters), reads),
-        frozenset(parameter for parameter, optional in parameters.items() if optional),
-        **counts,
-    )
+    wired = renamed(where, "reads", tuple(parameters), reads)
+    optional = frozenset(name for name, left_out in parameters.items() if left_out)
+    return Term(where, name, function, options, wired, optional, **counts)

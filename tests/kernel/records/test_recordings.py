@@ -71,7 +71,7 @@ def test_observers_are_told_after_training_and_render(
         only=["mujoco", "networks", "ppo", "reinforcement"],
         extra=[("test", sys.modules[worlds.__name__]), ("watch", Watch(watcher))],
     )
-    for module in (setup_plugins, workflow, judging):
+    for module in (setup_plugins, workflow):
         monkeypatch.setattr(module, "installed", lambda: plugins)
     monkeypatch.setattr(PaddleScene, "recorded", fields)
     overrides = [*QUICK, f"run.dir={path}"]

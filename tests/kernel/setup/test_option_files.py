@@ -63,6 +63,40 @@ def test_one_composition_leaves_nothing_to_the_next(plugins: Plugins) -> None:
     assert compose_raw(plain, plugins) == before
 
 
+def test_what_was_composed_is_composed_anew_of_files_that_changed(tmp_path: Path) -> None:
+    """Also where a file appears, goes, or a group comes to be one."""
+    folders = [tmp_path / "first", tmp_path / "second"]
+    for folder in folders:
+        (folder / "part").mkdir(parents=True)
+    (tmp_path / "second" / "config.yaml").write_text("defaults: [part: a, _self_]\nown: 1\n")
+    (tmp_path / "second" / "part" / "a.yaml").write_text("x: 1\n")
+    (tmp_path / "second" / "part" / "b.yaml").write_text("x: 2\n")
+
+    def x(*overrides: str) -> object:
+        composed = compose(folders, overrides)
+        composed.part.x += 100  # nothing of it is seen by the next
+        return composed.part.x - 100
+
+    assert [x(), x(), x("part.x=7"), x("part=b"), x("part=b", "part.x=8"), x()] == [
+        1,
+        1,
+        7,
+        2,
+        8,
+        1,
+    ]
+    (tmp_path / "second" / "part" / "a.yaml").write_text("x: 33\n")
+    assert x() == 33
+    (tmp_path / "first" / "part" / "a.yaml").write_text("x: 4\n")
+    assert [x(), x("part=b")] == [4, 2]
+    (tmp_path / "first" / "part" / "a.yaml").unlink()
+    assert x() == 33
+    assert compose(folders, ["+other=c"]).other == "c"
+    (tmp_path / "first" / "other").mkdir()
+    (tmp_path / "first" / "other" / "c.yaml").write_text("z: 1\n")
+    assert compose(folders, ["+other=c"]).other == {"z": 1}
+
+
 @pytest.mark.parametrize(
     "overrides",
     [

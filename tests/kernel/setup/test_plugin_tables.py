@@ -74,7 +74,7 @@ def test_all_tables_are_registered(package: ModuleType) -> None:
     plugins = loaded(package)
     registry = plugins.registry
     assert {title for title in TABLES if hasattr(package, title)} == TABLES.keys()
-    assert registry.kinds["paint"] == "what colours a scene"
+    assert registry.kinds["paint"].summary == "what colours a scene"
     assert [registry.slots[name].many for name in ("paint", "layers")] == [False, True]
     assert registry.find("paint", "data/red").target == "house_of_data.colours:Red"
     section = registry.sections["canvas"]
@@ -90,8 +90,9 @@ def test_all_tables_are_registered(package: ModuleType) -> None:
 def test_nothing_is_imported_before_it_is_used(package: ModuleType) -> None:
     plugins = loaded(package)
     assert "house_of_data.colours" not in sys.modules
-    watchers = [o for o in plugins.observers(pytest.fail) if isinstance(o, RunObserver)]
-    assert [type(o).__module__ for o in watchers] == ["house_of_data.colours"]
+    watcher = plugins.registry.find("observer", "data/watcher").factory()
+    assert isinstance(watcher, RunObserver)
+    assert type(watcher).__module__ == "house_of_data.colours"
 
 
 def test_a_hook_may_stand_beside_tables(package: ModuleType) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from damage import between, raised, turned, walking
+from recorded_runs import croucher_plugins, make_run, record, track
 
 from understudy.command import cli
 from understudy.setup import plugins
@@ -280,3 +281,67 @@ def test_a_repaired_clip_has_its_own_title(sunk: Path, tmp_path: Path) -> None:
     out = tmp_path / "mended.npz"
     cli.main(["motion", "check", str(sunk), "--fix", str(out)])
     assert read_clip(out, plugins.installed().registry).name == "mended"
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a run that is not recorded yet."""
+    loaded = croucher_plugins()
+    monkeypatch.setattr(plugins, "installed", lambda: loaded)
+    monkeypatch.setattr("understudy_doctor.command.installed", lambda: loaded)
+    return make_run(tmp_path)
+
+
+def test_what_a_run_learned_is_checked_by_its_own_character(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = track(40)
+    recorded[20, 0] += 0.5  # of the trunk, and back again
+    record(run, qpos=recorded, first_episode=30)
+    assert cli.main(["motion", "check", str(run), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["character"], found["frames"], found["frame_rate"]) == ("croucher", 30, 30.0)
+    spikes = [one["frames"] for one in found["findings"] if one["kind"] == "spike"]
+    assert [20, 20] in spikes
+    assert "CC BY 4.0" in found["licence"]
+    mended = tmp_path / "mended.npz"
+    cli.main(["motion", "check", str(run), "--fix", str(mended)])
+    assert mended.exists()
+
+
+def test_a_skill_is_checked_by_its_name(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Which becomes a run folder as for every command that reads one."""
+    record(run, qpos=track(40), first_episode=40)
+    monkeypatch.setattr("understudy_doctor.command.run_folder", lambda name, **_: str(run))
+    assert cli.main(["motion", "check", "spacetime/walk"]) in (0, 1)
+    assert "40 frames at 30 frames/s, does not loop; on the croucher" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ([], "has no recording (recording.npz); make one with `understudy render "),
+        (["--unit", "cm"], "--unit is of clip files; "),
+        (["--source-rate", "60"], "--source-rate is of clip files; "),
+        (["--character", "nosuch"], "There is no character 'nosuch'."),
+    ],
+)
+def test_runs_that_cannot_be_checked(
+    run: Path, more: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["motion", "check", str(run), *more]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_other_commands_say_how_a_run_becomes_a_clip(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.npz"
+    for source in (str(run), "spacetime/walk"):
+        assert cli.main(["motion", "retarget", source, "humanoid", str(out)]) == 2
+        assert f"`understudy export {source} FILE.npz` makes one" in capsys.readouterr().err
+    assert cli.main(["motion", "check", str(tmp_path)]) == 2
+    assert "is a folder, and neither a clip nor a run" in capsys.readouterr().err
+    assert not out.exists()

@@ -10,11 +10,11 @@ import torch
 
 from understudy.setup.plugins import Plugins
 from understudy_characters.character import Character
+from understudy_characters.letting_go import let_go
 from understudy_doctor.ballistic import flights, mend_flights, straying
 from understudy_doctor.examination import examine
 from understudy_doctor.findings import Finding
 from understudy_doctor.flight_check import check_flights
-from understudy_doctor.letting_go import let_go
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.repair import harm, repair
 from understudy_doctor.summary import as_json, let_go_words

@@ -343,7 +343,7 @@ torch.set_num_threads(4)
 one = gymnasium.make("{task}")
 one.reset(seed=0)
 one.step(one.action_space.sample())  # torch's threads are there before the fork
-(torch.rand(2000, 2000) @ torch.rand(2000, 2000)).exp()
+(torch.rand(500, 500) @ torch.rand(500, 500)).exp()
 envs = gymnasium.make_vec("{task}", num_envs=2, vectorization_mode="async")
 envs.reset(seed=0)
 print(envs.step(envs.action_space.sample())[1].shape)

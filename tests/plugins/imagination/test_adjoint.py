@@ -11,7 +11,6 @@ from imagined_walk import IMITATION, WALK
 from torch import Tensor
 
 from understudy.task import Rollout
-from understudy.task.terms import Margin
 from understudy_imagination.adjoint import Adjoint, Weights, Window, clean, limited
 from understudy_imagination.errors import model_errors
 from understudy_imagination.learner import Imagination
@@ -222,7 +221,7 @@ def test_the_cost_is_that_of_the_worst_of_a_margins_things(
     one, many = torch.full((4, 1), 0.9), torch.zeros(4, 30)
     many[:, 7] = 0.9
 
-    class Only(Margin):
+    class Only:
         def __init__(self, share: Tensor) -> None:
             self.share = share
 

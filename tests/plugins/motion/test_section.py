@@ -15,6 +15,7 @@ from understudy.setup.registry import Component, Registrar, Registry
 from understudy_motion.clip import Clip
 from understudy_motion.readers import deepmimic
 from understudy_motion.section import Motion, MotionOptions
+from understudy_tensors.rotations import angle_between, from_exponential_map
 
 
 def step() -> Clip:
@@ -41,6 +42,25 @@ def test_the_default_is_the_generated_walk(registry: Registry) -> None:
     assert provenance["source"] == "generated"
     assert provenance["licence"] == "ours"
     assert provenance["seconds"] == pytest.approx(motion.clip.duration, abs=1e-4)
+
+
+def leaning() -> Clip:
+    """Half a second in which a figure leans over, and stays so."""
+    turns = torch.linspace(0.0, 0.4, 31, dtype=torch.float64)
+    lean = torch.stack((turns, torch.zeros(31), torch.zeros(31)), dim=1)
+    times = torch.linspace(0.0, 0.5, 31, dtype=torch.float64)
+    poses = from_exponential_map(lean)[:, None]
+    return Clip("lean", times, torch.zeros(31, 3).double(), poses, ("root",), loop=True)
+
+
+def test_a_clip_that_does_not_close_is_led_into_its_beginning(registry: Registry) -> None:
+    registry.add(Component("clip", "lean", leaning, "test"))
+    open_, closed = (
+        Motion(MotionOptions(name="lean", close_loop=s), registry, Inputs()).clip for s in (None, 0.1)
+    )
+    assert angle_between(open_.rotations[0], open_.rotations[-1]).item() == pytest.approx(0.4)
+    assert angle_between(closed.rotations[0], closed.rotations[-1]).item() < 1e-9
+    torch.testing.assert_close(closed.rotations[6:-6], open_.rotations[6:-6])
 
 
 def test_a_file_is_recorded_with_its_digest(registry: Registry, tmp_path: Path) -> None:

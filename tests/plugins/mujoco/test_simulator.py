@@ -67,6 +67,16 @@ def test_only_the_chosen_worlds_are_set() -> None:
     torch.testing.assert_close(simulator.read("xpos")[1, 1, 2], torch.tensor(0.8))
 
 
+def test_controls_are_0_unless_they_are_given() -> None:
+    simulator = build()
+    simulator.step(torch.ones(4, 1))
+    state = {"qpos": torch.zeros(4, 1), "qvel": torch.zeros(4, 1)}
+    simulator.set_state(everywhere(simulator), {**state, "ctrl": torch.full((4, 1), 0.5)})
+    assert torch.equal(simulator.read("ctrl"), torch.full((4, 1), 0.5))
+    simulator.set_state(everywhere(simulator), state)
+    assert torch.equal(simulator.read("ctrl"), torch.zeros(4, 1))
+
+
 def test_one_and_two_threads_give_the_same_bits() -> None:
     first, second = build(threads=1), build(threads=2)
     for _ in range(20):

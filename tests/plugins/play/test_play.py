@@ -80,9 +80,12 @@ def test_a_skill_is_small_and_has_a_card(name: str) -> None:
 
 
 def test_a_push_moves_the_character(player: Player) -> None:
+    player.step()
     simulator = player.environment.parts.simulator
     before = simulator.read("qvel").clone()
+    told = simulator.read("ctrl").clone()
     player.push((0.0, 9.0, 0.0))
+    assert torch.equal(simulator.read("ctrl"), told), "servos know nothing of it"
     after = simulator.read("qvel")
     mass = float(player.scene.model.body_mass.sum())  # type: ignore[attr-defined]
     expected = before.clone()
@@ -399,7 +402,7 @@ def test_an_unpacked_skill_is_a_run_that_acts_as_the_skill_does(
 ) -> None:
     run = tmp_path / "sit"
     assert main(["play", "sitting/sit", "--unpack", str(run)]) == 0
-    few = ("num_worlds=4", "episodes=4")
+    few = ("num_worlds=4", "episodes=4", "seconds=1")
     assert main(["evaluate", str(run), *few]) == 0
     assert main(["evaluate", str(run), *few, "initial_states.degrees=0"]) == 0  # composed anew
     skill, again = open_skill("sitting/sit"), open_skill(str(run))

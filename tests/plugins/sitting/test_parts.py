@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 
@@ -52,6 +53,39 @@ def test_a_target_by_the_chair_is_in_its_frame() -> None:
         chair_rotation=rotations.from_heading(torch.tensor([math.pi / 2])),
     )
     assert found["target"][0].tolist() == pytest.approx([2.5, 3.0])
+
+
+def test_servo_targets_that_lag_come_nearer_and_nearer() -> None:
+    at_once, lagging = (
+        build("experiment=sitting/turn_left", "num_worlds=1", *more)
+        for more in ([], ["actuation.lag=0.02"])
+    )
+    actuation = lagging.environment.parts.actuation.part
+    action = torch.ones_like(at_once.environment.action[:1])
+    asked = at_once.environment.parts.actuation.part.control(action)
+    followed = torch.zeros_like(asked)
+    for periods in (1, 2, 3):
+        followed = actuation.control(action, ctrl=followed)
+        torch.testing.assert_close(followed, asked * (1 - math.exp(-periods / 60 / 0.02)))
+    for built in (at_once, lagging):
+        built.environment.close()
+
+
+def test_targets_that_lag_begin_at_what_the_servos_were_told() -> None:
+    built = build("experiment=sitting/turn_left", "num_worlds=2", "actuation.lag=0.02")
+    try:
+        environment = built.environment
+        environment.reset(0, "a")
+        action = torch.ones_like(environment.action)
+        told = [environment.table["ctrl"].clone()]
+        for _ in range(3):
+            environment.step(action)
+            told.append(environment.table["ctrl"].clone())
+        steps = [(b - a).norm() for a, b in itertools.pairwise(told)]
+        for first, second in itertools.pairwise(steps):
+            assert second / first == pytest.approx(math.exp(-1 / 60 / 0.02), rel=1e-4)
+    finally:
+        built.environment.close()
 
 
 @pytest.fixture(scope="module")

@@ -23,22 +23,45 @@ STATES = {
 }
 
 
-def made(plugins: Plugins, states: dict[str, Tensor], path: Path, *more: str) -> Environment:
+def made(
+    plugins: Plugins, states: dict[str, Tensor], path: Path, *more: str, evaluating: bool = False
+) -> Environment:
     bank.save(path / "some", states, {})
     own = f"++initial_states={{name: bank, file: {path / 'some'}}}"
     overrides = [*FAKE_TASK[:-1], own, "num_worlds=64", *more]
-    return build_environment(load_experiment(overrides, plugins)).environment
+    experiment = load_experiment(overrides, plugins)
+    return build_environment(experiment, evaluating=evaluating).environment
 
 
-def test_every_state_is_drawn_whole(plugins: Plugins, tmp_path: Path) -> None:
-    environment = made(plugins, STATES, tmp_path)
+def begun(environment: Environment) -> Tensor:
+    """qpos, qvel and hat (N, 3) in which episodes begin."""
     environment.reset(seed=1)
     table = environment.table
-    drawn = torch.cat([table["qpos"], table["qvel"], table["hat"].unsqueeze(1)], dim=1)
+    return torch.cat([table["qpos"], table["qvel"], table["hat"].unsqueeze(1)], dim=1)
+
+
+@pytest.mark.parametrize("evaluating", [False, True])
+def test_states_are_drawn_whole_and_one_of_five_by_evaluations_alone(
+    plugins: Plugins, tmp_path: Path, *, evaluating: bool
+) -> None:
+    ten = {name: torch.cat([state] * 4)[:10] for name, state in STATES.items()}
+    ten["qvel"] = torch.arange(10.0).unsqueeze(1)
+    environment = made(plugins, ten, tmp_path, evaluating=evaluating)
+    drawn = begun(environment)
     rows = {tuple(row) for row in drawn.tolist()}
-    assert rows == {(0.5, 1.0, 5.0), (1.5, 2.0, 6.0), (-1.0, 3.0, 7.0)}
+    kept = {0, 5} if evaluating else {1, 2, 3, 4, 6, 7, 8, 9}
+    assert rows == {
+        (ten["qpos"][i].item(), ten["qvel"][i].item(), ten["hat"][i].item()) for i in kept
+    }
     environment.step(torch.ones(64, 1))
-    assert torch.equal(table["hat"], drawn[:, 2]), "constant over the episode"
+    assert torch.equal(environment.table["hat"], drawn[:, 2]), "constant over the episode"
+
+
+def test_a_single_state_is_for_both(plugins: Plugins, tmp_path: Path) -> None:
+    one = {name: state[:1] for name, state in STATES.items()}
+    for evaluating in (False, True):
+        drawn = begun(made(plugins, one, tmp_path, evaluating=evaluating))
+        assert torch.equal(drawn, torch.tensor([[0.5, 1.0, 5.0]]).expand(64, 3))
 
 
 def test_fields_may_be_left(plugins: Plugins, tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from understudy.errors import ConfigError
 from understudy.random import WorldStreams
 from understudy.records.runs import Run
 from understudy.task import Context
+from understudy_characters.letting_go import LettingGo
 from understudy_characters.scene import reference_motion
-from understudy_doctor.letting_go import LettingGo
 from understudy_spacetime import initial_states
 from understudy_spacetime.by_phase import by_part, drawn, measured, sentence, worst
 from understudy_spacetime.initial_states import Flyable, Phases

@@ -17,7 +17,6 @@ from torch import Tensor
 from understudy.errors import ConfigError, suggestion
 from understudy.options import check_range
 from understudy.task import Actuation, Context, Fields, Shape, box
-from understudy.task.terms import Margin
 from understudy_characters.layout import Layout
 from understudy_characters.scene import CharacterScene, reference_motion
 from understudy_characters.state import character_state
@@ -178,7 +177,7 @@ class FloorContact:
         return (self._upright.clearances(xpos, xmat) <= self._clearance).any(dim=1)
 
 
-class Fall(Margin):
+class Fall:
     """A body that should stay up touches the floor, and not because the motion has it there.
 
     "No undesired contacts" (thesis, eq. 3.3), where the clip says which ones are desired: in a roll

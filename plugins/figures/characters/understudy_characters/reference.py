@@ -146,7 +146,7 @@ class ReferenceMotion:
         before, after = (self._table.index_select(0, at) for at in (row, row + 1))
         rows = torch.lerp(before, after, (place - row).unsqueeze(1))
         fields = {
-            name: part.view(-1, *shape)
+            name: part.view(len(rows), *shape)
             for (name, shape), part in zip(
                 self._shapes.items(),
                 rows.split([math.prod(s) for s in self._shapes.values()], dim=1),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -62,15 +62,33 @@ def other_bodies(character: Character, qpos: np.ndarray) -> Iterator[Thing]:
     solid = model.geom_bodyid[model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE]
     drawn = {int(body) for body in solid if model.body_mocapid[body] < 0}
     bodies = sorted(drawn - set(character.carrier))
+
+    def arrange(frame: int) -> None:
+        data.qpos[:] = qpos[frame]
+
+    return _things(character, data, bodies, len(qpos), arrange)
+
+
+def _things(
+    character: Character,
+    data: mujoco.MjData,
+    bodies: Sequence[int],
+    frames: int,
+    arrange: Callable[[int], None],
+) -> Iterator[Thing]:
+    """Those of the `bodies` that have a surface, as large as in the first frame; `arrange` puts the `data` of
+    the character's model into the state of a frame."""
+    surfaces: list[list[Shape]] = []
     poses = []
-    for frame in qpos:
-        data.qpos[:] = frame
-        mujoco.mj_kinematics(model, data)
+    for frame in range(frames):
+        arrange(frame)
+        mujoco.mj_kinematics(character.model, data)
         poses.append((data.xpos[bodies].copy(), data.xquat[bodies].copy()))
-    for row, body in enumerate(bodies):
-        positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
-        surface = body_shapes(character, body)
-        yield Thing(surface[0].joint, positions, turns, surface)
+        surfaces = surfaces or [body_shapes(character, body) for body in bodies]
+    for row, surface in enumerate(surfaces):
+        if surface:
+            positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
+            yield Thing(surface[0].joint, positions, turns, surface)
 
 
 class CharacterScene(MujocoScene):
@@ -202,18 +220,10 @@ class CharacterScene(MujocoScene):
         character = Character(self.character.name, self.shown().compile())
         model, data = character.model, mujoco.MjData(character.model)
         bodies = [model.body(name).id for name in self._things]
-        surfaces: list[list[Shape]] = []
-        poses = []
-        for frame in range(len(tracks["qpos"]) if bodies else 0):
-            self._arrange(model, data, tracks, frame)
-            mujoco.mj_kinematics(model, data)
-            poses.append((data.xpos[bodies].copy(), data.xquat[bodies].copy()))
-            if not surfaces:
-                surfaces = [body_shapes(character, body) for body in bodies]
-        for row, (name, surface) in enumerate(zip(self._things, surfaces, strict=False)):
-            if surface:
-                positions, turns = (np.array([pose[k][row] for pose in poses]) for k in (0, 1))
-                yield Thing(name, positions, turns, surface)
+        frames = len(tracks["qpos"]) if bodies else 0
+        return _things(
+            character, data, bodies, frames, lambda k: self._arrange(model, data, tracks, k)
+        )
 
     def _arrange(
         self,

@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import math
 import typing
+from collections.abc import Sequence
 from pathlib import Path
 
+from understudy.errors import ConfigError, FileError
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.reading import METRES, Axis, NamedUnit, ReadOptions, Unit
 
-__all__ = ["add_reading", "finite", "open_clip", "port", "positive", "share"]
+__all__ = ["add_reading", "finite", "open_clip", "port", "positive", "refuse_reading", "share"]
 
 
 def add_reading(parser: argparse.ArgumentParser, *, loop: bool = True) -> None:
@@ -40,8 +42,14 @@ def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> C
     Raises
     ------
     FileError
-        as :func:`library.find`.
+        as :func:`library.find`, and for a run folder or a skill, which are no clips.
     """
+    if source in registry.names("skill") or (Path(source) / "run.json").is_file():
+        raise FileError(
+            f"{source} was learned, and a clip is wanted: `understudy export {source} FILE.npz` makes one of it."
+        )
+    if Path(source).is_dir():
+        raise FileError(f"{source} is a folder, and neither a clip nor a run. Name the file in it.")
     reading = ReadOptions(
         unit=options.unit,
         up=options.up,
@@ -50,6 +58,18 @@ def open_clip(source: str, options: argparse.Namespace, registry: Registry) -> C
         rate=options.source_rate,
     )
     return library.find(source, registry, reading)
+
+
+def refuse_reading(
+    options: argparse.Namespace,
+    run: str,
+    names: Sequence[str] = ("unit", "up", "skeleton", "source_rate"),
+) -> None:
+    """Raise :class:`ConfigError` for those of the options `names` that are given, of a `run` that leaves
+    nothing unsaid."""
+    for name in names:
+        if getattr(options, name) is not None:
+            raise ConfigError(f"--{name.replace('_', '-')} is of clip files; {run} is a run.")
 
 
 def unit(text: str) -> Unit:

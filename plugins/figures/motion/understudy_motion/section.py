@@ -11,6 +11,7 @@ from understudy.options import check_range
 from understudy.setup.registry import Registry
 from understudy_motion import library
 from understudy_motion.clip import Clip
+from understudy_motion.editing import close_loop, evenly_spaced
 from understudy_motion.keyframes import keyframed
 from understudy_motion.reading import Axis, ReadOptions, Unit
 
@@ -30,6 +31,9 @@ class MotionOptions:
     skeleton: str | None = None  #: path of the ASF of an AMC file; None takes the one beside it
     loop: bool | None = None  #: whether a file's motion repeats; None takes the file's word
     rate: float | None = None  #: a file's frames per second, where its frames have no times
+    #: Seconds on either side of the seam over which a clip's end is led into its beginning, so that it repeats
+    #: without a jerk; None leaves both as they are.
+    close_loop: float | None = None
     #: What of the figure's motion is put on the floor: its lowest point, or the median of its lowest ones
     #: while something carries it, so that one deep pose does not raise all others.
     floor: Floor = "lowest"
@@ -38,6 +42,7 @@ class MotionOptions:
 
     def __post_init__(self) -> None:
         check_range(self, "keys", least=2)
+        check_range(self, "close_loop", above=0.0)
 
 
 class Motion:
@@ -56,6 +61,8 @@ class Motion:
                 inputs.file(asked, lambda: library.files(name, options.file, registry, reading))
             )
         self.clip: Clip = library.load(name, file, registry, options.parameters, reading)
+        if options.close_loop is not None:
+            self.clip = close_loop(evenly_spaced(self.clip), options.close_loop)
         if options.keys is not None:
             self.clip = keyframed(self.clip, options.keys)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from understudy.errors import ConfigError
 from understudy.running.environment import OWN_FIELDS
 from understudy.running.promises import Parts
 from understudy.task import Box, Context, Fields
-from understudy.task.terms import Margin, Term, Wired
+from understudy.task.terms import Term, Wired
 from understudy_imagination.rigid import Posed, Rigid
 from understudy_networks.policies import action_space
 
@@ -22,6 +23,17 @@ _TAKEN = frozenset(OWN_FIELDS) - {"reward"}
 #: Least share of a margin, for the derivative of a power.
 _LEAST = 1e-3
 _WHO = "learner 'imagination'"
+
+
+@runtime_checkable
+class Margin(Protocol):
+    """A termination that knows how near it is: a term's class that has this beside ``__call__``, which takes
+    the same fields."""
+
+    def used(self, *args: Any, **fields: Any) -> Tensor:
+        """(N, K): how much of the way to its end each of K things has gone, differentiable in the
+        fields: 0 where none of it, 1 where the term begins to hold."""
+        ...
 
 
 class Imagined:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
 
 import torch
@@ -23,9 +24,23 @@ __all__ = [
 ]
 
 
+class _Uncompiled(Optimizer):
+    """Does not import torch's compiler, which takes a second and more, only to have it leave these methods alone."""
+
+    add_param_group = inspect.unwrap(Optimizer.add_param_group)
+
+
+class _Adam(_Uncompiled, Adam):
+    step = torch.no_grad()(inspect.unwrap(Adam.step))  # type: ignore[assignment]
+
+
+class _SGD(_Uncompiled, SGD):
+    step = torch.no_grad()(inspect.unwrap(SGD.step))  # type: ignore[assignment]
+
+
 def adam(parameters: Sequence[nn.Parameter], rate: Tensor, *, weight_decay: float = 0.0) -> Adam:
     """Adam (Kingma and Ba 2015). `rate` () is read at every step; decay is added to the gradient."""
-    return Adam(parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda)
+    return _Adam(parameters, rate, weight_decay=weight_decay, fused=True, capturable=rate.is_cuda)
 
 
 def sgd(
@@ -36,7 +51,7 @@ def sgd(
     weight_decay: float = 0.0,
 ) -> SGD:
     """Gradient descent, with heavy-ball `momentum`: v ← momentum·v + g, θ ← θ - rate·v."""
-    optimiser = SGD(parameters, rate, momentum=momentum, weight_decay=weight_decay, fused=True)
+    optimiser = _SGD(parameters, rate, momentum=momentum, weight_decay=weight_decay, fused=True)
     if momentum:  # made here: one that a skipped first step makes would hold whatever was in memory
         for p in parameters:
             optimiser.state[p]["momentum_buffer"] = torch.zeros_like(p)

@@ -1,7 +1,7 @@
 """What one training leaves to another: trained policies as parts, and states to begin in."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("reinforcement",)
+REQUIRES = ("reinforcement", "training")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

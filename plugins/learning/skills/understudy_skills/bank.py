@@ -6,16 +6,19 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError, FileError, RunError
 from understudy.records import checkpoint
 from understudy.task import Context, Scene
 
-__all__ = ["files", "fitting", "load"]
+__all__ = ["files", "fitting", "load", "starts"]
 
 #: The bank that a harvest leaves in its run folder.
 NAME = "bank"
+#: One of so many states is for evaluations alone.
+HELD_OUT = 5
 
 
 def save(
@@ -64,6 +67,21 @@ def fitting(
                 f"{own}. Harvest it in a task of this scene."
             )
     return states
+
+
+def starts(
+    path: str | Path, context: Context, what: str, leave: Collection[str] = ()
+) -> dict[str, Tensor]:
+    """Those that episodes may begin in: of every five one in evaluations, the other four in trainings.
+
+    So an evaluation begins where no training did. A single state is for both.
+    """
+    states = fitting(path, context, what, leave)
+    rows = torch.arange(len(next(iter(states.values()))))
+    held_out = rows % HELD_OUT == 0
+    if len(rows) > 1:
+        rows = rows[held_out if context.evaluating else ~held_out]
+    return {name: value[rows] for name, value in states.items()}
 
 
 def _read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:

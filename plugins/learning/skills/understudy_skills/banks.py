@@ -16,6 +16,8 @@ from understudy_skills import bank
 class Bank(InitialStates):
     """States drawn uniformly from a bank (:mod:`understudy_skills.bank`).
 
+    Evaluations begin in every fifth of them, in which no training does.
+
     What the bank has beside the simulator's state: its parameters vary between worlds again, all
     else is readable as a field of the same name, constant over the episode.
     """
@@ -28,7 +30,7 @@ class Bank(InitialStates):
     def __init__(self, options: Options, context: Context) -> None:
         simulator = context.simulator
         assert simulator is not None
-        states = bank.fitting(options.file, context, "initial_states", options.leave)
+        states = bank.starts(options.file, context, "initial_states", options.leave)
         self._states = {name: value.to(context.device) for name, value in states.items()}
         for name in simulator.state_fields:
             shape, own = self._shape(name), simulator.fields[name]

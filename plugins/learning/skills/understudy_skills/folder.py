@@ -12,10 +12,11 @@ from understudy.errors import RunError
 from understudy.folders import read
 from understudy.records import runs
 from understudy.records.runs import Run
-from understudy.running.training import Reporter, Training
+from understudy.running.training import Training
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_skills.skill import open_skill, unpack
+from understudy_training.watching import reporter
 
 __all__ = ["run_folder"]
 
@@ -82,4 +83,4 @@ def _record(run: Run) -> None:
     if recording is None:
         raise RunError(f"{run.path}: what it learned has no motion to record.")
     recording.save(run.path / "recording.npz")
-    Reporter(tell, installed().observers(tell)).notify("judged", run, recording, tell)
+    reporter().notify("judged", run, recording, tell)

@@ -137,7 +137,7 @@ class Harvest(Gathering):
         was = None if field is None else table[field].clone()
         step = environment.advance(action)
         which: dict[str, Tensor] = {
-            "success": step.terminated & ~step.failed,
+            "success": step.succeeded,
             "failure": step.failed,
             "truncation": step.truncated,
             "any": step.ended,

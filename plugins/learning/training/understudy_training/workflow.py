@@ -21,7 +21,7 @@ from understudy.setup.config import Experiment
 from understudy.setup.plugins import installed
 from understudy.setup.validation import at, validate
 from understudy.signals import StopRequest
-from understudy_training import processes
+from understudy_training import processes, watching
 
 __all__ = ["judge"]
 
@@ -108,7 +108,7 @@ def _together(experiment: Experiment) -> Iterator[None]:
 def _carry_out(training: Training) -> int:
     run = training.run
     if run is not None:  # process 0, which alone writes and reports
-        training.reporter = Reporter(tell, installed().observers(tell))
+        training.reporter = watching.reporter()
     try:
         reason, progress = training.train(), training.progress
         processes.stop()

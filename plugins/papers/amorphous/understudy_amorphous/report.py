@@ -7,16 +7,18 @@ import struct
 import zlib
 from collections.abc import Mapping
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from understudy.options import make_options
 from understudy.records.runs import Run
-from understudy_amorphous.maps import MaterialMaps, draw_maps
 from understudy_motion.readers.npz import Archive
 from understudy_report.section import ReportSection
+
+if TYPE_CHECKING:  # it brings Warp, without which the pages of other runs can do
+    from understudy_amorphous.maps import MaterialMaps
 
 #: Moments that are shown, evenly over the first episode.
 MOMENTS = 6
@@ -56,6 +58,8 @@ class MapsSection(ReportSection):
 
 
 def _options(chosen: Mapping[str, Any]) -> MaterialMaps.Options:
+    from understudy_amorphous.maps import MaterialMaps
+
     own = {k: v for k, v in chosen.items() if k not in ("name", "reads")}
     return make_options(MaterialMaps.Options, own, "encoder")
 
@@ -63,6 +67,8 @@ def _options(chosen: Mapping[str, Any]) -> MaterialMaps.Options:
 def _rows(
     options: MaterialMaps.Options, tracks: Mapping[str, np.ndarray], episode: int, dt: float
 ) -> str:
+    from understudy_amorphous.maps import draw_maps
+
     moments = np.unique(np.linspace(0, episode - 1, MOMENTS).round().astype(int))
     seen = {name: torch.from_numpy(track[moments]).float() for name, track in tracks.items()}
     maps = draw_maps(options, **seen).numpy()  # (M, C, N, N)

@@ -15,8 +15,9 @@ from understudy.errors import UnderstudyError
 from understudy.folders import DOCUMENT
 from understudy.records.checkpoint import write_atomically
 from understudy_diversity.strategies import GalleryOptions
+from understudy_report.recording import recorded_tracks
 from understudy_report.video import write_video
-from understudy_sweeps.film import recorded_tracks, scene_of
+from understudy_sweeps.film import scene_of
 
 #: Pixels of a film, and how slow it is: a jump lasts a second.
 _WIDTH, _HEIGHT, _SLOWER = 480, 360, 3.0

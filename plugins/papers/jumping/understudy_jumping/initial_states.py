@@ -132,7 +132,7 @@ class Harvested(InitialStates):
         who = "initial_states 'jumping/harvested'"
         scene, device = context.need_scene(CharacterScene, who), context.device
         self._arena, self._distance = arena_of(context, who), options.distance
-        states = bank.fitting(options.file, context, "initial_states")
+        states = bank.starts(options.file, context, "initial_states")
         sizes = {"qpos": scene.model.nq, "qvel": scene.model.nv}
         for name, size in sizes.items():
             if name not in states or tuple(states[name].shape[1:]) != (size,):

@@ -156,7 +156,7 @@ def _banked(
     ConfigError
         if one is of another figure, or has no chair.
     """
-    found = [bank.fitting(file, context, "initial_states") for file in banks]
+    found = [bank.starts(file, context, "initial_states") for file in banks]
     wanted = {
         "qpos": scene.model.nq,
         "qvel": scene.model.nv,

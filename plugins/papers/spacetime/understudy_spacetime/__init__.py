@@ -13,7 +13,6 @@ REQUIRES = (
     "tensors",
     "terms",
     "characters",
-    "doctor",
     "imagination",
     "motion",
     "mujoco",

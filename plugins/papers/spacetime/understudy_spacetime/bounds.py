@@ -1,7 +1,7 @@
 """Spacetime bounds m(t, sigma) around a reference m(t) (thesis, section 3.3.2, eq. 3.2).
 
 Each term is true for the worlds that left its bound, and says how much of the way to it is used up
-(:class:`~understudy.task.terms.Margin`). Default sizes are those of section 3.5.1. A size is a number, or a function of phase given as knots ``[[phase, size], …]``, linear in between.
+(``used``). Default sizes are those of section 3.5.1. A size is a number, or a function of phase given as knots ``[[phase, size], …]``, linear in between.
 Where a curriculum provides ``bound_scales`` (:mod:`understudy_spacetime.adaptive`), sizes are times these.
 """
 
@@ -15,7 +15,6 @@ from torch import Tensor
 
 from understudy.errors import ConfigError, suggestion
 from understudy.task import Context
-from understudy.task.terms import Margin
 from understudy_characters.scene import CharacterScene
 from understudy_tensors.rotations import angle_between
 
@@ -65,7 +64,7 @@ class BoundSize:
         return torch.lerp(self._values[left], self._values[left + 1], share)
 
 
-class ComBound(Margin):
+class ComBound:
     """Centre of mass further than `size` m from the reference along x, y or z of the world."""
 
     @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class ComBound(Margin):
         return _share(distance, self._size.at(phase, bound_scales))
 
 
-class RootBound(Margin):
+class RootBound:
     """Root rotated more than `size` rad away from the reference, in the world frame."""
 
     @dataclass(frozen=True)
@@ -127,7 +126,7 @@ class RootBound(Margin):
         return _share(angle.unsqueeze(1), self._size.at(phase, bound_scales))
 
 
-class JointBound(Margin):
+class JointBound:
     """Any bounded joint rotated more than `size` rad from the reference, in its local frame."""
 
     @dataclass(frozen=True)
@@ -176,7 +175,7 @@ class JointBound(Margin):
         return angle_between(joints, reference)
 
 
-class EndEffectorBound(Margin):
+class EndEffectorBound:
     """Any end-effector further than `size` m from the reference, relative to the roots, in the
     direction-invariant frame of :mod:`understudy_spacetime.alignment`."""
 

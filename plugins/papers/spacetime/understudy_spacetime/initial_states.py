@@ -16,8 +16,8 @@ from understudy.random import WorldStreams
 from understudy.running.warm_start import misshapen, newest_state
 from understudy.task import Context, InitialStates, Rollout, State
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
+from understudy_characters.letting_go import LettingGo, let_go
 from understudy_characters.scene import CharacterScene, reference_motion
-from understudy_doctor.letting_go import LettingGo, let_go
 from understudy_motion.section import Motion
 
 #: Whose returns stand for a segment: of all states that pass through it, or only of those in which
@@ -321,7 +321,7 @@ class Phases(InitialStates):
 
 class Flyable(InitialStates):
     """Any time of the clip but those from which a body that is let go, in the clip's state and at the height
-    that training uses, lands outside of the bounds (:func:`~understudy_doctor.letting_go.let_go`).
+    that training uses, lands outside of the bounds (:func:`~understudy_characters.letting_go.let_go`).
 
     Nobody can follow the clip from most of these. How many they are, the run's page says.
     """

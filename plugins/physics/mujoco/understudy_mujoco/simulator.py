@@ -184,7 +184,7 @@ class MujocoSimulator(Simulator):
         self._set_parameters(ids, state)
         for copy in self._recent.values():
             copy[ids] = 0.0
-        for name in self.state_fields:
+        for name in (*self.state_fields, *{"ctrl"} & state.keys()):
             self._views[name][ids] = state[name].numpy()[ids]
         self._forward(ids)
 

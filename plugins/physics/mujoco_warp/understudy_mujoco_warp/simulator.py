@@ -329,9 +329,8 @@ class MujocoWarpSimulator(Simulator):
         self._bad &= ~worlds
         groups = self._set_parameters(worlds, state)
         for name, view in self._state.items():
-            put_rows(
-                view, worlds, state[name] if name in self.state_fields else self._initial[name]
-            )
+            given = name in self.state_fields or (name == "ctrl" and name in state)
+            put_rows(view, worlds, state[name] if given else self._initial[name])
         self._settle(groups)
 
     def step(self, control: Tensor, substeps: int | None = None) -> None:

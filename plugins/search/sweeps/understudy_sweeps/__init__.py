@@ -1,7 +1,7 @@
 """Outer loops over whole runs: the command ``sweep``, its journal, executors, and the plain grid."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("motion", "reinforcement", "report", "skills", "training")
+REQUIRES = ("reinforcement", "report", "skills", "training")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

@@ -17,10 +17,10 @@ from understudy.records import runs
 from understudy.records.checkpoint import write_atomically
 from understudy.setup.building import build_sections
 from understudy.task import Context, Scene
-from understudy_motion.readers.npz import Archive
+from understudy_report.recording import recorded_tracks
 from understudy_report.video import write_video
 
-__all__ = ["recorded_tracks", "scene_of"]
+__all__ = ["scene_of"]
 
 #: Of a tile, in pixels, by the number of columns: drawn without a GPU, a pixel costs time.
 _WIDTHS = {1: 640, 2: 480, 3: 360}
@@ -138,26 +138,6 @@ class _Take:
             left -= 1
         for _ in range(left):
             yield frame
-
-
-def recorded_tracks(file: Path) -> tuple[dict[str, np.ndarray], float, int]:
-    """Of a recording: the fields, each (T, …); s between frames; and how many frames, one at least, the
-    first episode has.
-
-    Raises
-    ------
-    FileError
-        if it is missing, damaged, empty, or larger than a clip may be.
-    """
-    archive = Archive(file)
-    dt, first = archive.number("control_dt"), archive.number("first_episode")
-    names = sorted(archive.names - {"control_dt", "first_episode"})
-    tracks = {name: archive.numbers(name) for name in names}
-    lengths = {track.shape[:1] for track in tracks.values()}
-    if dt <= 0 or len(lengths) != 1 or lengths <= {(), (0,)}:
-        raise FileError(f"{file}: its fields are not of one number of frames, 1 or more.")
-    frames = len(next(iter(tracks.values())))
-    return tracks, dt, int(np.clip(first, 1, frames))
 
 
 def scene_of(folder: Path) -> Scene:

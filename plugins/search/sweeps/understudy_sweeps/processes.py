@@ -35,8 +35,8 @@ OUTPUT = "output.txt"
 _VISIBLE = "CUDA_VISIBLE_DEVICES"
 #: Seconds in which a trial whose sweep is gone saves and ends.
 _ORPHANED = 30.0
-#: What the server imports: all that takes long, torch's compiler (which its optimisers touch) included.
-_PRELOADED = ["torch._dynamo", "understudy_sweeps.processes"]
+#: What the server imports: all that takes long.
+_PRELOADED = ["understudy_sweeps.processes"]
 #: What a terminal sends to all processes of a command.
 _OF_TERMINALS = {signal.SIGINT, signal.SIGHUP}
 

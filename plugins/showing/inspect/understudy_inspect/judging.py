@@ -23,9 +23,9 @@ from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
-from understudy.setup.plugins import installed
 from understudy_inspect.half_step import compared
 from understudy_skills.folder import run_folder
+from understudy_training.watching import observers
 from understudy_training.workflow import judge
 
 __all__ = ["load"]
@@ -80,7 +80,7 @@ class Evaluate(Command):
         print(json.dumps(result, indent=1))
         tell(f"Written to {run.path / file}." + (_KEPT if name else ""))
         if not name:
-            reporter.observers = installed().observers(tell)
+            reporter.observers = observers()
             reporter.notify("evaluated", run, tell)
         return 0
 
@@ -120,7 +120,7 @@ class Render(Command):
 
     def run(self, options: argparse.Namespace) -> int:
         training, run, reporter, chosen = load(options.run, options.overrides, _PICTURE)
-        reporter.observers = installed().observers(tell)
+        reporter.observers = observers()
         changed = _changed(options.overrides, _PICTURE)
         changed += [f"checkpoint={int(chosen)}"] if chosen else []
         name = _name(options.overrides, chosen)

@@ -17,8 +17,8 @@ import torch
 from scipy.optimize import least_squares
 
 from understudy_characters.character import Character
+from understudy_characters.letting_go import Bodies, bodies_of
 from understudy_doctor.findings import intervals
-from understudy_doctor.letting_go import Bodies, bodies_of
 from understudy_doctor.measurements import GRAVITY, Measurements
 from understudy_motion.clip import Clip, sample
 from understudy_tensors import rotations

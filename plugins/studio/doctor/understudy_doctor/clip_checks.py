@@ -218,17 +218,17 @@ def spikes(velocity: np.ndarray, dt: np.ndarray, least_speed: float, least: floa
     dt
         (K,) s.
     least_speed
-        what a spike has at least, beyond the steps beside it.
+        of a spike, beyond :data:`SPIKE_RATIO` times what is around it.
     least
-        how far it goes at least.
+        how far a spike goes at least.
     """
     speed = np.linalg.norm(velocity, axis=-1)
     direction = velocity / np.maximum(speed, 1e-12)[..., None]
-    around = np.concatenate([velocity[1:2], velocity, velocity[-2:-1]])
-    along = np.maximum((around[:-2] * direction).sum(-1), (around[2:] * direction).sum(-1))
+    beside = np.concatenate([velocity[1:2], velocity, velocity[-2:-1]])
+    along = np.maximum((beside[:-2] * direction).sum(-1), (beside[2:] * direction).sum(-1))
     usual = median_filter(speed, size=(2 * _AROUND + 1, 1), mode="nearest")
-    stands_out = speed > np.maximum(SPIKE_RATIO * np.maximum(along, usual), 0.0) + least_speed
-    return stands_out & (speed * dt[:, None] > least)
+    fast = speed > SPIKE_RATIO * np.maximum(along, usual) + least_speed
+    return fast & (speed * dt[:, None] > least)
 
 
 @dataclass(frozen=True)
@@ -254,8 +254,8 @@ def find_spikes(clip: Clip) -> list[Spike]:
     moving = (clip.root_position.diff(dim=0).numpy() / dt[:, None])[:, None]
     flags = np.concatenate(
         [
-            stands_out(moving, dt, ROOT_SPIKE_SPEED, ROOT_SPIKE),
-            stands_out(speeds(clip), dt, SPIKE_SPEED, SPIKE_ANGLE),
+            spikes(moving, dt, ROOT_SPIKE_SPEED, ROOT_SPIKE),
+            spikes(speeds(clip), dt, SPIKE_SPEED, SPIKE_ANGLE),
         ],
         axis=1,
     )
@@ -276,31 +276,6 @@ def find_spikes(clip: Clip) -> list[Spike]:
                 step, back = step - 1, step  # the way out was hidden in a fast movement
             found.append(Spike(row, step, back))
     return found
-
-
-def stands_out(
-    velocity: np.ndarray, dt: np.ndarray, least_speed: float, least: float
-) -> np.ndarray:
-    """(K, J) bool: steps that are far faster than those around them.
-
-    Parameters
-    ----------
-    velocity
-        (K, J, 3), step by step.
-    dt
-        (K,) s.
-    least_speed
-        of a spike, beyond :data:`SPIKE_RATIO` times what is around it.
-    least
-        how far a spike goes at least.
-    """
-    speed = np.linalg.norm(velocity, axis=-1)
-    direction = velocity / np.maximum(speed, 1e-12)[..., None]
-    beside = np.concatenate([velocity[1:2], velocity, velocity[-2:-1]])
-    along = np.maximum((beside[:-2] * direction).sum(-1), (beside[2:] * direction).sum(-1))
-    usual = median_filter(speed, size=(2 * _AROUND + 1, 1), mode="nearest")
-    fast = speed > SPIKE_RATIO * np.maximum(along, usual) + least_speed
-    return fast & (speed * dt[:, None] > least)
 
 
 def _undone(clip: Clip, row: int, step: int, later: int) -> bool:

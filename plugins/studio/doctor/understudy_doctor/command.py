@@ -16,31 +16,36 @@ from understudy.records.checkpoint import write_atomically
 from understudy.setup.plugins import installed
 from understudy.setup.registry import Registry
 from understudy_characters.character import Character, load_character
+from understudy_characters.recording import recorded_clips, run_character
+from understudy_credits.walk import in_a_line, open_made
 from understudy_doctor.character_checks import missing_joints
 from understudy_doctor.examination import Examination, examine, final
 from understudy_doctor.findings import Severity
 from understudy_doctor.page import page
 from understudy_doctor.repair import Repair, make_loop, repair
 from understudy_doctor.summary import as_json, comparison, findings_as_json, text, verdict
-from understudy_motion.arguments import add_reading, open_clip
+from understudy_motion.arguments import add_reading, open_clip, refuse_reading
 from understudy_motion.clip import Clip, angle_names
 from understudy_motion.section import Floor
 from understudy_motion.writing import write_clip
+from understudy_skills.folder import run_folder
 
 DEFAULT_CHARACTER = "humanoid"
 
 
 class Check(Command):
-    """Examines a clip; exit status 1 if something is majorly wrong with it."""
+    """Examines a clip, or what was learned; exit status 1 if something is majorly wrong with it."""
 
     example = "understudy motion check walk.npz --loop --fix cycle.npz"
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument("clip", metavar="CLIP", help="a clip's file or name")
+        parser.add_argument(
+            "clip", metavar="CLIP", help="a clip's file or name, a run folder, or a skill"
+        )
         parser.add_argument(
             "--character",
             metavar="NAME",
-            help="a character, or an MJCF file, that is to move so; by default the "
+            help="a character, or an MJCF file, that is to move so; by default the run's own, or the "
             f"{DEFAULT_CHARACTER}, if the clip has its joints",
         )
         parser.add_argument("--json", action="store_true", help="print the findings as JSON")
@@ -70,8 +75,7 @@ class Check(Command):
             raise ConfigError(
                 f"--loop makes a new clip of {options.clip}: say where it is to be written, --fix OUT."
             )
-        clip = open_clip(options.clip, options, registry)
-        character = _character(options.character, clip, registry)
+        clip, character = _moving(options, registry)
         if character is not None:
             clip = character.posed(clip)
         elif angle_names(clip) is not None:
@@ -96,10 +100,22 @@ class Check(Command):
         return 1 if after.worst == Severity.MAJOR else 0
 
 
-def _character(named: str | None, clip: Clip, registry: Registry) -> Character | None:
-    """The character asked for, or the default one if the clip has its joints."""
-    if named is not None:
-        return load_character(named, registry)
+def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Character | None]:
+    """What the command's arguments name, and the character that moves so: the one asked for, a run's own, or
+    the default one if the clip has its joints."""
+    named = options.character and load_character(options.character, registry)
+    source = run_folder(options.clip, registry=registry)
+    if (Path(source) / "run.json").is_file():
+        refuse_reading(options, options.clip)
+        learned, _ = recorded_clips(run_folder(options.clip, recorded=True, registry=registry))
+        licence, attribution = in_a_line(open_made(options.clip, registry), registry)
+        learned = replace(learned, licence=licence, attribution=attribution)
+        return learned, named or run_character(source)
+    clip = open_clip(options.clip, options, registry)
+    return clip, named or _fitting(clip, registry)
+
+
+def _fitting(clip: Clip, registry: Registry) -> Character | None:
     if DEFAULT_CHARACTER not in registry.names("character"):
         return None
     character = load_character(DEFAULT_CHARACTER, registry)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from understudy_characters.character import Character
+from understudy_characters.letting_go import LOW, LettingGo, landed, let_go
 from understudy_doctor.character_checks import (
     check_mapping,
     check_on_character,
@@ -19,7 +20,6 @@ from understudy_doctor.clip_checks import check_clip, closes
 from understudy_doctor.clip_repairs import undamaged
 from understudy_doctor.findings import Finding, Severity
 from understudy_doctor.flight_check import check_flights
-from understudy_doctor.letting_go import LOW, LettingGo, landed, let_go
 from understudy_doctor.measurements import Measurements
 from understudy_doctor.proportions import check_proportions, leg_scale, scaled
 from understudy_motion.clip import Clip

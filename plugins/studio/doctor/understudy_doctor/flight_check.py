@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from understudy_characters.letting_go import ASTRAY, TURNED, LettingGo
 from understudy_doctor.findings import Finding, Places, Severity, intervals
-from understudy_doctor.letting_go import ASTRAY, TURNED, LettingGo
 from understudy_doctor.measurements import CONTACT_HEIGHT, Measurements
 
 FLOATING = 0.75

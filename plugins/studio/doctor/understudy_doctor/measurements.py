@@ -14,9 +14,9 @@ from torch import Tensor
 
 from understudy_characters.character import Character
 from understudy_characters.contacts import feet
+from understudy_characters.shapes import surface_points
 from understudy_doctor.dynamics import Effort, Support, effort, support
 from understudy_doctor.findings import intervals
-from understudy_doctor.surface import surface_points
 from understudy_motion.clip import Clip, velocities
 from understudy_motion.editing import evenly_spaced
 from understudy_motion.kinematics import forward_kinematics

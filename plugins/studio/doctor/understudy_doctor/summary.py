@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from understudy_characters.letting_go import LettingGo
 from understudy_doctor.examination import Examination
 from understudy_doctor.findings import Finding, Severity, intervals
-from understudy_doctor.letting_go import LettingGo
 
 Row = dict[str, Any]
 PARTS = 10

@@ -26,7 +26,7 @@ from understudy_characters.recording import (
 from understudy_characters.shapes import bones, shapes
 from understudy_credits.walk import answer, in_a_line, open_made
 from understudy_export.figure import figure
-from understudy_motion.arguments import add_reading, open_clip, positive
+from understudy_motion.arguments import add_reading, open_clip, positive, refuse_reading
 from understudy_motion.clip import Clip, resample, sample
 from understudy_motion.kinematics import need_skeleton
 from understudy_motion.reading import metres_of
@@ -229,11 +229,7 @@ def _moving(options: argparse.Namespace, registry: Registry) -> tuple[Clip, Char
     path = Path(options.source)
     if path.is_dir():
         learned, reference = recorded_clips(path)
-        for option in ("up", "skeleton", "source_rate"):
-            if getattr(options, option) is not None:
-                raise ConfigError(
-                    f"--{option.replace('_', '-')} is of clip files; {path} is a run."
-                )
+        refuse_reading(options, options.source, ("up", "skeleton", "source_rate"))
         if learned is not None and not options.reference:
             licence, attribution = in_a_line(open_made(options.made, registry), registry)
             learned = replace(learned, licence=licence, attribution=attribution)

@@ -179,8 +179,10 @@ class World(ABC):
         return self.leads.way({name: self.environment.table[name] for name in self.leads.keeps})
 
     def _state(self) -> dict[str, Tensor]:
+        """Of an episode that goes on: with what its servos were last told."""
         simulator = self.environment.parts.simulator
-        return {name: simulator.read(name).clone() for name in simulator.state_fields}
+        told = {"ctrl"} & simulator.fields.keys()
+        return {name: simulator.read(name).clone() for name in (*simulator.state_fields, *told)}
 
     def _set(self, state: dict[str, Tensor]) -> None:
         self.environment.parts.simulator.set_state(torch.ones(1, dtype=torch.bool), state)

@@ -17,12 +17,12 @@ import torch
 from understudy_characters.character import Character
 from understudy_characters.layout import layout_of
 from understudy_characters.reference import ReferenceMotion
-from understudy_doctor.surface import surface_points
+from understudy_characters.shapes import surface_points
 from understudy_motion.clip import Clip
 from understudy_motion.section import Floor
 from understudy_tensors import rotations
 
-__all__ = ["LettingGo", "let_go"]
+__all__ = ["ASTRAY", "LOW", "TURNED", "Bodies", "LettingGo", "bodies_of", "landed", "let_go"]
 
 ASTRAY, TURNED = 0.2, 0.7
 """m along an axis, rad: the bounds on centre of mass and root orientation of Ma et al. 2021."""
