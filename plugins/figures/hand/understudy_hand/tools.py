@@ -26,6 +26,7 @@ __all__ = [
     "TIP",
     "Thing",
     "Tool",
+    "mujoco_sizes",
     "tips",
     "upper_pose",
 ]

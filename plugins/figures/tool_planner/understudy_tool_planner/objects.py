@@ -13,7 +13,7 @@ from torch import Tensor
 
 from understudy.errors import ConfigError
 
-__all__ = ["Shape"]
+__all__ = ["COUNTS", "KINDS", "Shape"]
 
 KINDS = ("sphere", "capsule", "box")
 #: How many sizes each has.

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from understudy_tool_planner.objects import KINDS, LENGTH, RADIUS, SIDE, Shape, Things
 from understudy_tool_planner.planner import Task
 
-__all__ = ["APART", "Table", "random_goal"]
+__all__ = ["APART", "Table", "random_goal", "random_shape"]
 
 Point = tuple[float, float]
 #: m: where objects begin and where they are put. The release's regions, of 15 × 7.5 and 15 × 5 cm, hold one in play;

@@ -18,6 +18,8 @@ from xml.etree import ElementTree
 
 from understudy.errors import FileError
 
+__all__ = ["read_mjcf"]
+
 MAX_BYTES = 16 * 2**20
 """Of all MJCF files of a model together."""
 MAX_ASSET_BYTES = 512 * 2**20

@@ -20,6 +20,8 @@ from understudy.errors import FileError
 from understudy_mujoco.apart import Limits, read_apart, serve
 from understudy_mujoco.mjcf import Mjcf, read_mjcf
 
+__all__ = ["spec_of", "try_out"]
+
 LIMITS = Limits()
 """For reading and compiling a model."""
 
