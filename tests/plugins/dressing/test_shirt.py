@@ -312,7 +312,17 @@ def test_the_search_trains_every_stage_in_order() -> None:
     options = load_experiment(["search=dressing/shirt"]).need("outer_loop").options
     assert isinstance(options, Chain.Options)
     trained = [name for name in options.stages if not name.endswith(("starts", "ends"))]
+    trained.remove("mouth")  # ours
     assert trained == list(STAGES)
+
+
+def test_the_sleeve_begins_at_the_mouth_too_and_is_judged_from_the_tuck(bank: Path) -> None:
+    options = load_experiment(["search=dressing/shirt"]).need("outer_loop").options
+    words = [re.sub(r"\{\w+\}", str(bank), word) for word in options.stages["sleeve"]]
+    experiment = load_experiment([word for word in words if not word.startswith("start.")])
+    assert experiment.need("initial_states").options.beside == (str(bank),)
+    starts = experiment.many("evaluation.starts")
+    assert [(one.name, one.options.beside) for one in starts] == [("tuck", ())]
 
 
 def test_both_passes_of_the_first_sleeve_compose(bank: Path) -> None:

@@ -45,7 +45,7 @@ def test_all_seven_in_one_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     starts = tmp_path / "starts"
     brief = ["run.video_seconds=0", "learner.rollout_steps=2", "learner.minibatches=1", "budget.samples=4",
              "evaluation.episodes=1", "evaluation.final_episodes=1", "evaluation.seconds=0.08", "num_worlds=2"]  # fmt: skip
-    words = ["experiment=dressing/shirt_grip", "job=settle", "job.count=2", "job.seconds=0.02", *SMALL, "num_worlds=2"]  # fmt: skip
+    words = ["experiment=dressing/shirt_grip", "job=settle", "job.count=2", "job.seconds=0.04", *SMALL, "num_worlds=2"]  # fmt: skip
     assert main(["train", *words, f"run.dir={starts}"]) == 0
     for name in NAMES:
         words = [f"experiment=dressing/shirt_{name}", "initial_states=bank", f"initial_states.file={starts}", *SMALL, *brief]  # fmt: skip
