@@ -56,15 +56,15 @@ def test_all_seven_in_one_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     environment = built.environment
     stages = environment.parts.actuation.part
     assert isinstance(stages, Stages)
-    fields = environment.reset(seed=1), environment.table
-    closed = []
+    environment.reset(seed=1)
+    table = environment.table
+    values = {name: table[name] for name in stages.reads if name in table.shapes}
+    kept, closed = stages.begin(**values), []
     for number in range(len(NAMES)):
-        here = torch.full((2,), float(number))
-        values = {name: fields[1][name] for name in stages.reads if name in fields[1].shapes}
-        kept = {**stages.begin(**values), "stage": here}
-        closed.append(stages.control(torch.zeros(2, 1), **{**values, **kept})[0, -2:].tolist())
+        here = {**values, **kept, "stage": torch.full((2,), float(number))}
+        closed.append(stages.control(torch.zeros(2, 1), **here)[0, -2:].tolist())
     assert closed == [[0.0, 0.0], *[[1.0, 0.0]] * 3, *[[0.0, 1.0]] * 2, [0.0, 0.0]]
     second = stages._fields_of(5, {**values, **kept})
-    assert torch.equal(second["feature"], fields[1]["right_feature"])
-    assert not torch.equal(second["feature"], fields[1]["feature"])
+    assert torch.equal(second["feature"], table["right_feature"])
+    assert not torch.equal(second["feature"], table["feature"])
     environment.close()
