@@ -101,7 +101,9 @@ class Torques(Actuation):
     @dataclass(frozen=True)
     class Options:
         closed: tuple[bool, ...] = (True,)  #: of each grip of the garment, whether it holds
-        most: float = 1.0  #: an action of 1 asks for so much of a hinge's largest torque (paper: all)
+        most: float = (
+            1.0  #: an action of 1 asks for so much of a hinge's largest torque (paper: all)
+        )
 
         def __post_init__(self) -> None:
             check_range(self, "most", above=0, most=1)
