@@ -56,6 +56,7 @@ class Watched:
         self.placed = ""  #: 1 or 0, of each relocation that is over; at its end:
         self.away = list[float]()  #: mm from the goal
         self.slipped = list[float]()  #: mm of the lower stick in the palm
+        self.kinds = ""  #: first letter of what was moved
         self.began = ""  #: phase in which it first was OFF its plan, in this relocation
         self._leg, self._held = -1, 0.0
 
@@ -73,6 +74,7 @@ class Watched:
         placed, missed = (bool(table[n][world]) for n in ("leg_placed", "leg_missed"))
         if (placed or missed) and len(self.placed) == leg:
             self.placed += "01"[placed]
+            self.kinds += "scb"[int(table["object_shape"][world, :3].argmax())]
             self.away.append(round(1e3 * float(table["goal_distance"][world]), 2))
             self.slipped.append(round(1e3 * float(table["stick_distance"][world, 1]), 2))
         if not bool(ended[world]):
@@ -82,7 +84,7 @@ class Watched:
             fired = ["no plan"]
         again = int(table["replans"][world])
         return {
-            "placed": self.placed, "mm": self.away, "slip": self.slipped, "ended": fired[0] if fired else "time",
+            "placed": self.placed, "kinds": self.kinds, "mm": self.away, "slip": self.slipped, "ended": fired[0] if fired else "time",
             "began": self.began, **({"replans": again} if again else {}),
         }  # fmt: skip
 
@@ -122,9 +124,6 @@ def episodes(
         while any(w is not None for w in watched):
             step = environment.advance(policy.distribution(seen).mode())
             seen, again = step.observations, torch.zeros(worlds, dtype=torch.bool)
-            over = ((table["leg_placed"] > 0) | (table["leg_missed"] > 0)) & ~step.ended
-            if another and bool(over.any()):
-                _put_another(environment, initial.bank, over, objects)
             for world, one in enumerate(watched):
                 if (
                     one is None
@@ -136,6 +135,9 @@ def episodes(
                 if begun < count:
                     watched[world], begun, again[world] = Watched(), begun + 1, True
                     initial.bank.replace(world)
+            over = ((table["leg_placed"] > 0) | (table["leg_missed"] > 0)) & ~step.ended
+            if another and bool(over.any()):
+                _put_another(environment, initial.bank, over, objects)
             if bool(again.any()):
                 seen = environment.begin(again)
     finally:
