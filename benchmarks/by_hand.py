@@ -1,8 +1,10 @@
-"""A written controller puts the arm under the hem that the other hand holds, so that the shirt's second subtask can be done.
+"""A written controller puts the arm under the hem that the other hand holds, and, from a hand in the sleeve's mouth, the arm
+into its sleeve, so that the shirt's second subtask can be done and the third from there.
 
 ``python benchmarks/by_hand.py`` leads the left hand of the held start by torques, at most half of the largest, up between body
-and hem and through equation 19's triangle, and appends to ``docs/benchmarks/dressing_by_hand.jsonl`` in how many
-worlds the subtask's criterion was met, at which decision, and the largest area ratio until then and of the whole episode.
+and hem and through equation 19's triangle, and with ``--task shirt_sleeve`` the left arm of the start in the sleeve out to
+its side, and appends to ``docs/benchmarks/dressing_by_hand.jsonl`` in how many worlds the subtask's criterion was met, at
+which decision, and the largest area ratio until then and of the whole episode.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -34,33 +36,67 @@ _TORQUES = [50.0, 50.0, *20 * [12.0]]
 _ON_THE_WAY, _MOST = 14, 0.5
 
 
+#: rad: from clavicle to wrist, the left arm out to its side; decisions until it is there.
+_ASIDE, _UNTIL = (0.0, 0.0, -1.2, 0.0, 0.0, 0.25, 0.0, 0.0), 60
+
+
 def tucked(shirt: ShirtScene, held: np.ndarray, words: Sequence[str]) -> tuple[Tensor, ...]:
-    """Of each world the decision at which the criterion was first met, infinite where never, and the largest area ratio
-    until then and of the whole episode, each (N,). `held` is the start's pose (22,) rad."""
-    moves, way = Moves(shirt), [held]
+    """What `led` says of the second subtask from the held start, whose pose is `held` (22,) rad."""
+    moves, way = Moves(shirt), [torch.tensor(held)]
     moves._pose = held.copy()
     for place in PLACES:
         moves.reach("left", np.array(place), 0.01, (False, False))
-        way.append(moves._pose.copy())
+        way.append(torch.tensor(moves._pose))
+    way.append(way[-1])
+    wanted = [
+        begin + _smooth((k + 1) / _ON_THE_WAY) * (end - begin)
+        for begin, end in pairwise(way)
+        for k in range(_ON_THE_WAY)
+    ]
+    return led(
+        lambda k, begin: wanted[k].expand_as(begin), "shirt_tuck", "tucked", len(wanted), words
+    )
+
+
+def sleeved(words: Sequence[str], decisions: int = 90) -> tuple[Tensor, ...]:
+    """What `led` says of the third subtask from hands in the sleeve's mouth."""
+
+    def wanted(k: int, begin: Tensor) -> Tensor:
+        end = begin.clone()
+        end[:, 6:14] = torch.tensor(_ASIDE)
+        return begin + _smooth(min(1.0, (k + 1) / _UNTIL)) * (end - begin)
+
+    words = ["initial_states.worn=in_sleeve", *words]
+    return led(wanted, "shirt_sleeve", "dressed", decisions, words)
+
+
+def _smooth(share: float) -> float:
+    return share * share * (3 - 2 * share)
+
+
+def led(
+    wanted: Callable[[int, Tensor], Tensor], task: str, criterion: str, decisions: int, words: Sequence[str]
+) -> tuple[Tensor, ...]:  # fmt: skip
+    """Of each world, led to the poses (N, 22) rad that are `wanted` at each decision, given those of the start, the decision at
+    which the criterion was first met, infinite where never, and the largest area ratio until then and of the whole
+    episode, each (N,)."""
     environment = build_environment(
-        load_experiment(["experiment=dressing/shirt_tuck", *WORDS, *words])
+        load_experiment([f"experiment=dressing/{task}", *WORDS, *words])
     ).environment
     environment.reset(seed=3)
     table, (stiff, damp) = environment.table, torch.tensor(_GAINS).T
-    torques = torch.tensor(_TORQUES)
+    torques, begin = torch.tensor(_TORQUES), environment.table["qpos"][:, :22].clone()
     met = torch.full((environment.num_worlds,), torch.inf)
-    before, whole, count = torch.zeros_like(met), torch.zeros_like(met), 0
-    for begin, end in pairwise([*way, way[-1]]):
-        for k in range(_ON_THE_WAY):
-            share = (k + 1) / _ON_THE_WAY
-            wanted = torch.tensor(begin + share * share * (3 - 2 * share) * (end - begin))
-            q, rate = table["qpos"][:, :22], table["qvel"][:, :22]
-            action = (stiff * (wanted.float() - q) - damp * rate) / torques
-            environment.step(action.clamp(-_MOST, _MOST))
-            count += 1
-            whole = torch.maximum(whole, table["area_ratio"])
-            before = torch.where(met.isinf(), whole, before)
-            met = torch.where((table["tucked"] > 0) & met.isinf(), float(count), met)
+    before, whole, goes_on = torch.zeros_like(met), torch.zeros_like(met), torch.ones_like(met)
+    for k in range(decisions):
+        q, rate = table["qpos"][:, :22], table["qvel"][:, :22]
+        action = (stiff * (wanted(k, begin).float() - q) - damp * rate) / torques
+        step = environment.step(action.clamp(-_MOST, _MOST))
+        goes_on *= ~step.ended
+        whole = torch.maximum(whole, table["area_ratio"] * goes_on)
+        before = torch.where(met.isinf(), whole, before)
+        now = (table[criterion] * goes_on > 0) & met.isinf()
+        met = torch.where(now, float(k + 1), met)
     environment.close()
     return met, before, whole
 
@@ -69,13 +105,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--worlds", type=int, default=8)
     parser.add_argument("--edge", type=float, default=0.03)
+    parser.add_argument("--task", choices=["shirt_tuck", "shirt_sleeve"], default="shirt_tuck")
     options = parser.parse_args()
-    shirt = ShirtScene(ShirtScene.Options(edge=options.edge))
-    pose, _ = shirt.settled("held", "left")
-    met, before, whole = tucked(
-        shirt, pose, [f"num_worlds={options.worlds}", f"scenes.cloth.edge={options.edge}"]
-    )
+    words = [f"num_worlds={options.worlds}", f"scenes.cloth.edge={options.edge}"]
+    if options.task == "shirt_sleeve":
+        met, before, whole = sleeved(words)
+    else:
+        shirt = ShirtScene(ShirtScene.Options(edge=options.edge))
+        met, before, whole = tucked(shirt, shirt.settled("held", "left")[0], words)
     row = {
+        "task": options.task,
         "when": datetime.date.today().isoformat(), "machine": "one busy CPU core", "edge": options.edge,
         "worlds": options.worlds, "met": int(met.isfinite().sum()), "decision": met.tolist(),
         "area_ratio_until_then": before.tolist(), "area_ratio": whole.tolist(),

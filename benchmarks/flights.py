@@ -12,8 +12,8 @@ from pathlib import Path
 
 from understudy.setup.plugins import installed
 from understudy_characters.character import load_character
-from understudy_doctor.examination import examine
 from understudy_characters.letting_go import let_go
+from understudy_doctor.examination import examine
 from understudy_doctor.repair import repair
 from understudy_motion import library
 from understudy_motion.reading import ReadOptions

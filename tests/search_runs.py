@@ -2,13 +2,48 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
+import pytest
+import torch
+
+from understudy_bayes.surrogate import Surrogate
 from understudy_sweeps.loops import OuterLoop, Report, Trial
 
 #: What happened, in order: a trial is asked for, or reported on.
 Told = list[Trial | Report]
+
+#: What fits found, by all that they depend on.
+_found: dict[bytes, dict[str, Any]] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fits_once() -> Iterator[None]:
+    """A model's fit of the same numbers from the same random state is not computed again."""
+    fit = Surrogate._fit
+
+    def once(self: Surrogate) -> None:
+        model, known = self._model, hashlib.sha256(str(self._model).encode())
+        for value in (self._x, self._y, torch.get_rng_state(), *model.state_dict().values()):
+            known.update(f"{value.shape}".encode() + value.numpy().tobytes())
+        key = known.digest()
+        if key in _found:
+            model.load_state_dict(_found[key])
+        else:
+            fit(self)
+            _found[key] = {name: value.clone() for name, value in model.state_dict().items()}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Surrogate, "_fit", once)
+        yield
+
+
+def forget_fits() -> None:
+    """From here on fits are computed, as by a new process."""
+    _found.clear()
 
 
 def retold(loop: OuterLoop, told: Sequence[Trial | Report]) -> Told:

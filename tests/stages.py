@@ -58,6 +58,9 @@ GIVEN = {
     "sitting/sit_switched": ("initial_states.banks=[RUNS/switches]", "start.run=RUNS/walk"),
     "sitting/sit_any_chair": ("initial_states.banks=[RUNS/switches]", "start.run=RUNS/walk"),
     "dressing/gripper": ("actuation.run=RUNS/dressed",),
+    "dressing/shirt": (
+        "actuation.stages=[{run: RUNS/shirt, until: {field: gripped, at_least: 1.0}, seconds: 4.0}]",
+    ),
     "dressing/shirt_regrip": ("initial_states.file=RUNS/worn",),
     "dressing/shirt_finish": ("initial_states.file=RUNS/worn",),
     "dressing/shirt_*_second": ("initial_states.file=RUNS/worn",),

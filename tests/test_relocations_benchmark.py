@@ -27,7 +27,9 @@ def test_another_object_is_put_on_the_table_and_planned_for(plugins: Plugins) ->
     environment, table = made.environment, made.environment.table
     initial = environment.parts.initial_states
     assert isinstance(initial, Relocations)
-    initial.bank.slipped = lambda place: [0.0] * len(place)  # without a policy sticks slip, and fall
+    initial.bank.slipped = lambda place: (
+        [0.0] * len(place)
+    )  # without a policy sticks slip, and fall
     environment.reset(seed=2)
     first = table["object_shape"].clone()
     # the first to end its relocation

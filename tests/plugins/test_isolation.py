@@ -105,6 +105,17 @@ def test_nothing_builds_on_a_higher_wing(name: str) -> None:
     assert {other for other in needed if floor(other) > floor(name)} == set()
 
 
+def test_the_page_has_every_arrow_between_wings() -> None:
+    page = (ROOT / "plugins" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|(.*)\|$", page, re.M)
+    told = {wing: re.findall(r"`(\w+)`", others) for wing, others in rows}
+    found: dict[str, set[str]] = {wing: set() for wing in WINGS}
+    for name, folder in FOLDERS.items():
+        for other in requires(name) | (imported(folder) - {name}):
+            found[folder.parent.name].add(FOLDERS[other].parent.name)
+    assert told == {wing: [w for w in WINGS if w in found[wing] - {wing}] for wing in WINGS}
+
+
 def test_declarations_have_no_cycle() -> None:
     def above(name: str, path: tuple[str, ...]) -> None:
         assert name not in path, " → ".join((*path, name))

@@ -17,10 +17,17 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_cloth.mesh import face_areas
-from understudy_dressing.person import TIP, PersonScene, depth_in, neutral_pose
-from understudy_dressing.shirt import ShirtScene
+from understudy_dressing.person import TIP, PersonScene, Side, depth_in, limb, neutral_pose
+from understudy_dressing.shirt import IN_SLEEVE, ShirtScene
 from understudy_dressing.shirt_state import under_hem
-from understudy_dressing.state import centre_and_normal, passes, pierces
+from understudy_dressing.state import (
+    centre_and_normal,
+    in_world,
+    passes,
+    pierces,
+    places_on,
+    progress,
+)
 from understudy_reproduce.tables import load_table
 from understudy_sequencing.algorithm import Algorithm1, stages_of
 from understudy_sweeps.chain import Chain
@@ -128,6 +135,60 @@ def test_starts_of_ours_are_not_torn(worn: str, request: pytest.FixtureRequest) 
         environment.step(torch.zeros(2, environment.action_size))
         assert (environment.table["area_ratio"] < 1.8).all()
     environment.close()
+
+
+@pytest.mark.parametrize(("side", "bent"), [("left", 0), ("left", 2), ("right", 1)])
+def test_a_hand_begins_in_the_mouth_of_its_sleeve(side: Side, bent: int) -> None:
+    """A start of ours, easier than the ends of the second subtask; either arm's poses are the other's mirror image."""
+    pose, x = SHIRT.settled("in_sleeve", side, IN_SLEEVE[bent])
+    assert (face_areas(x[SHIRT.faces]) / face_areas(SHIRT.corners)).max() < 2.0
+    model = PersonScene(PersonScene.Options(self_collision=True)).spec().compile()
+    data = mujoco.MjData(model)
+    data.qpos[: len(pose)] = pose
+    mujoco.mj_forward(model, data)
+    assert all(contact.dist > -1e-3 for contact in data.contact)
+    at = torch.tensor(data.xpos[None]), torch.tensor(data.xquat[None])
+    places = places_on(model, limb(side), torch.device("cpu"))
+    bones, cloth = in_world((places[0], places[1].double()), *at), torch.tensor(x)[None]
+    contained, share = progress(
+        bones, cloth[:, torch.tensor(SHIRT.sleeve(side)["entrance"].copy())]
+    )
+    assert bool(contained)
+    assert 0.1 < float(share) < 0.35
+    assert not pierces(bones, cloth[:, torch.tensor(SHIRT.faces)]).any()
+
+
+def test_starts_are_drawn_among_hands_in_the_sleeve() -> None:
+    environment = build_environment(
+        load_experiment(
+            ["experiment=dressing/shirt_sleeve", *SMALL, "num_worlds=24", "initial_states.worn=in_sleeve"]
+        )
+    ).environment  # fmt: skip
+    environment.reset(seed=1)
+    elbows = environment.table["qpos"][:, 11]
+    assert elbows.max() - elbows.min() > 0.1  # of three arms, beside a noise of 0.01
+    assert (environment.table["progress"] > 0.1).all()
+    environment.close()
+
+
+@pytest.mark.slow
+def test_a_written_controller_gets_the_arm_into_the_sleeve_from_its_mouth() -> None:
+    """The third subtask can be done from there with half of the torques, and no bone goes through the cloth."""
+    met, _, _ = by_hand.sleeved([*SMALL, "scene.steps.cloth=10"], decisions=45)
+    assert met.isfinite().all()
+
+
+def test_a_share_of_the_torques_is_what_actions_ask_for() -> None:
+    controls = []
+    for most in (1.0, 0.5):
+        built = build_environment(
+            load_experiment(["experiment=dressing/shirt_grip", *SMALL, f"actuation.most={most}"])
+        )
+        controls.append(built.environment.parts.actuation.part.control(torch.full((2, 22), 2.0)))
+        built.environment.close()
+    assert controls[0][:, :22].tolist() == [[1.0] * 22] * 2
+    assert controls[1][:, :22].tolist() == [[0.5] * 22] * 2
+    assert torch.equal(controls[0][:, 22:], controls[1][:, 22:])
 
 
 def test_a_written_controller_gets_the_arm_under_the_hem(
@@ -251,7 +312,17 @@ def test_the_search_trains_every_stage_in_order() -> None:
     options = load_experiment(["search=dressing/shirt"]).need("outer_loop").options
     assert isinstance(options, Chain.Options)
     trained = [name for name in options.stages if not name.endswith(("starts", "ends"))]
+    trained.remove("mouth")  # ours
     assert trained == list(STAGES)
+
+
+def test_the_sleeve_begins_at_the_mouth_too_and_is_judged_from_the_tuck(bank: Path) -> None:
+    options = load_experiment(["search=dressing/shirt"]).need("outer_loop").options
+    words = [re.sub(r"\{\w+\}", str(bank), word) for word in options.stages["sleeve"]]
+    experiment = load_experiment([word for word in words if not word.startswith("start.")])
+    assert experiment.need("initial_states").options.beside == (str(bank),)
+    starts = experiment.many("evaluation.starts")
+    assert [(one.name, one.options.beside) for one in starts] == [("tuck", ())]
 
 
 def test_both_passes_of_the_first_sleeve_compose(bank: Path) -> None:

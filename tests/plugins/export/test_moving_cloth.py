@@ -76,6 +76,35 @@ def test_it_reads_back_as_it_was_recorded(run: Path, tmp_path: Path, ending: str
     assert np.ptp(torso[:, 1]) == pytest.approx(0.45 + 0.15 + 0.07, abs=0.01), "its height"
 
 
+@pytest.mark.parametrize("ending", [".usda", ".usdc"])
+def test_usd_reads_back_as_it_was_recorded(run: Path, tmp_path: Path, ending: str) -> None:
+    pxr = pytest.importorskip("pxr", reason="usd-core is not installed")
+    from pxr import Usd, UsdGeom
+
+    assert pxr
+    path = tmp_path / f"cloth{ending}"
+    assert main(["export", str(run), str(path)]) == 0
+    stage, recorded = Usd.Stage.Open(str(path)), np.load(run / "recording.npz")
+    assert stage.GetTimeCodesPerSecond() == 25.0
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0.0, 9.0)
+    garment = UsdGeom.Mesh(stage.GetPrimAtPath("/Recording/Garment"))
+    assert garment.GetDoubleSidedAttr().Get()
+    bodies = [p for p in stage.GetPrimAtPath("/Recording").GetChildren() if p.IsA(UsdGeom.Xform)]
+    assert len(bodies) == 11
+    for frame in (0, 4, 9):
+        points = np.array(garment.GetPointsAttr().Get(frame))
+        assert np.abs(points - recorded["cloth_position"][4 * frame]).max() < 1e-6
+        for number, body in enumerate(bodies):
+            place = np.array(UsdGeom.Xformable(body).ComputeLocalToWorldTransform(frame)).T
+            assert place[:3, 3] == pytest.approx(recorded["tool_position"][4 * frame, number])
+            w, x, y, z = recorded["tool_orientation"][4 * frame, number]
+            axis = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+            assert place[:3, 2] == pytest.approx(axis, abs=1e-6)
+    torso = UsdGeom.Mesh(stage.GetPrimAtPath("/Recording/Body0/Shape"))
+    height = np.ptp(np.array(torso.GetPointsAttr().Get())[:, 2])
+    assert height == pytest.approx(0.45 + 0.15 + 0.07, abs=0.01)
+
+
 def test_rate_and_length_are_as_asked(run: Path, tmp_path: Path) -> None:
     found = exported(run, tmp_path / "cloth.glb", "--rate", "50", "--seconds", "0.1")
     assert found.times == pytest.approx(0.02 * np.arange(6))
@@ -84,7 +113,7 @@ def test_rate_and_length_are_as_asked(run: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "words", "sentence"),
     [
-        ("cloth.bvh", (), "a garment is written to .glb and .gltf files"),
+        ("cloth.bvh", (), "a garment is written to .glb, .gltf, .usd, .usda and .usdc files"),
         ("cloth.glb", ("--reference",), "--reference is of motions"),
         ("cloth.glb", ("--seconds", "0.01"), "1 frames at 25 Hz cannot be written"),
     ],

@@ -246,7 +246,9 @@ OTHER_HANDS: dict[str, tuple[Path, dict[str, Any]]] = {
 
 
 def test_every_packaged_grip_is_held_here() -> None:
-    assert {"standard", "t_pose", "adroit", *OTHER_TOOLS, *OTHER_HANDS} == set(load().registry.names("grip"))
+    assert {"standard", "t_pose", "adroit", *OTHER_TOOLS, *OTHER_HANDS} == set(
+        load().registry.names("grip")
+    )
 
 
 def test_the_t_pose_touches_nothing_lets_the_sticks_fall_and_says_so(tmp_path: Path) -> None:

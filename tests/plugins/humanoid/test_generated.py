@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -46,6 +47,7 @@ CLIPS: dict[str, tuple[Callable[..., Clip], dict[str, Any], float]] = {
 NAMES = ("walk", "run", "hop", "turn_left", "turn_right", "sit", "stand", "cartwheel", "backflip")
 
 
+@functools.cache
 def make(name: str, **more: Any) -> Clip:
     factory, parameters, _ = CLIPS[name]
     return factory(**parameters, **more)

@@ -64,6 +64,21 @@ def test_a_single_state_is_for_both(plugins: Plugins, tmp_path: Path) -> None:
         assert torch.equal(drawn, torch.tensor([[0.5, 1.0, 5.0]]).expand(64, 3))
 
 
+def test_banks_are_drawn_from_as_often_as_one_another(plugins: Plugins, tmp_path: Path) -> None:
+    other = {name: value[:1] + 10.0 for name, value in STATES.items()}
+    bank.save(tmp_path / "other", other, {})
+    beside = f"initial_states.beside=['{tmp_path / 'other'}']"
+    environment = made(plugins, STATES, tmp_path, beside, "num_worlds=2000")
+    environment.reset(seed=1)
+    drawn = environment.table["qpos"].squeeze(1)
+    assert (drawn == 10.5).float().mean() == pytest.approx(0.5, abs=0.05)
+    for value in (1.5, -1.0):  # the first is for evaluations
+        assert (drawn == value).float().mean() == pytest.approx(1 / 4, abs=0.04)
+    bank.save(tmp_path / "other", {**other, "hat": torch.zeros(1, 2)}, {})
+    with pytest.raises(ConfigError, match="do not have the same fields"):
+        made(plugins, STATES, tmp_path, beside)
+
+
 def test_fields_may_be_left(plugins: Plugins, tmp_path: Path) -> None:
     environment = made(plugins, STATES, tmp_path, "initial_states.leave=[hat]")
     environment.reset()

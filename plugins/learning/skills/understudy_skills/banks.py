@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from understudy.errors import ConfigError
@@ -26,12 +27,27 @@ class Bank(InitialStates):
     class Options:
         file: str  #: the bank, or the folder of the run that has one
         leave: tuple[str, ...] = ()  #: fields of the bank that the task takes from elsewhere
+        beside: tuple[str, ...] = ()  #: further banks of the same fields, each drawn from as often
 
     def __init__(self, options: Options, context: Context) -> None:
         simulator = context.simulator
         assert simulator is not None
-        states = bank.starts(options.file, context, "initial_states", options.leave)
-        self._states = {name: value.to(context.device) for name, value in states.items()}
+        files = (options.file, *options.beside)
+        banks = [bank.starts(file, context, "initial_states", options.leave) for file in files]
+        shapes = [{name: value.shape[1:] for name, value in states.items()} for states in banks]
+        for file, own in zip(files, shapes, strict=True):
+            if own != shapes[0]:
+                raise ConfigError(
+                    f"initial_states.beside: the banks {options.file} and {file} do not have the same fields of the "
+                    "same shapes. Harvest both in tasks of this scene."
+                )
+        self._states = {
+            name: torch.cat([states[name] for states in banks]).to(context.device)
+            for name in shapes[0]
+        }
+        counts = torch.tensor([len(next(iter(states.values()))) for states in banks])
+        self._counts = counts.to(context.device)
+        self._firsts = (counts.cumsum(0) - counts).to(context.device)
         for name in simulator.state_fields:
             shape, own = self._shape(name), simulator.fields[name]
             if shape != own:
@@ -49,6 +65,8 @@ class Bank(InitialStates):
         return tuple(self._states[name].shape[1:]) if name in self._states else None
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        count = len(next(iter(self._states.values())))
-        row = (streams.uniform(1).squeeze(1) * count).long().clamp(max=count - 1)
+        drawn = streams.uniform(1).squeeze(1) * len(self._counts)
+        which = drawn.long().clamp(max=len(self._counts) - 1)
+        count = self._counts[which]
+        row = self._firsts[which] + ((drawn - which) * count).long().minimum(count - 1)
         return {name: value[row] for name, value in self._states.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from understudy.random import WorldStreams
 from understudy.task import Context, InitialStates
 from understudy_dressing.jacket import JacketScene
 from understudy_dressing.person import PersonScene, Side, depth_in, neutral_pose
-from understudy_dressing.shirt import ShirtScene, Worn
+from understudy_dressing.shirt import IN_SLEEVE, ShirtScene, Worn
 from understudy_dressing.sleeve import SleeveScene
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
@@ -94,33 +95,36 @@ class Track(InitialStates):
 
 
 class _Settled(InitialStates):
-    """The whole person in a pose and cloth as it settled there, pose (22,) rad and vertices (V, 3) m; uniform `noise`, rad, of the
-    pose, `rates`, rad/s, of its velocity, and a `push`, m/s, of all of the cloth in a random direction."""
+    """The whole person in one of some poses, and cloth as it settled there, pose (22,) rad and vertices (V, 3) m of each; uniform
+    `noise`, rad, of the pose, `rates`, rad/s, of its velocity, and a `push`, m/s, of all of the cloth in a random direction."""
 
     def __init__(
-        self, context: Context, who: str, settled: tuple[np.ndarray, np.ndarray], noise: float, rates: float,
-        push: float = 0.0,
+        self, context: Context, who: str, settled: Sequence[tuple[np.ndarray, np.ndarray]], noise: float,
+        rates: float, push: float = 0.0,
     ) -> None:  # fmt: skip
         person = context.need_scene(PersonScene, who)
         if len(person.hinges) != len(PersonScene(PersonScene.Options()).hinges):
             raise ConfigError(f"{who} needs the whole person: leave `still` of its scene empty.")
-        pose, cloth = settled
+        pose, cloth = (np.stack(them) for them in zip(*settled, strict=True))
         self._pose = torch.tensor(pose, dtype=torch.float32, device=context.device)
         self._cloth = torch.tensor(cloth, dtype=torch.float32, device=context.device)
-        self._rest = person.spec().compile().nq - len(pose)
+        self._rest = person.spec().compile().nq - pose.shape[1]
         self._noise, self._rates, self._push = noise, rates, push
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
-        hinges = len(self._pose)
-        drawn = 2.0 * streams.uniform(2 * hinges + 2) - 1.0
-        n = len(drawn)
-        gripper = drawn.new_zeros(n, self._rest)
-        cloth = self._cloth.expand(n, -1, -1).contiguous()
+        count, hinges = self._pose.shape
+        uniform = streams.uniform(2 * hinges + 3)
+        drawn = 2.0 * uniform[:, :-1] - 1.0
+        which = (uniform[:, -1] * count).long().clamp(max=count - 1)
+        gripper = drawn.new_zeros(len(drawn), self._rest)
+        cloth = self._cloth[which]
         up, turn = drawn[:, -2], torch.pi * drawn[:, -1]
         flat = (1.0 - up * up).clamp(min=0.0).sqrt()
         push = self._push * torch.stack([flat * turn.cos(), flat * turn.sin(), up], dim=1)
         return {
-            "qpos": torch.cat([self._pose + self._noise * drawn[:, :hinges], gripper], dim=1),
+            "qpos": torch.cat(
+                [self._pose[which] + self._noise * drawn[:, :hinges], gripper], dim=1
+            ),
             "qvel": torch.cat([self._rates * drawn[:, hinges:-2], gripper], dim=1),
             "cloth_position": cloth,
             "cloth_velocity": push.unsqueeze(1).expand_as(cloth).contiguous(),
@@ -129,13 +133,11 @@ class _Settled(InitialStates):
 
 class WornShirt(_Settled):
     """A shirt on the shoulders, the neck in its collar (section 8.1), and a push of all of it in a random direction; or,
-    so that later subtasks can begin without a bank, its hem held in front and an arm under it."""
+    so that later subtasks can begin without a bank, its hem held in front and an arm under it or a hand in its sleeve."""
 
     @dataclass(frozen=True)
     class Options:
-        worn: Worn = (
-            "on_shoulders"  #: how far: `held` by the other hand, `tucked`: the arm under it, too
-        )
+        worn: Worn = "on_shoulders"  #: how far: `held` by the other hand, `tucked`: the arm under it, too, `in_sleeve`: its hand in the sleeve
         side: Side = "left"  #: the arm that goes in (the paper's first)
         push: float = 0.5  #: m/s, of all of the cloth (2018 code: 0.5, of an unknown unit)
         noise: float = 0.01  #: rad, uniform, of the pose
@@ -150,7 +152,10 @@ class WornShirt(_Settled):
         who = "initial_states 'dressing/worn_shirt'"
         shirt = context.need_scene(ShirtScene, who)
         key = f"dressing/shirt/{options.worn}/{options.side}"
-        settled = context.once(key, lambda: shirt.settled(options.worn, options.side))
+        bent = IN_SLEEVE if options.worn == "in_sleeve" else IN_SLEEVE[:1]
+        settled = context.once(
+            key, lambda: [shirt.settled(options.worn, options.side, arm) for arm in bent]
+        )
         super().__init__(context, who, settled, options.noise, options.rates, options.push)
 
 
@@ -167,5 +172,5 @@ class HeldJacket(_Settled):
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'dressing/held_jacket'"
         jacket = context.need_scene(JacketScene, who)
-        settled = context.once("dressing/jacket", jacket.hung)
+        settled = [context.once("dressing/jacket", jacket.hung)]
         super().__init__(context, who, settled, options.noise, options.noise)

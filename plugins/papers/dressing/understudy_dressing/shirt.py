@@ -32,14 +32,22 @@ from understudy_dressing.person import (
 )
 from understudy_tensors import rotations
 
-#: How far the shirt is worn: on the shoulders; its hem held in front by the other hand; and this arm under it.
-Worn = Literal["on_shoulders", "held", "tucked"]
+#: How far the shirt is worn: on the shoulders; its hem held in front by the other hand; and this arm under it; or its hand
+#: in the sleeve's mouth.
+Worn = Literal["on_shoulders", "held", "tucked", "in_sleeve"]
 #: m: so high is the neck's highest point of the pattern above the base of the neck, and so far the cloth from skin.
 _NECK, _CLEAR = 0.115, 0.012
 #: m, of the right hand's mirror: where a hand holds the hem, and where the other goes under it: in front of the body, so
 #: that no elbow is driven into the shirt's back.
 _HELD_AT = (0.38, -0.02, -0.35)
 _TUCKED_AT = ((0.20, 0.05, -0.66), (0.26, 0.03, -0.50), (0.29, 0.03, -0.40))
+#: rad, from clavicle to wrist of the left arm: the elbow bent before the chest, the hand at its own shoulder, by a fifth of the
+#: limb in a sleeve that is drawn over it. Straighter arms tear it as it settles, and so may finer cloth.
+IN_SLEEVE = (
+    (0.25, -0.12, 0.36, -0.87, 1.00, 2.61, -0.60, 0.60),
+    (0.25, -0.25, 0.25, -0.77, 1.00, 2.72, -0.60, 0.60),
+    (0.25, -0.24, 0.36, -0.91, 1.00, 2.73, -0.60, 0.60),
+)
 #: m: so far do links stay apart that no joint connects, where there is room; it weighs so many times a fingertip's error.
 _APART, _WEIGHT = 0.003, 3.0
 #: s: until the shirt hangs; a hand on its way; until it hangs again.
@@ -75,12 +83,15 @@ class ShirtScene(CutGarment):
 
     @cached_property
     def begins(self) -> np.ndarray:
-        """(V, 3) m: around the neutral person, drawn over it as little as front and back have to be."""
+        """(V, 3) m: around the neutral person."""
+        return self._drawn_over(neutral_pose(PersonScene(PersonScene.Options())).numpy())
+
+    def _drawn_over(self, pose: np.ndarray) -> np.ndarray:
+        """(V, 3) m: around the person in that pose (22,) rad, drawn over it as little as front and back have to be."""
         x = self.garment.positions.copy()
         x[:, 2] += _NECK - x[:, 2].max()
         front = np.sign(self.garment.positions[:, 0])
-        person = PersonScene(PersonScene.Options())
-        depth = depth_in(person, neutral_pose(person).numpy())
+        depth = depth_in(PersonScene(PersonScene.Options()), pose)
         needed = np.zeros(len(x))
         for away in np.arange(0.0, 0.30, 0.005):
             at = np.column_stack([front * away, x[:, 1:]])
@@ -105,9 +116,12 @@ class ShirtScene(CutGarment):
             self.begins, self.faces, self.options.fabric, rest=self.corners, tools=tools(), grips=grips
         )  # fmt: skip
 
-    def settled(self, worn: Worn, side: Side) -> tuple[np.ndarray, np.ndarray]:
+    def settled(
+        self, worn: Worn, side: Side, arm: tuple[float, ...] = IN_SLEEVE[0]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Pose (22,) rad of the whole person and vertices (V, 3) m: the shirt, as it hangs after it was put on, a hand
-        took its hem to the front, and the arm of `side` went under it, as far as `worn` says.
+        took its hem to the front, and the arm of `side` went under it, as far as `worn` says; `in_sleeve` it was put on
+        with that arm bent like `arm` (8,) rad.
 
         Raises
         ------
@@ -115,6 +129,9 @@ class ShirtScene(CutGarment):
             if the cloth flies apart.
         """
         moves = Moves(self)
+        if worn == "in_sleeve":
+            pose = moves.bent(side, np.array(arm))
+            moves = Moves(self, pose, self._drawn_over(pose))
         moves.hold(_SETTLES, closed=(False, False))
         holder: Side = "left" if side == "right" else "right"
         closed = tuple(name == holder for name in HOLDERS)
@@ -143,10 +160,13 @@ class _Alone(ClothScene):
 
 
 class Moves:
-    """One world of the garment on the CPU, on a person that is led from `pose` (22,) rad, neutral unless given, and whose links keep apart as the subtasks' do: those
-    that begin in each other would be thrown out by the first step."""
+    """One world of the garment on the CPU, `begins` (V, 3) m as it was put on, on a person that is led from `pose` (22,) rad,
+    neutral unless given, and whose links keep apart as the subtasks' do: those that begin in each other would be thrown
+    out by the first step."""
 
-    def __init__(self, scene: CutGarment, pose: np.ndarray | None = None) -> None:
+    def __init__(
+        self, scene: CutGarment, pose: np.ndarray | None = None, begins: np.ndarray | None = None
+    ) -> None:
         person = PersonScene(PersonScene.Options(self_collision=True))
         self._body = person.spec().compile()
         self._body.geom_margin[:] = _APART
@@ -164,7 +184,8 @@ class Moves:
             )
             for tool, i in zip(model.tools, self._ids, strict=True)
         )
-        alone = _Alone(replace(model, fabric=fabric, tools=at))
+        positions = model.positions if begins is None else begins
+        alone = _Alone(replace(model, positions=positions, fabric=fabric, tools=at))
         context = Context(
             seed=0, device=torch.device("cpu"), num_worlds=1, control_dt=_PERIOD, substeps=10, scene=alone,
         )  # fmt: skip
@@ -192,12 +213,22 @@ class Moves:
         x = self._cloth.read("cloth_position")[0].double().numpy()
         return x[self._garment.patches[f"{side}_hem"]].mean(axis=0)
 
+    def _arm(self, side: Side) -> list[int]:
+        """Numbers of that arm's hinges, from the clavicle on."""
+        return [i for i in range(len(self._pose)) if self._body.joint(i).name.startswith(side)]
+
+    def bent(self, side: Side, arm: np.ndarray) -> np.ndarray:
+        """The pose (22,) rad with that arm's hinges, of the left one or their mirror image (8,) rad."""
+        pose, mine = self._pose.copy(), self._arm(side)
+        twists = np.array([self._body.joint(i).name.endswith("twist") for i in mine])
+        pose[mine] = np.where(twists & (side == "right"), -arm, arm)
+        return pose
+
     def reach(
         self, side: Side, target: np.ndarray, seconds: float, closed: tuple[bool, ...]
     ) -> None:
         """Leads the fingertip of that arm to a place, m, and the cloth with it."""
-        names = [self._body.joint(i).name for i in range(len(self._pose))]
-        mine = [i for i, name in enumerate(names) if name.startswith(side)]
+        mine = self._arm(side)
         ranges = self._body.jnt_range[mine]
         free = ~self._body.jnt_limited[mine].astype(bool)
         low, high = (np.where(free, sign * 2.0, ranges[:, k]) for k, sign in enumerate((-1, 1)))

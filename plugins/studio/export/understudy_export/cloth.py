@@ -1,8 +1,10 @@
 """A recorded garment, and the bodies that it meets, as glTF 2.0: the garment is a mesh with a morph target for each
-frame after the first, each body a mesh on a node that moves. Metres, y up, facing z, float32."""
+frame after the first, each body a mesh on a node that moves. Metres, y up, facing z, float32. Or as USD: a mesh whose
+points are given at each frame, and meshes on transforms; metres, z up, facing x."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ RATE, MOST = 25.0, 1000
 _CLOTH, _BODY = (0.10, 0.26, 0.57, 1.0), (0.69, 0.34, 0.17, 1.0)
 #: By ending: how a document and its buffer become a file.
 _ENDINGS = {".glb": binary, ".gltf": embedded}
+_STAGES = (".usd", ".usda", ".usdc")
 
 
 def garment_of(source: str) -> ClothScene | None:
@@ -46,7 +49,7 @@ def write_cloth(
     seconds: float | None = None,
     licence: str | None = None,
 ) -> str:
-    """Write the recording of the run folder `source` to `path` (.glb or .gltf), `rate` frames a second; returns a
+    """Write the recording of the run folder `source` to `path` (.glb, .gltf, .usd, .usda, .usdc), `rate` frames a second; returns a
     line on it.
 
     Raises
@@ -54,10 +57,11 @@ def write_cloth(
     FileError
         the recording is damaged, or has too many frames or less than two.
     """
-    ending = _ENDINGS.get(path.suffix.lower())
-    if ending is None:
+    ending = path.suffix.lower()
+    if ending not in (*_ENDINGS, *_STAGES):
         raise FileError(
-            f"{path}: a garment is written to {' and '.join(_ENDINGS)} files, which have meshes that change shape."
+            f"{path}: a garment is written to {', '.join((*_ENDINGS, *_STAGES[:-1]))} and {_STAGES[-1]} files, which have "
+            "meshes that change shape."
         )
     file = Path(source) / "recording.npz"
     model, archive = scene.model(), Archive(file)
@@ -82,10 +86,13 @@ def write_cloth(
         at, turn = at.reshape(frames, -1, 3), turn.reshape(frames, -1, 4)
         tools = [(tool, at[:, i], turn[:, i]) for i, tool in enumerate(model.tools)]
     times = dt * step * np.arange(frames)
-    document, buffer = _document(cloth[shown], np.asarray(model.faces), tools, times)
-    if licence:
-        document["asset"]["copyright"] = printable(licence)
-    write_atomically(path, ending(document, buffer))
+    if ending in _STAGES:
+        _write_stage(path, cloth[shown], np.asarray(model.faces), tools, 1.0 / (dt * step), licence)
+    else:
+        document, buffer = _document(cloth[shown], np.asarray(model.faces), tools, times)
+        if licence:
+            document["asset"]["copyright"] = printable(licence)
+        write_atomically(path, _ENDINGS[ending](document, buffer))
     return (
         f"{path}: {frames} frames at {1 / (dt * step):g} Hz · {times[-1]:.2f} s · a garment of {cloth.shape[1]} vertices "
         f"and {len(tools)} bodies"
@@ -119,15 +126,11 @@ def _document(
     shares = np.eye(len(places), dtype=np.float32)[:, 1:].reshape(-1)  # one target a frame
     _animate(document, at, 0, "weights", buffer.add(shares))
     for number, (tool, place, turn) in enumerate(tools):
-        shapes = [s for s in tool.shapes if not isinstance(s, Grid)]
-        if not shapes:
-            continue  # nothing to be seen
+        surface = _surface(tool)
+        if surface is None:
+            continue
         node = len(document["nodes"])
-        meshes = [_mesh(shape) for shape in shapes]
-        vertices, faces = trimesh.util.append_faces(
-            [np.asarray(mesh.vertices) for mesh in meshes],
-            [np.asarray(mesh.faces) for mesh in meshes],
-        )
+        vertices, faces = surface
         vertices = vertices[:, UP_Y_FACING_Z].astype(np.float32)
         document["scenes"][0]["nodes"].append(node)
         document["nodes"].append({"name": f"body {number}", "mesh": len(document["meshes"])})
@@ -138,6 +141,56 @@ def _document(
         _animate(document, at, node, "translation", buffer.add(moved))
         _animate(document, at, node, "rotation", buffer.add(turned))
     return finished(document, buffer)
+
+
+def _write_stage(
+    path: Path,
+    cloth: np.ndarray,
+    faces: np.ndarray,
+    tools: Sequence[tuple[Tool, np.ndarray, np.ndarray]],
+    rate: float,
+    licence: str | None,
+) -> None:
+    """The same as USD, of which a time code is a frame."""
+    from understudy_export.usd import add_mesh, new_stage, save
+
+    codes = np.arange(len(cloth), dtype=float)
+    about = {"copyright": printable(licence)} if licence else {}
+    stage = new_stage(str(path), codes, round(rate, 9), about)
+    from pxr import Gf, UsdGeom, Vt
+
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Recording").GetPrim())
+    garment = add_mesh(stage, "/Recording/Garment", cloth[0], faces, _CLOTH)
+    garment.CreateDoubleSidedAttr(True)
+    for code, points in zip(codes.tolist(), cloth.astype(np.float32), strict=True):
+        ends = np.stack((points.min(0), points.max(0)))
+        garment.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(points), code)
+        garment.GetExtentAttr().Set(Vt.Vec3fArray.FromNumpy(ends), code)
+    for number, (tool, place, turn) in enumerate(tools):
+        surface = _surface(tool)
+        if surface is None:
+            continue
+        body = UsdGeom.Xform.Define(stage, f"/Recording/Body{number}")
+        moved, turned = body.AddTranslateOp(), body.AddOrientOp()
+        for code, p, q in zip(codes.tolist(), place.tolist(), turn.tolist(), strict=True):
+            moved.Set(Gf.Vec3d(*p), code)
+            turned.Set(Gf.Quatf(*q), code)
+        add_mesh(stage, f"/Recording/Body{number}/Shape", *surface, _BODY)
+    with tempfile.TemporaryDirectory() as folder:  # all or nothing
+        whole = Path(folder) / path.name
+        save(stage, str(path), whole)
+        write_atomically(path, whole.read_bytes())
+
+
+def _surface(tool: Tool) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices (V, 3) m in the tool's frame and triangles (F, 3); none where nothing is to be seen."""
+    meshes = [_mesh(shape) for shape in tool.shapes if not isinstance(shape, Grid)]
+    if not meshes:
+        return None
+    return trimesh.util.append_faces(
+        [np.asarray(mesh.vertices) for mesh in meshes],
+        [np.asarray(mesh.faces) for mesh in meshes],
+    )
 
 
 def _primitive(vertices: np.ndarray, faces: np.ndarray, of: int, buffer: Buffer) -> dict[str, Any]:

@@ -36,23 +36,12 @@ class UsdWriter(ClipWriter):
     suffix = ".usd"
 
     def write(self, clip: Clip, path: Path, shapes: Sequence[Shape] = ()) -> None:
-        try:
-            from pxr import Tf, Usd
-        except ImportError as error:
-            raise FileError(
-                f"Clip {path}: USD is written with usd-core, which is not installed: "
-                "pip install 'understudy[usd]'."
-            ) from error
+        stage = new_stage(f"Clip {path}", *time_codes(clip), notice(clip))
         body = figure(clip, shapes)
-        stage = Usd.Stage.CreateInMemory()
-        _describe(stage, clip)
         _pose(_skeleton(stage, clip, body), clip, body)
         for number, surface in enumerate(body.surfaces):
-            _mesh(stage, f"{_FIGURE}/Surface{number}", surface)
-        try:
-            stage.GetRootLayer().Export(str(path))
-        except Tf.ErrorException as error:
-            raise FileError(f"Clip {path}: cannot be written: {error}.") from error
+            _skin(stage, f"{_FIGURE}/Surface{number}", surface)
+        save(stage, f"Clip {path}", path)
 
 
 class UsdaWriter(UsdWriter):
@@ -90,17 +79,60 @@ def joint_paths(skeleton: Skeleton) -> list[str]:
     return paths
 
 
-def _describe(stage: Usd.Stage, clip: Clip) -> None:
-    from pxr import UsdGeom
+def new_stage(
+    what: str, codes: np.ndarray, rate: float, about: dict[str, str] | None = None
+) -> Usd.Stage:
+    """An empty one with frames at `codes` (F,), `rate` of them a second; `about` says what is to be said of it.
 
-    codes, rate = time_codes(clip)
+    Raises
+    ------
+    FileError
+        if usd-core is not installed; `what` would be written with it.
+    """
+    try:
+        from pxr import Usd, UsdGeom
+    except ImportError as error:
+        raise FileError(
+            f"{what}: USD is written with usd-core, which is not installed: pip install 'understudy[usd]'."
+        ) from error
+    stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetTimeCodesPerSecond(rate)
     stage.SetFramesPerSecond(rate)
     stage.SetStartTimeCode(codes[0])
     stage.SetEndTimeCode(codes[-1])
-    stage.GetRootLayer().customLayerData = notice(clip)
+    stage.GetRootLayer().customLayerData = about or {}
+    return stage
+
+
+def save(stage: Usd.Stage, what: str, path: Path) -> None:
+    """To `path`, as its ending says. Raises FileError, where it cannot be written."""
+    from pxr import Tf
+
+    try:
+        stage.GetRootLayer().Export(str(path))
+    except Tf.ErrorException as error:
+        raise FileError(f"{what}: cannot be written: {error}.") from error
+
+
+def add_mesh(
+    stage: Usd.Stage, path: str, points: np.ndarray, faces: np.ndarray, colour: Sequence[float]
+) -> UsdGeom.Mesh:
+    """Triangles (F, 3) between `points` (V, 3), of one linear RGBA `colour`."""
+    from pxr import UsdGeom, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    points = points.astype(np.float32)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack((points.min(0), points.max(0)))))
+    mesh.CreateFaceVertexCountsAttr(np.full(len(faces), 3))
+    mesh.CreateFaceVertexIndicesAttr(np.ascontiguousarray(faces).reshape(-1))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDisplayColorAttr([tuple(colour[:3])])
+    mesh.CreateDisplayOpacityAttr([colour[3]])
+    _paint(mesh, colour)
+    return mesh
 
 
 def _skeleton(stage: Usd.Stage, clip: Clip, body: Figure) -> UsdSkel.Skeleton:
@@ -144,21 +176,12 @@ def _pose(skeleton: UsdSkel.Skeleton, clip: Clip, body: Figure) -> None:
         rotations.Set(Vt.QuatfArray.FromNumpy(quaternions[frame]), code)
 
 
-def _mesh(stage: Usd.Stage, path: str, surface: Surface) -> None:
+def _skin(stage: Usd.Stage, path: str, surface: Surface) -> None:
     from pxr import Sdf, UsdGeom, UsdSkel, Vt
 
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    points = surface.positions.astype(np.float32)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack((points.min(0), points.max(0)))))
+    mesh = add_mesh(stage, path, surface.positions, surface.faces, surface.colour)
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(surface.normals.astype(np.float32)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    mesh.CreateFaceVertexCountsAttr(np.full(len(surface.faces), 3))
-    mesh.CreateFaceVertexIndicesAttr(surface.faces.reshape(-1))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateDisplayColorAttr([surface.colour[:3]])
-    mesh.CreateDisplayOpacityAttr([surface.colour[3]])
-    _paint(mesh, surface)
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([Sdf.Path(_SKELETON)])
     one = {"constant": False, "elementSize": 1}
@@ -166,8 +189,8 @@ def _mesh(stage: Usd.Stage, path: str, surface: Surface) -> None:
     binding.CreateJointWeightsPrimvar(**one).Set(np.ones(len(surface.joints), np.float32))
 
 
-def _paint(mesh: UsdGeom.Mesh, surface: Surface) -> None:
-    """Bind a material of the surface's colour, for what does not look at display colours."""
+def _paint(mesh: UsdGeom.Mesh, colour: Sequence[float]) -> None:
+    """Bind a material of that colour, for what does not look at display colours."""
     from pxr import Gf, Sdf, UsdShade
 
     stage, path = mesh.GetPrim().GetStage(), f"{mesh.GetPath()}/Material"
@@ -175,8 +198,8 @@ def _paint(mesh: UsdGeom.Mesh, surface: Surface) -> None:
     shader = UsdShade.Shader.Define(stage, f"{path}/Shader")
     shader.CreateIdAttr("UsdPreviewSurface")
     types = Sdf.ValueTypeNames
-    shader.CreateInput("diffuseColor", types.Color3f).Set(Gf.Vec3f(*surface.colour[:3]))
-    shader.CreateInput("opacity", types.Float).Set(surface.colour[3])
+    shader.CreateInput("diffuseColor", types.Color3f).Set(Gf.Vec3f(*colour[:3]))
+    shader.CreateInput("opacity", types.Float).Set(colour[3])
     shader.CreateInput("roughness", types.Float).Set(0.7)
     output = shader.CreateOutput("surface", types.Token)
     material.CreateSurfaceOutput().ConnectToSource(output)
