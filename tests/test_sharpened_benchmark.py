@@ -36,7 +36,14 @@ def test_trainings_get_the_gpus_that_the_benchmark_was_given(
 def training(skill: str, physics: str, seconds: float, slide: float, **more: Any) -> dict[str, Any]:
     measures = {"success_from_clip_start": 1.0, "success_from_any_phase": 1.0 - slide}
     played = {"slide": slide, "sink": 0.01, "jerk": 100.0}
-    row = {"skill": skill, "seed": 0, "physics": physics, "when": "2026-11-28", "gpus": 3, "samples": 10}
+    row = {
+        "skill": skill,
+        "seed": 0,
+        "physics": physics,
+        "when": "2026-11-28",
+        "gpus": 3,
+        "samples": 10,
+    }
     return row | {"training_seconds": seconds, "measures": measures, "played": played} | more
 
 

@@ -38,7 +38,9 @@ def test_who_is_put_back_has_not_slid() -> None:
     stands = np.tile(character.model.qpos0, (6, 1))
     stands[:, 2] -= 0.01  # the floor carries it
     alone = shipped.measured(stands, 1 / 30, character)
-    back = np.concatenate([stands, stands + np.eye(1, stands.shape[1])])  # a metre on, standing again
+    back = np.concatenate(
+        [stands, stands + np.eye(1, stands.shape[1])]
+    )  # a metre on, standing again
     assert shipped.measured(back, 1 / 30, character) == alone
     assert alone["slide"] == 0.0
     moved = np.concatenate([stands, stands + 0.1 * np.eye(1, stands.shape[1])])

@@ -56,7 +56,8 @@ def leaning() -> Clip:
 def test_a_clip_that_does_not_close_is_led_into_its_beginning(registry: Registry) -> None:
     registry.add(Component("clip", "lean", leaning, "test"))
     open_, closed = (
-        Motion(MotionOptions(name="lean", close_loop=s), registry, Inputs()).clip for s in (None, 0.1)
+        Motion(MotionOptions(name="lean", close_loop=s), registry, Inputs()).clip
+        for s in (None, 0.1)
     )
     assert angle_between(open_.rotations[0], open_.rotations[-1]).item() == pytest.approx(0.4)
     assert angle_between(closed.rotations[0], closed.rotations[-1]).item() < 1e-9
