@@ -76,3 +76,14 @@ def test_acceleration_is_computed_only_once_it_is_read(device: str) -> None:
     simulator.set_state(torch.ones(2, dtype=torch.bool, device=device), states(2, device))
     assert torch.equal(simulator._views["actuator_force"], force), "work that nobody asked for"
     assert not torch.equal(simulator.read("actuator_force"), force)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_controls_are_0_unless_they_are_given(device: str) -> None:
+    simulator = build(arena(2, device))
+    everywhere = torch.ones(2, dtype=torch.bool, device=device)
+    state = states(2, device)
+    simulator.set_state(everywhere, {**state, "ctrl": torch.full((2, 1), 0.5, device=device)})
+    assert torch.equal(simulator.read("ctrl"), torch.full((2, 1), 0.5, device=device))
+    simulator.set_state(everywhere, state)
+    assert torch.equal(simulator.read("ctrl"), torch.zeros(2, 1, device=device))
