@@ -68,13 +68,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="where the packed skill goes")
     parser.add_argument("--evaluation", type=Path, help="what it was judged by (evaluation.json)")
     given = parser.parse_args()
-    right = open_skill(RIGHT)
-    left = open_skill(LEFT, [f"actuation.lag={right.card['config']['actuation']['lag'] or 'null'}"])
+    right, left = open_skill(RIGHT), open_skill(LEFT)
     card = {**left.card, "samples": right.samples, "versions": right.card["versions"]}
     start = dict(right.card["sources"]["start"])
     card["sources"] = {**left.card["sources"], "mirror": RIGHT, "start": start}
     made = replace(left, policy=mirror(right), samples=right.samples, card=card)
-    judged = {}
+    judged = card["evaluation"]
     if given.evaluation is not None:
         judged = json.loads(given.evaluation.read_text(encoding="utf-8"))
     pack(made, given.folder / "turn_left", judged)

@@ -82,3 +82,14 @@ def test_acceleration_is_computed_only_once_it_is_read(device: str) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 def test_each_world_has_a_form_of_its_own(device: str) -> None:
     check_forms(build, device, steps=8, atol=2e-3)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_controls_are_0_unless_they_are_given(device: str) -> None:
+    simulator = build(arena(2, device))
+    everywhere = torch.ones(2, dtype=torch.bool, device=device)
+    state = states(2, device)
+    simulator.set_state(everywhere, {**state, "ctrl": torch.full((2, 1), 0.5, device=device)})
+    assert torch.equal(simulator.read("ctrl"), torch.full((2, 1), 0.5, device=device))
+    simulator.set_state(everywhere, state)
+    assert torch.equal(simulator.read("ctrl"), torch.zeros(2, 1, device=device))

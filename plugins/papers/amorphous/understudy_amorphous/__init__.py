@@ -1,5 +1,11 @@
 """Gathering, spreading and flipping of amorphous materials with a tool (Zhang et al. 2020)."""
 
+from pathlib import Path
+
+from understudy import hookimpl
+from understudy.setup.registry import Registrar
+from understudy_skills.packaged import register_skills
+
 #: Plugins that this one builds on.
 REQUIRES = (
     "curricula",
@@ -85,3 +91,8 @@ CITATIONS = {
         "on Graphics 39(6), 189."
     ),
 }
+
+
+@hookimpl
+def understudy_register(register: Registrar) -> None:
+    register_skills(register, Path(__file__).parent / "skills")
