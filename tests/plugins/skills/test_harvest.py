@@ -84,3 +84,9 @@ def test_a_change_counts_when_it_has_lasted() -> None:
     assert not any(row[1] for row in counted)
     assert [row[2] for row in counted] == [False] * 4 + [True, False]
     assert not any(row[3] for row in counted)
+
+
+def test_what_has_no_field_cannot_last() -> None:
+    with pytest.raises(ValueError, match="only moment=change has a field"):
+        Harvest.Options("runs/some", lasting=2)
+    assert Harvest.Options("runs/some", moment="change", field="x", lasting=2).lasting == 2

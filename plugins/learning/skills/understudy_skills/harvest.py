@@ -65,6 +65,10 @@ class Harvest(Gathering):
                     f"moment={self.moment} with field={self.field} is not possible: a change has a "
                     "field that changes, other moments have none."
                 )
+            if self.lasting > 1 and self.field is None:
+                raise ValueError(
+                    f"lasting={self.lasting} is not possible: only moment=change has a field that can last."
+                )
 
     policy: Policy
 
