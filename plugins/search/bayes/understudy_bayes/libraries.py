@@ -11,7 +11,6 @@ try:
     from gpytorch.means import ConstantMean, Mean
     from gpytorch.mlls import ExactMarginalLogLikelihood
     from gpytorch.priors import LogNormalPrior, NormalPrior
-    from linear_operator.settings import debug as linear_operator_checks
 except ImportError as error:
     raise ImportError(
         "searches with a model need BoTorch: pip install 'understudy[bayes]'"
@@ -33,5 +32,4 @@ __all__ = [
     "fit_gpytorch_mll",
     "gen_candidates_scipy",
     "get_covar_module_with_dim_scaled_prior",
-    "linear_operator_checks",
 ]

@@ -28,7 +28,6 @@ from understudy_bayes.libraries import (
     SingleTaskGP,
     fit_gpytorch_mll,
     get_covar_module_with_dim_scaled_prior,
-    linear_operator_checks,
 )
 from understudy_bayes.space import Space
 
@@ -99,11 +98,7 @@ class Surrogate:
             ),
         )
         self._kernel: Kernel = ProductKernel(self._space, self._fidelity).double()
-        with (
-            warnings.catch_warnings(),
-            random.private_rng(seed, "surrogate"),
-            linear_operator_checks(False),  # of its arguments: a tenth of the time
-        ):
+        with warnings.catch_warnings(), random.private_rng(seed, "surrogate"):
             warnings.simplefilter("ignore", BotorchWarning)
             self._model = SingleTaskGP(
                 self._x,
@@ -139,8 +134,7 @@ class Surrogate:
     def posterior(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Mean (m,) and standard deviation (m,) of the function, without noise, at `x` (m, d) and
         fidelities `z` (m,)."""
-        with linear_operator_checks(False):
-            found = self._model.posterior(_joined(self._taken(x), z))
+        found = self._model.posterior(_joined(self._taken(x), z))
         mean, variance = found.mean, found.variance
         assert isinstance(mean, Tensor)
         assert isinstance(variance, Tensor)
