@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from understudy_skills.harvest import Harvest
+from understudy.setup.composition import load_experiment
+from understudy_skills.harvest import Harvest, _with_simulators, _without_simulators
 
 
 def flags(text: str) -> Tensor:
@@ -23,7 +24,7 @@ def test_states_whose_numbers_went_wrong_are_none(ending: str, counts: str) -> N
     """Of four worlds the second was truncated, and the others failed, two of them by their numbers."""
     step = SimpleNamespace(
         unsound=flags("1010"), failed=flags("1011"), terminated=flags("1011"), truncated=flags("0100"),
-        ended=flags("1111"), endings={"fall": flags("1001")},
+        ended=flags("1111"), succeeded=flags("0000"), endings={"fall": flags("1001")},
     )  # fmt: skip
     begun: list[Tensor] = []
     environment = SimpleNamespace(
@@ -43,7 +44,7 @@ def test_a_change_in_a_world_that_went_wrong_is_none() -> None:
     table = {"x": torch.arange(3.0), "switch": torch.zeros(3)}
     step = SimpleNamespace(
         unsound=flags("100"), failed=flags("100"), terminated=flags("100"), truncated=flags("000"),
-        ended=flags("100"), endings={},
+        ended=flags("100"), succeeded=flags("000"), endings={},
     )  # fmt: skip
 
     def advance(action: Tensor) -> Any:
@@ -63,7 +64,8 @@ def test_a_change_counts_when_it_has_lasted() -> None:
     rows = ["0110", "0100", "1111", "1111", "1111", "1101"]
     table = {"x": torch.zeros(4), "switch": torch.tensor([0.0, 1.0, 0.0, 0.0])}
     step = SimpleNamespace(
-        unsound=flags("0000"), failed=flags("0000"), terminated=flags("0000"), truncated=flags("0000"), endings={}
+        unsound=flags("0000"), failed=flags("0000"), terminated=flags("0000"), truncated=flags("0000"),
+        succeeded=flags("0000"), endings={},
     )  # fmt: skip
     count = iter(range(len(rows)))
 
@@ -90,3 +92,27 @@ def test_what_has_no_field_cannot_last() -> None:
     with pytest.raises(ValueError, match="only moment=change has a field"):
         Harvest.Options("runs/some", lasting=2)
     assert Harvest.Options("runs/some", moment="change", field="x", lasting=2).lasting == 2
+
+
+def test_a_member_of_a_composite_may_have_another_simulator() -> None:
+    """As where a packed skill, which plays on a CPU, is harvested on a GPU."""
+    found = load_experiment(["experiment=dressing/sleeve_small"])
+    own = load_experiment(["job=harvest", "job.run=x", "simulators.person.name=mujoco_warp"])
+    config = {
+        "simulator": {"name": "composite"},
+        "simulators": {"person": {"threads": 1}, "cloth": {}},
+    }
+    assert _without_simulators(config, own) == {**config, "simulators": {"cloth": {}}}
+    members = {c.name: c.component.name for c in _with_simulators(found, own)["simulators"]}
+    assert members == {"person": "mujoco_warp", "cloth": "cloth"}
+    before = {c.name: c.component.name for c in found.choices["simulators"]}
+    assert before == {"person": "mujoco", "cloth": "cloth"}
+
+
+def test_a_simulator_of_the_harvest_takes_the_runs_place() -> None:
+    found = load_experiment(["experiment=spacetime/walk"])
+    own = load_experiment(["job=harvest", "job.run=x", "simulator=mujoco_warp", "device=cpu"])
+    assert "simulator" not in _without_simulators({"simulator": {"name": "mujoco"}}, own)
+    assert [c.component.name for c in _with_simulators(found, own)["simulator"]] == ["mujoco_warp"]
+    nothing = load_experiment(["job=harvest", "job.run=x"])
+    assert _with_simulators(found, nothing)["simulator"] == found.choices["simulator"]

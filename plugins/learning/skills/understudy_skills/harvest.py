@@ -17,7 +17,7 @@ from understudy.records import runs
 from understudy.records.runs import Run
 from understudy.running.warm_start import newest_state
 from understudy.setup.building import build_environment, device_of
-from understudy.setup.config import Experiment
+from understudy.setup.config import Chosen, Experiment
 from understudy.task import State
 from understudy_reinforcement.policy import Policy, build_policy
 from understudy_reinforcement.start import load_part
@@ -25,11 +25,39 @@ from understudy_skills.folder import run_folder
 from understudy_skills.gathered import Gathered, Gathering
 
 
+def _simulators(experiment: Experiment) -> Mapping[str, tuple[Chosen, ...]]:
+    """What is chosen for slots of simulators, the kernel's and those of plugins."""
+    slots = experiment.registry.slots.values()
+    return {s.name: experiment.choices[s.name] for s in slots if s.kind == "simulator"}
+
+
+def _without_simulators(config: Mapping[str, Any], own: Experiment) -> dict[str, Any]:
+    """A run's `config` less the simulators that `own` chooses: options of others do not fit these."""
+    result = dict(config)
+    for slot, chosen in _simulators(own).items():
+        if not chosen or slot not in result:
+            continue
+        if own.registry.slots[slot].many:
+            names = {one.name for one in chosen}
+            result[slot] = {k: v for k, v in result[slot].items() if k not in names}
+        else:
+            del result[slot]
+    return result
+
+
+def _with_simulators(found: Experiment, own: Experiment) -> dict[str, tuple[Chosen, ...]]:
+    """The choices of `found`, and in their place the simulators that `own` chooses."""
+    choices = dict(found.choices)
+    for slot, chosen in _simulators(own).items():
+        choices[slot] = tuple({one.name: one for one in (*choices[slot], *chosen)}.values())
+    return choices
+
+
 class Harvest(Gathering):
     """Runs a finished run's policy in its own task until there are enough states of the wanted kind.
 
     The worlds' number, device and seed are those of this run, and so is the simulator where it sets one
-    (``simulator=``); it leaves the bank ``bank`` in its folder.
+    (``simulator=``, and ``simulators.MEMBER.name=`` of a composite's member); it leaves the bank ``bank`` in its folder.
     """
 
     @dataclass(frozen=True)
@@ -78,12 +106,10 @@ class Harvest(Gathering):
         self._source = runs.open_run(run_folder(options.run, registry=experiment.registry))
         own = {name: getattr(self._root, name) for name in ("num_worlds", "device", "seed")}
         config = {**self._source.config, **own, "start": None}
-        simulator = experiment.choices["simulator"]
-        if simulator:  # it need not be the one that the policy learned with
-            del config["simulator"]
-        found = self._source.experiment(experiment.registry, config)
-        chosen = {**found.choices, "simulator": simulator or found.choices["simulator"]}
-        self._experiment = replace(found, choices=chosen)
+        found = self._source.experiment(
+            experiment.registry, _without_simulators(config, experiment)
+        )
+        self._experiment = replace(found, choices=_with_simulators(found, experiment))
         self._gathered = Gathered(options.count)
 
     def prepare(self) -> None:
