@@ -268,7 +268,7 @@ def test_a_component_given_whole_inherits_no_option() -> None:
         ["experiment=miniature/sleeve", given, "initial_states.leave=[drag]"]
     )
     assert experiment.need("initial_states").effective() == {
-        "name": "bank", "file": "somewhere", "leave": ("drag",)
+        "name": "bank", "file": "somewhere", "leave": ("drag",), "beside": (),
     }  # fmt: skip
     assert load_experiment(["experiment=miniature/sleeve", "scene.drag=2"]).effective()["scene"] == {
         **load_experiment(["experiment=miniature/sleeve"]).effective()["scene"], "drag": 2.0
