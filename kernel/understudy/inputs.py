@@ -37,8 +37,9 @@ class Inputs:
             return self._read[asked][0]
         for name, digest in self.kept[asked].items():
             path = self.folder / name
+            inside = ".." not in Path(name).parts and not Path(name).is_absolute()
             try:
-                inside = path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
+                inside &= path.resolve().is_relative_to(self.folder.resolve()) and path.is_file()
             except ValueError:  # what no file can be named
                 inside = False
             if not inside or _digest(path) != digest:
