@@ -18,7 +18,7 @@ from understudy.errors import ConfigError, PluginError, said, suggestion
 from understudy.inputs import Inputs
 from understudy.options import Option, options_of
 from understudy.setup.root import KEYS
-from understudy.signals import is_stop
+from understudy.signals import StopRequest, is_stop
 
 __all__ = ["Component", "Registrar", "Registry"]
 
@@ -108,7 +108,8 @@ class Component:
             return self.target
         module, _, attribute = self.target.partition(":")
         try:
-            loaded = importlib.import_module(module)
+            with StopRequest():  # in the middle of an import a library's C++ would abort the process
+                loaded = importlib.import_module(module)
         except BaseException as error:  # whatever a library raises where it cannot run
             if is_stop(error):
                 raise

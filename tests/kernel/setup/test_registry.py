@@ -1,8 +1,11 @@
 from __future__ import annotations
 
 import functools
+import signal
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from understudy.errors import ConfigError, PluginError
 from understudy.options import REQUIRED, check_range, coerce, make_options, options_of
 from understudy.setup.registry import Component, Registrar, Registry
+from understudy.signals import StopRequest
 from understudy.testing.sentences import sentences
 
 
@@ -178,3 +182,19 @@ def test_targets_are_imported_when_used() -> None:
         _ = Component("learner", "x", "nowhere.at_all:PPO", "ppo").factory
     with pytest.raises(PluginError, match="does not exist"):
         _ = Component("learner", "x", "understudy_ppo.learner:POP", "ppo").factory
+
+
+def test_a_stop_signal_waits_until_a_module_is_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PyTorch's import aborts the process if Python raises in the middle of its C++."""
+    (tmp_path / "stopped_in_import.py").write_text(
+        "import os, signal\nos.kill(os.getpid(), signal.SIGTERM)\nwhole = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    component = Component("learner", "x", "stopped_in_import:whole", "some")
+    with StopRequest(at_once=True) as stop:
+        with pytest.raises(KeyboardInterrupt):
+            _ = component.factory
+        assert stop.received == signal.SIGTERM
+    assert sys.modules.pop("stopped_in_import").whole
