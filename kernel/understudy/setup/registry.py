@@ -108,9 +108,7 @@ class Component:
             return self.target
         module, _, attribute = self.target.partition(":")
         try:
-            with (
-                StopRequest()
-            ):  # in the middle of an import a library's C++ would abort the process
+            with StopRequest():  # in an import, C++ that Python raised through would abort
                 loaded = importlib.import_module(module)
         except BaseException as error:  # whatever a library raises where it cannot run
             if is_stop(error):
