@@ -6,12 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from arena import arena, check_derived, check_fields, check_parameters, states
+from arena import ARENA, arena, check_derived, check_fields, check_parameters, states
 
 pytest.importorskip(
     "mujoco_warp", reason="MuJoCo Warp is not installed (pip install 'understudy[gpu]')"
 )
 
+import mujoco_warp as mjw
 from forms import check_forms
 from repeatable import repeatable  # noqa: F401 - a fixture
 
@@ -93,3 +94,47 @@ def test_controls_are_0_unless_they_are_given(device: str) -> None:
     assert torch.equal(simulator.read("ctrl"), torch.full((2, 1), 0.5, device=device))
     simulator.set_state(everywhere, state)
     assert torch.equal(simulator.read("ctrl"), torch.zeros(2, 1, device=device))
+
+
+class Integrated(MujocoScene):
+    """The arena, integrated in another way."""
+
+    def __init__(self, integrator: mujoco.mjtIntegrator) -> None:
+        self.integrator = integrator
+
+    def spec(self) -> mujoco.MjSpec:
+        spec = mujoco.MjSpec.from_string(ARENA)
+        spec.option.integrator = self.integrator
+        return spec
+
+
+@pytest.mark.parametrize("integrator", ["IMPLICITFAST", "DISCRETE", "EULER", "RK4"])
+@pytest.mark.parametrize("read", ["actuator_length", "qacc"])
+def test_what_is_read_changes_nothing_of_the_motion(
+    read: str, integrator: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The velocity stage of the state reached is the first half of the next step."""
+
+    def build_one() -> MujocoWarpSimulator:
+        context = arena(3)
+        context.scene = Integrated(getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}"))
+        return build(context)
+
+    halves = []
+    second = mjw.step2
+    monkeypatch.setattr(mjw, "step2", lambda m, d: (halves.append(1), second(m, d)))
+    plain, halved = build_one(), build_one()
+    halved.read(read)
+    some = torch.tensor([True, False, True])
+    begun = {simulator: simulator.snapshot() for simulator in (plain, halved)}
+    for call in range(6):
+        for simulator in (plain, halved):
+            if call == 2:
+                simulator.set_state(some, states(3))
+            if call == 4:
+                simulator.restore(begun[simulator], ~some)
+            simulator.step(torch.full((3, 1), 0.5 * (-1) ** call), 1 + call % 2)
+        for name in ("qpos", "qvel"):
+            torch.testing.assert_close(halved.read(name), plain.read(name), atol=1e-4, rtol=1e-4)
+    split = read == "actuator_length" and integrator != "RK4"
+    assert bool(halves) == split

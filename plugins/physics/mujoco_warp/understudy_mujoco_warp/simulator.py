@@ -184,22 +184,35 @@ class MujocoWarpSimulator(Simulator):
                 f"{free / 2**30:.0f} GiB are free. About {fit} worlds fit."
             )
 
-    def _run(self, key: Hashable, work: Callable[[], None]) -> None:
-        self._kernels.run(key, work, (*self._state.values(), self._overflow))
+    def _run(
+        self, key: Hashable, work: Callable[[], None], derive: Callable[[], None] = lambda: None
+    ) -> None:
+        self._kernels.run(key, work, (*self._state.values(), self._overflow), derive)
 
     def _advance(self, substeps: int) -> None:
         options = self._m.opt
         flags = options.disableflags
         if not self._m.nhistory:  # nobody sees sensors between sub-steps, unless they are delayed
             options.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        advance = self._first_step
         for left in reversed(range(substeps)):
             if left == 0 and "sensordata" in self._recent:
                 options.disableflags = flags
-            mjw.step(self._m, self._d)
+            advance(self._m, self._d)
+            advance = mjw.step
         options.disableflags = flags
         for array, copy in self._recent.items():
             wp.copy(wp.from_torch(copy), wp.from_torch(self._torch(array, self.fields[array])))
         self._refresh()
+
+    @property
+    def _first_step(self) -> Callable[[Any, Any], None]:
+        """The first sub-step of a call: only its second half where :meth:`_refresh` has done the first."""
+        options = self.model.opt
+        # The second half knows neither Runge and Kutta's integration nor bodies that sleep.
+        halves = options.integrator != mujoco.mjtIntegrator.mjINT_RK4
+        halves &= not options.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
+        return mjw.step2 if halves and self._stage == Stage.VELOCITY else mjw.step
 
     def _refresh(self) -> None:
         """Compute what is read of the present state."""
@@ -340,7 +353,7 @@ class MujocoWarpSimulator(Simulator):
             self._asked = False
         self._bad |= ~self._sound()
         self._views["ctrl"].copy_(control)
-        self._run(("step", count), lambda: self._advance(count))
+        self._run(("step", count), lambda: self._advance(count), self._refresh)
         self._overflows += ((self._overflow & self._dropping) != 0).sum()
         self._overflow.zero_()
         self._reached[0] += (self._iterations >= self.model.opt.iterations).sum()

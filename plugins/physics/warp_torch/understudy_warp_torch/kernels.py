@@ -66,15 +66,22 @@ class Kernels:
         """Warp's default device is this one, within ``with``."""
         return wp.ScopedDevice(wp.device_from_torch(self.device))
 
-    def run(self, key: Hashable, work: Callable[[], None], state: Iterable[Tensor]) -> None:
+    def run(
+        self,
+        key: Hashable,
+        work: Callable[[], None],
+        state: Iterable[Tensor],
+        derive: Callable[[], None] = lambda: None,
+    ) -> None:
         """Do `work`, a sequence of kernels that is the same whenever `key` is.
 
         `state` are the tensors that it changes and reads again. Kernels must be compiled before
-        they can be captured, so the first time they run once in vain, and these are put back.
+        they can be captured, so the first time they run once in vain, and these are put back; `derive` computes
+        anew what `work` reads beside them.
         """
         if self.device.type != "cuda":
             if key not in self._graphs:
-                self._compile(work, list(state))
+                self._compile(work, list(state), derive)
                 self._graphs[key] = None
             with self.scope():
                 work()
@@ -89,7 +96,7 @@ class Kernels:
             self._outer.append(capture.graph)  # keeps the kernels' code loaded
         else:
             if key not in self._graphs:
-                self._graphs[key] = self._capture(work, list(state))
+                self._graphs[key] = self._capture(work, list(state), derive)
             with self._on_stream():
                 wp.capture_launch(self._graphs[key])
 
@@ -97,20 +104,28 @@ class Kernels:
         """Record all work anew: what it consists of has changed."""
         self._graphs.clear()
 
-    def _compile(self, work: Callable[[], None], state: list[Tensor]) -> None:
+    def _compile(
+        self, work: Callable[[], None], state: list[Tensor], derive: Callable[[], None]
+    ) -> None:
         before = [view.clone() for view in state]
         with self.scope():
             compile_kernels(work, wp.device_from_torch(self.device))
         for view, value in zip(state, before, strict=True):
             view.copy_(value)
+        with self.scope():
+            derive()
 
-    def _capture(self, work: Callable[[], None], state: list[Tensor]) -> Any:
+    def _capture(
+        self, work: Callable[[], None], state: list[Tensor], derive: Callable[[], None]
+    ) -> Any:
         before = [view.clone() for view in state]
         with self._on_stream():
             compile_kernels(work, wp.device_from_torch(self.device))
             work()
         for view, value in zip(state, before, strict=True):
             view.copy_(value)
+        with self._on_stream():
+            derive()
         gc.collect()  # another capture that is freed during this one would end it
         with self.scope(), wp.ScopedCapture() as capture:
             work()
