@@ -21,7 +21,9 @@ def lowest(
     a: tuple[float, float], b: tuple[float, float], radius: float, low: float, high: float
 ) -> float:
     ends = (torch.tensor([end], dtype=torch.float64) for end in (a, b))
-    return float(lowest_surface(*ends, torch.tensor(radius), low, torch.tensor([high])))
+    return float(
+        lowest_surface(*ends, torch.tensor(radius), torch.tensor(low), torch.tensor([high]))
+    )
 
 
 def test_rounded_lines_over_an_interval() -> None:

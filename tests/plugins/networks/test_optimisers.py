@@ -75,6 +75,28 @@ def test_an_unsound_step_changes_nothing() -> None:
     assert all(float(s["step"]) == 0 for s in optimisers.state_of(optimiser).values())
 
 
+@pytest.mark.parametrize("sizes", [(40, 300, 9), (5, 7, 3), (1000, 1024, 40)])
+def test_adam_in_pieces_is_adam(sizes: tuple[int, int, int]) -> None:
+    """As on a GPU, and on the CPU what can be compared to the last bits."""
+    a, b, c = sizes
+    moved = []
+    for in_pieces in (False, True):
+        torch.manual_seed(0)
+        net = nn.Sequential(nn.Linear(a, b), nn.Linear(b, c))
+        parameters = list(net.parameters())
+        flat = flat_of(parameters)
+        optimiser = optimisers.adam(parameters, torch.tensor(RATE), weight_decay=DECAY)
+        optimiser.param_groups[0]["capturable"] = in_pieces
+        for unsound in (0.0, 0.0, 1.0, 0.0):
+            flat.copy_(torch.randn_like(flat))
+            optimisers.step(optimiser, torch.tensor(unsound), torch.tensor(2.0))
+        state = optimisers.state_of(optimiser)
+        assert [float(one["step"]) for one in state.values()] == [3.0] * 4
+        moved.append([*parameters, *(one["exp_avg_sq"] for one in state.values())])
+    for one, other in zip(*moved, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-7)
+
+
 def test_a_parameter_that_the_loss_does_not_use_has_no_gradient() -> None:
     used, unused = nn.Parameter(torch.ones(2)), nn.Parameter(torch.ones(3))
     flat = flat_of([used, unused])

@@ -30,8 +30,37 @@ class _Uncompiled(Optimizer):
     add_param_group = inspect.unwrap(Optimizer.add_param_group)
 
 
+#: Tensors that one launch of torch's fused Adam takes.
+_LAUNCH = 36
+
+
 class _Adam(_Uncompiled, Adam):
-    step = torch.no_grad()(inspect.unwrap(Adam.step))  # type: ignore[assignment]
+    _whole = torch.no_grad()(inspect.unwrap(Adam.step))
+
+    @torch.no_grad()
+    def step(self) -> None:  # type: ignore[override] # pyright: ignore[reportIncompatibleMethodOverride]
+        """As torch's, but on a GPU in pieces: its kernel has one block for 65 536 numbers of a tensor, so that a large
+        layer keeps a tenth of the GPU busy."""
+        group = self.param_groups[0]
+        if not group["capturable"]:
+            self._whole()
+            return
+        found: tuple[list[Tensor], ...] = ([], [], [], [], [], [])
+        self._init_group(group, *found)
+        *tensors, _, steps = found
+        sizes = [p.numel() for p in tensors[0]]
+        most = -(-sum(sizes) // max(1, _LAUNCH - len(sizes)))
+        most = max(4096, -(-most // 4) * 4)  # 16 bytes: what kernels load at once
+        pieces = [[x for t in of for x in t.view(-1).split(most)] for of in tensors]
+        owners = [s for s, size in zip(steps, sizes, strict=True) for _ in range(0, size, most)]
+        unsound, divisor = (getattr(self, name, None) for name in ("found_inf", "grad_scale"))
+        torch.ops.aten._foreach_add_(steps, 1)
+        torch.ops.aten._fused_adam_(
+            *pieces, [], owners, lr=group["lr"], beta1=group["betas"][0], beta2=group["betas"][1], eps=group["eps"],
+            weight_decay=group["weight_decay"], amsgrad=False, maximize=False, grad_scale=divisor, found_inf=unsound,
+        )  # fmt: skip
+        if unsound is not None:
+            torch.ops.aten._foreach_sub_(steps, [unsound] * len(steps))
 
 
 class _SGD(_Uncompiled, SGD):

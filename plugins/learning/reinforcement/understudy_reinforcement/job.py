@@ -35,6 +35,23 @@ _SHOWN = 0
 _SOUGHT = 1000
 
 
+class _Moment:
+    """When the work before it is done; on a GPU that is after it was asked for."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._event = torch.cuda.Event(enable_timing=True) if device.type == "cuda" else None
+        self._clock = time.perf_counter()
+        if self._event is not None:
+            self._event.record()
+
+    def __sub__(self, earlier: _Moment) -> float:
+        """Seconds; waits until both have come."""
+        if self._event is None or earlier._event is None:
+            return self._clock - earlier._clock
+        self._event.synchronize()
+        return 1e-3 * earlier._event.elapsed_time(self._event)
+
+
 class Reinforcement(Job):
     """Collects rollouts, has the learner learn from them, adapts where episodes begin: the job of a run whose
     configuration names none."""
@@ -134,10 +151,10 @@ class Reinforcement(Job):
         self.learner.on_fault = update
 
     def iterate(self, samples: int) -> dict[str, Any]:
-        began = time.perf_counter()
+        began = _Moment(self.device)
         self.policy.schedule(samples)
         rollout = self.collector.collect(self.learner.rollout_steps)
-        collected = time.perf_counter()
+        collected = _Moment(self.device)
         metrics = self.learner.update(rollout)
         self.policy.observe(rollout.observations)  # after it, so that old log-probabilities hold
         initial, curriculum = self._adapting()
@@ -154,9 +171,9 @@ class Reinforcement(Job):
         episodes = self.environment.statistics.collect()
         self.environment.rewards.refuse_negative()
         self._hopeless.refuse(episodes, rollout.rewards.shape[0], self._unsound_parts)
-        collecting = (collected - began) / (time.perf_counter() - began)
+        ended = _Moment(self.device)
         return {
-            "collect_share": collecting,
+            "collect_share": (collected - began) / (ended - began),
             "consumed": rollout.rewards.numel() * distributed.size(),
             "reward": float(rollout.rewards.mean()),
             **{f"reward/{k}": v for k, v in self.collector.rewarded.items()},

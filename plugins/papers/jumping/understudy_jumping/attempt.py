@@ -62,6 +62,7 @@ class Attempt(Memory):
                 f"{suggestion(options.take_off, body.names)}"
             )
         self._widths = body.widths
+        self._low = torch.tensor([[0.0], [-torch.inf]], device=context.device)
         self._foot, self._head = body.rows(options.take_off), body.rows(HEAD)
         self._trunk, self._feet = body.rows(*TRUNK), body.rows(*FEET)
         segments = len(self._widths)
@@ -91,16 +92,16 @@ class Attempt(Memory):
         # the body as it is, and the ways along which its ends came here: (N, 3 S, 2), (x, z) in m
         begin = torch.cat([ends[:, :, 0], before[:, :, 0], before[:, :, 1]], dim=1)
         end = torch.cat([ends[:, :, 1], ends[:, :, 0], ends[:, :, 1]], dim=1)
-        radius, width = self._widths.repeat(3), obstacle_width.unsqueeze(1)
-        passed = lowest_surface(begin, end, radius, 0.0, width).amin(dim=1)
+        # the second time with x and z exchanged: what is before the obstacle does not count
+        begin, end = (torch.stack([of, of.flip(-1)], dim=1) for of in (begin, end))
+        high = torch.stack([obstacle_width, obstacle_height], dim=1).unsqueeze(2)
+        found = lowest_surface(begin, end, self._widths.repeat(3), self._low, high)
+        passed, under = found[:, 0].amin(dim=1), found[:, 1]
         struck = passed < obstacle_height
-        # the same with x and z exchanged; what is before the obstacle does not count
-        top = obstacle_height.unsqueeze(1)
-        under = lowest_surface(begin.flip(-1), end.flip(-1), radius, -torch.inf, top)
         under = torch.where(under > 0, under, torch.inf).amin(dim=1)
 
         centre = geom_xpos[:, body.geoms]
-        on_mat = self._arena.on_mat(centre[..., 0], centre[..., 1], width)
+        on_mat = self._arena.on_mat(centre[..., 0], centre[..., 1], obstacle_width.unsqueeze(1))
         surface = torch.where(on_mat, mat_height.unsqueeze(1), 0.0)
         touches = body.lowest(geom_xpos, geom_xmat) <= surface + self._options.tolerance
         mat, ground = touches & on_mat, touches & ~on_mat

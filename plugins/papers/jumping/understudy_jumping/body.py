@@ -98,7 +98,7 @@ def _body(scene: CharacterScene, device: torch.device) -> Body:
     )
 
 
-def lowest_surface(start: Tensor, end: Tensor, radius: Tensor, low: float, high: Tensor) -> Tensor:
+def lowest_surface(start: Tensor, end: Tensor, radius: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """(…,) m: the least height where `low` <= x <= `high` of straight lines from `start` to `end`
     (…, 2), each (x, z), that are rounded by `radius`; infinite where they do not come there."""
     turned = (end[..., :1] < start[..., :1]).expand_as(start)
@@ -106,7 +106,7 @@ def lowest_surface(start: Tensor, end: Tensor, radius: Tensor, low: float, high:
     across, up = (last[0] - x).clamp(min=1e-9), last[1] - z
     # the lower side is convex, so it is least as near to the lower end as it may be
     at = torch.where(up > 0, x, last[0])
-    at = torch.minimum(at.clamp(min=low), high)
+    at = torch.minimum(torch.maximum(at, low), high)
     # the point of the line whose rounding ends there
     along = ((at - x - radius * up / torch.hypot(across, up)) / across).clamp(0.0, 1.0)
     aside = at - (x + along * across)
