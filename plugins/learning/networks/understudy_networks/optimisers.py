@@ -54,13 +54,13 @@ class _Adam(_Uncompiled, Adam):
         pieces = [[x for t in of for x in t.view(-1).split(most)] for of in tensors]
         owners = [s for s, size in zip(steps, sizes, strict=True) for _ in range(0, size, most)]
         unsound, divisor = (getattr(self, name, None) for name in ("found_inf", "grad_scale"))
-        torch.ops.aten._foreach_add_(steps, 1)
-        torch.ops.aten._fused_adam_(
+        torch.ops.aten._foreach_add_.Scalar(steps, 1)
+        torch.ops.aten._fused_adam_.tensor_lr(
             *pieces, [], owners, lr=group["lr"], beta1=group["betas"][0], beta2=group["betas"][1], eps=group["eps"],
             weight_decay=group["weight_decay"], amsgrad=False, maximize=False, grad_scale=divisor, found_inf=unsound,
         )  # fmt: skip
         if unsound is not None:
-            torch.ops.aten._foreach_sub_(steps, [unsound] * len(steps))
+            torch.ops.aten._foreach_sub_.List(steps, [unsound] * len(steps))
 
 
 class _SGD(_Uncompiled, SGD):
