@@ -74,7 +74,9 @@ class PoseOffset(Actuation):
         pose = joint_rotations(network.decoder(code), self._joints)
         target = self._targets(pose) + self._offset(action)
         if actuator_length is not None:
-            target = torch.where(actuator_length < self._least, target.clamp(min=self._least), target)
+            target = torch.where(
+                actuator_length < self._least, target.clamp(min=self._least), target
+            )
             target = torch.where(actuator_length > self._most, target.clamp(max=self._most), target)
         return target.clamp(self._low, self._high)
 

@@ -60,9 +60,7 @@ def target_limits(
     joints, model = scene.layout.joint_names, scene.model
     for name, axes in ranges.items():
         if name not in joints:
-            raise ConfigError(
-                f"{option}: there is no joint '{name}'.{suggestion(name, joints)}"
-            )
+            raise ConfigError(f"{option}: there is no joint '{name}'.{suggestion(name, joints)}")
         if any(low > high for low, high in axes):
             raise ConfigError(f"{option}.{name}={axes}: the first is the lower one.")
         check_axes(f"{option}.{name}", len(axes), name, model)
