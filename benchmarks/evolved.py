@@ -41,7 +41,7 @@ def row(folder: str) -> dict[str, object]:
         "seed": run.info["config"]["seed"] or 0,
         "when": datetime.date.today().isoformat(),
         "samples": run.judged(),
-        "correlation": float(np.corrcoef(ranks)[0, 1]),
+        "correlation": float(torch.corrcoef(torch.from_numpy(ranks).double())[0, 1]),
         "away_rad": [round(float(x), 4) for x in away],
         "turns_rad_s": [round(float(x), 3) for x in turns],
     }
