@@ -2,7 +2,8 @@
 
 ``python benchmarks/shipped.py`` plays every skill of a character that `understudy play` lists, `EPISODES` times from other starts, measures
 feet, ground, flights and jerk of what it does and of the clip that it follows (slide and jerk in the mean, depth and time in the air the most), and writes ``docs/benchmarks/shipped.jsonl``, from which
-``make figures`` writes the table in ``docs/conventions.md`` and the gallery. ``THRESHOLDS`` are those there.
+``make figures`` writes the table in ``docs/conventions.md`` and the gallery. ``THRESHOLDS`` are those there. With ``--materials`` it writes
+``docs/benchmarks/materials.jsonl``: what the skills that move a material come to on the starts that they were packed with.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from understudy_play.player import Player
 from understudy_skills.skill import names, open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "shipped.jsonl"
+MATERIALS = RESULTS.with_name("materials.jsonl")
 SECONDS = 8.0
 EPISODES = 4  #: one tells little: of a start that stands, or of the machine's rounding
 SHORTEST = 0.5  #: seconds of an episode that is checked
@@ -118,6 +120,27 @@ def characters() -> list[str]:
     return [name for name in names() if "character" in open_skill(name).card["config"]["scene"]]
 
 
+def materials() -> list[str]:
+    """The packaged skills that move a material, which has neither feet nor falls."""
+    return [name for name in names() if "material" in open_skill(name).card["config"]["scene"]]
+
+
+def material_row(name: str) -> dict[str, Any]:
+    """What the packed policy came to, judged as it was packed, on starts that no training saw."""
+    card = open_skill(name).card
+    found = card["evaluation"]
+    return {
+        "skill": name,
+        "when": datetime.date.today().isoformat(),
+        "samples": card["samples"],
+        "minutes": card["config"]["budget"]["minutes"],
+        "episodes": found["episodes"],
+        "success": found["success_rate"],
+        "success_95": found["success_rate_95"],
+        "measures": {name: one["mean"] for name, one in found["measures"].items()},
+    }
+
+
 def together(plays: Sequence[dict[str, float]]) -> dict[str, float]:
     """Of several plays: the most of `WORST`, the mean of all else."""
     how = {name: max if name in WORST else fmean for name in plays[0]}
@@ -186,7 +209,11 @@ if __name__ == "__main__":
         metavar="KEY=VALUE",
         help="as they do not ship: to tried.jsonl",
     )
+    parser.add_argument("--materials", action="store_true", help="those of materials alone")
     given = parser.parse_args()
+    if given.materials:
+        lines = [json.dumps(material_row(name)) + "\n" for name in materials()]
+        parser.exit(not MATERIALS.write_text("".join(lines), encoding="utf-8"))
     for one in given.skills or characters():
         print(json.dumps(found := row(one, given.tried)), flush=True)
         if given.tried:

@@ -182,6 +182,15 @@ def test_what_ships_was_measured_as_it_is() -> None:
         assert set(SPEC["tables"][one]["rows"]) == {f"`{name}`" for name in packed}
 
 
+def test_what_moves_materials_was_recorded_as_it_ships() -> None:
+    recorded = {row["skill"]: row for row in figures.rows("materials.jsonl")}
+    assert recorded.keys() == set(shipped.materials())
+    for name, row in recorded.items():
+        found = open_skill(name).card["evaluation"]
+        assert (row["samples"], row["success"]) == (open_skill(name).samples, found["success_rate"])
+    assert set(SPEC["tables"]["amorphous/shipped"]["rows"]) == {f"`{name}`" for name in recorded}
+
+
 def test_films_are_of_what_ships() -> None:
     """A film of a packaged skill is of the files that are packed now, or the gallery says what it was filmed with."""
     page = (figures.ROOT / "docs" / "gallery" / "index.md").read_text(encoding="utf-8")

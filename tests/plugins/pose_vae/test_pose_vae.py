@@ -178,6 +178,25 @@ def test_targets_are_cut_to_ranges(run: Path) -> None:
     assert targets[2, column["chest_z"]] > 9, "not limited"
 
 
+def test_targets_are_kept_from_limits_only_where_a_joint_is_beyond_them(run: Path) -> None:
+    """The rule of the authors' release: a joint within its limits may be asked for anything."""
+    job = in_task(run, "+actuation.limits={left_knee: [[0.0, 2.0]]}").job
+    assert isinstance(job, Reinforcement)
+    check_environment(job.environment)
+    actuation = job.environment.parts.actuation.part
+    assert (actuation.reads, actuation.every) == (("actuator_length",), "period")
+    model = job.environment.parts.simulator.model  # type: ignore[attr-defined]
+    knee = model.actuator("left_knee").id
+    asked = torch.zeros(4, 4 + 28)
+    asked[:2, 4 + knee], asked[2:, 4 + knee] = -3.0, 3.0
+    angles = torch.zeros(4, 28)
+    angles[:, knee] = torch.tensor([-0.1, 0.1, 1.9, 2.1])
+    targets = actuation.control(asked, actuator_length=angles)[:, knee]
+    assert targets[[0, 3]].tolist() == [0.0, 2.0]
+    assert targets[1] < -5
+    assert targets[2] > 5
+
+
 @pytest.mark.parametrize(
     ("ranges", "sentence"),
     [

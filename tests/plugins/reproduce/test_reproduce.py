@@ -220,6 +220,18 @@ def test_every_cell_of_a_bundled_table_can_be_composed(name: str) -> None:
         load_experiment([*table.overrides, *cell])
 
 
+@pytest.mark.parametrize("name", sorted(table_files(installed())))
+def test_what_is_compared_with_a_paper_is_trained_by_its_own_physics(name: str) -> None:
+    """Coarse physics at first changes how many samples are needed (docs/decisions/0033)."""
+    table = load_table(name, installed())
+    if table.source.startswith("No paper's") or table.searches or table.command:
+        return
+    column = next(iter(table.columns.values()))
+    for row in table.rows.values():
+        root = load_experiment([*table.overrides, *row, *column]).root
+        assert root.resolution.substeps is None
+
+
 def test_every_bundled_table_can_be_listed() -> None:
     names = list(tables.table_files(installed()))
     assert "spacetime/table_3_1" in names

@@ -22,7 +22,9 @@ class PoseOffset(Actuation):
 
     a_latent = 0 is the mean code of the clips and a unit one standard deviation. Where the offsets' sum
     of absolute values is above ``offset_limit`` they are scaled down to it, as in the authors' release.
-    Targets are cut to the joints' ``ranges``, and to the control ranges of the model's servos.
+    Targets are cut to the joints' ``ranges``, and to the control ranges of the model's servos. Where a joint is
+    beyond its ``limits``, a target that is further beyond is brought back to them, in every control period (4.6.2
+    has "penalty forces"; the authors' release does so in every physics step, by swing and twist).
 
     It keeps ``pose_offset`` (N, U), a_offset in rad, and ``offset_norm`` (N,), ‖a_offset‖₁ in rad.
     """
@@ -35,6 +37,8 @@ class PoseOffset(Actuation):
         offset_limit: float | None = None  #: rad, of ‖a_offset‖₁
         #: rad, of targets, by joint: (least, most) of each axis; unlimited where it is not given.
         ranges: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
+        #: rad, of the joints themselves, likewise; unlimited where it is not given.
+        limits: Mapping[str, tuple[Range, ...]] = field(default_factory=dict)
 
         def __post_init__(self) -> None:
             check_range(self, "latent_scale", "offset_scale", "offset_limit", above=0)
@@ -47,23 +51,33 @@ class PoseOffset(Actuation):
         self._joints = len(trained.joints)
         self._targets = ServoTargets(scene.character, trained.joints, source, context.device)
         self._low, self._high = target_limits(scene, options.ranges, context.device)
+        if options.limits:
+            self.reads, self.every = ("actuator_length",), "period"
+            self._least, self._most = target_limits(
+                scene, options.limits, context.device, option="actuation.limits"
+            )
         servos, latent = scene.layout.num_actuators, len(trained.network.code_mean)
         self.action_space = ActionSpace({"latent": Box(latent), "offset": Box(servos)})
         self.keeps: Mapping[str, Shape] = {"pose_offset": (servos,), "offset_norm": ()}
         self._none = torch.zeros(context.num_worlds, servos, device=context.device)
 
-    def begin(self) -> dict[str, Tensor]:
+    def begin(self, **fields: Tensor) -> dict[str, Tensor]:
         return {"pose_offset": self._none, "offset_norm": self._none[:, 0]}
 
-    def advance(self, action: Tensor) -> dict[str, Tensor]:
+    def advance(self, action: Tensor, **fields: Tensor) -> dict[str, Tensor]:
         offset = self._offset(action)
         return {"pose_offset": offset, "offset_norm": offset.abs().sum(1)}
 
-    def control(self, action: Tensor) -> Tensor:
+    def control(self, action: Tensor, actuator_length: Tensor | None = None) -> Tensor:
         network, latent = self._network, self.action_space.split(action)["latent"]
         code = network.code_mean + self._options.latent_scale * latent * network.code_std
         pose = joint_rotations(network.decoder(code), self._joints)
         target = self._targets(pose) + self._offset(action)
+        if actuator_length is not None:
+            target = torch.where(
+                actuator_length < self._least, target.clamp(min=self._least), target
+            )
+            target = torch.where(actuator_length > self._most, target.clamp(max=self._most), target)
         return target.clamp(self._low, self._high)
 
     def _offset(self, action: Tensor) -> Tensor:

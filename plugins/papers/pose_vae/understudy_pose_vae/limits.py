@@ -46,6 +46,7 @@ def target_limits(
     ranges: Mapping[str, Sequence[Range]],
     device: torch.device,
     otherwise: float = math.inf,
+    option: str = "actuation.ranges",
 ) -> tuple[Tensor, Tensor]:
     """Least and most target of each servo, each (U,) rad: by joint (least, most) of each axis, and
     `otherwise` either way; nowhere beyond the control range that the model gives a servo.
@@ -53,18 +54,16 @@ def target_limits(
     Raises
     ------
     ConfigError
-        if `ranges`, the option of an actuation, names no joint of the character, has more
+        if `ranges`, of the `option` of an actuation, names no joint of the character, has more
         ranges than a joint has servos, or the first of a range is the higher one.
     """
     joints, model = scene.layout.joint_names, scene.model
     for name, axes in ranges.items():
         if name not in joints:
-            raise ConfigError(
-                f"actuation.ranges: there is no joint '{name}'.{suggestion(name, joints)}"
-            )
+            raise ConfigError(f"{option}: there is no joint '{name}'.{suggestion(name, joints)}")
         if any(low > high for low, high in axes):
-            raise ConfigError(f"actuation.ranges.{name}={axes}: the first is the lower one.")
-        check_axes(f"actuation.ranges.{name}", len(axes), name, model)
+            raise ConfigError(f"{option}.{name}={axes}: the first is the lower one.")
+        check_axes(f"{option}.{name}", len(axes), name, model)
     found = []
     for servo, (name, axis) in enumerate(servo_axes(model)):
         axes = ranges.get(name, ())
