@@ -24,7 +24,6 @@ from understudy_dressing.terms import TargetPose, along_task_vector, deformation
 pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
 PERSON = PersonScene(PersonScene.Options())
 SLEEVE = SleeveScene(SleeveScene.Options(around=0.56, length=0.44, edge=0.0257))
-#: Subtasks of the shirt that have to be given a bank.
 #: The right fingertip's sensor, and where it is: the forearm leans forwards by 0.21 from the elbow.
 TIP = len(sensors()) - 1
 SINE, COSINE = math.sin(0.21), math.cos(0.21)
