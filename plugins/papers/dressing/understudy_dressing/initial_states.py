@@ -20,6 +20,8 @@ from understudy_dressing.sleeve import SleeveScene
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16
+#: m: so deep may noise put the person into settled cloth, which then gives way; and draws that are looked at.
+_DEEP, _DRAWS = 0.03, 8
 
 
 class Track(InitialStates):
@@ -110,6 +112,13 @@ class _Settled(InitialStates):
         self._cloth = torch.tensor(cloth, dtype=torch.float32, device=context.device)
         self._rest = person.spec().compile().nq - pose.shape[1]
         self._noise, self._rates, self._push = noise, rates, push
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_DRAWS, pose.shape[1]))
+        ends = [(one + noise * sign, x) for one, x in settled for sign in signs]
+        deepest = max(float(depth_in(person, one)(x).max()) for one, x in ends)
+        if deepest > _DEEP:
+            raise ConfigError(
+                f"{who}: with a noise of {noise:g} rad the person begins {100 * deepest:.0f} cm inside the cloth: give it less."
+            )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         count, hinges = self._pose.shape
