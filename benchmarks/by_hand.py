@@ -22,7 +22,7 @@ from torch import Tensor
 
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
-from understudy_dressing.shirt import _TUCKED_AT, Moves, ShirtScene
+from understudy_dressing.shirt import _TUCKED_AT, DRESSED, Moves, ShirtScene
 
 RECORD = Path(__file__).resolve().parents[1] / "docs" / "benchmarks" / "dressing_by_hand.jsonl"
 WORDS = ("device=cpu", "simulators.person.name=mujoco", "scene.steps.cloth=10", "curriculum=null")
@@ -36,8 +36,8 @@ _TORQUES = [50.0, 50.0, *20 * [12.0]]
 _ON_THE_WAY, _MOST = 14, 0.5
 
 
-#: rad: from clavicle to wrist, the left arm out to its side; decisions until it is there.
-_ASIDE, _UNTIL = (0.0, 0.0, -1.2, 0.0, 0.0, 0.25, 0.0, 0.0), 60
+#: Decisions until the arm is out at its side.
+_UNTIL = 60
 
 
 def tucked(shirt: ShirtScene, held: np.ndarray, words: Sequence[str]) -> tuple[Tensor, ...]:
@@ -63,7 +63,7 @@ def sleeved(words: Sequence[str], decisions: int = 90) -> tuple[Tensor, ...]:
 
     def wanted(k: int, begin: Tensor) -> Tensor:
         end = begin.clone()
-        end[:, 6:14] = torch.tensor(_ASIDE)
+        end[:, 6:14] = torch.tensor(DRESSED)
         return begin + _smooth(min(1.0, (k + 1) / _UNTIL)) * (end - begin)
 
     words = ["initial_states.worn=in_sleeve", *words]

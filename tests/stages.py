@@ -29,7 +29,6 @@ STAGES = {
     ),
     "dressed": ("experiment=dressing/sleeve", *COARSE),
     "shirt": ("experiment=dressing/shirt_grip", *COARSE),
-    "worn": ("experiment=sitting/ends", "job.run=RUNS/shirt", *_BANK),
     "second": ("experiment=miniature/second_place",),
 }  # fmt: skip
 
@@ -61,9 +60,6 @@ GIVEN = {
     "dressing/shirt": (
         "actuation.stages=[{run: RUNS/shirt, until: {field: gripped, at_least: 1.0}, seconds: 4.0}]",
     ),
-    "dressing/shirt_regrip": ("initial_states.file=RUNS/worn",),
-    "dressing/shirt_finish": ("initial_states.file=RUNS/worn",),
-    "dressing/shirt_*_second": ("initial_states.file=RUNS/worn",),
 }
 
 

@@ -18,10 +18,6 @@ LISTED = [(group, name) for group in ("experiment", "search", "ablation")
 LOOPS = [(group, name) for group, name in LISTED if group != "experiment"]
 NEED = {
     "experiment=dressing/gripper": "actuation.run",
-    **{
-        f"experiment=dressing/shirt_{name}": "initial_states.file"
-        for name in ("regrip", "tuck_second", "sleeve_second", "finish")
-    },
     "experiment=miniature/dressing": "initial_states.file",
     "experiment=miniature/in_sequence": "actuation.stages",
     "experiment=miniature/sitting": "actuation.runs",

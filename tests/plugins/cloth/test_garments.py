@@ -141,6 +141,10 @@ BAD: dict[str, tuple[Change, str]] = {
     ),
     "two pieces": (another_piece, "2 pieces"),
     "a seam that is not merged": (unmerged, "9 pairs of vertices in one place, the first 0"),
+    "one vertex that is not merged": (
+        lambda x, f, n: (np.vstack([x, x[:1]]), np.where((f == 0) & (np.cumsum(f == 0).reshape(f.shape) == 1), len(x), f), n),
+        "1 pair of vertices in one place",
+    ),
     "a face with a vertex twice": (
         lambda x, f, n: (x, np.concatenate([f, [(3, 3, 4)]]), n), "1 triangle without area",
     ),
@@ -210,6 +214,12 @@ BAD: dict[str, tuple[Change, str]] = {
     "a mesh of no name": (lambda x, f, n: (x, f, {**n, "mesh": "a\0.obj"}), "same folder"),
     "loops without end": (
         lambda x, f, n: (x, f, {**n, "loops": {str(k): {"hole": 0} for k in range(101)}}), "at most 100",
+    ),
+    "a loop without a name": (
+        lambda x, f, n: (x, f, {**n, "loops": {**n["loops"], "": {"hole": 0}}}), "without a name",
+    ),
+    "a patch without a name": (
+        lambda x, f, n: (x, f, {**n, "patches": {"": [1]}}), "without a name",
     ),
     "patches without end": (
         lambda x, f, n: (x, f, {**n, "patches": {str(k): [1] for k in range(98)}}), "at most 100",

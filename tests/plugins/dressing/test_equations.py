@@ -24,8 +24,6 @@ from understudy_dressing.terms import TargetPose, along_task_vector, deformation
 pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
 PERSON = PersonScene(PersonScene.Options())
 SLEEVE = SleeveScene(SleeveScene.Options(around=0.56, length=0.44, edge=0.0257))
-#: Subtasks of the shirt that have to be given a bank.
-LATER = ("regrip", "tuck_second", "sleeve_second", "finish")
 #: The right fingertip's sensor, and where it is: the forearm leans forwards by 0.21 from the elbow.
 TIP = len(sensors()) - 1
 SINE, COSINE = math.sin(0.21), math.cos(0.21)
@@ -241,9 +239,6 @@ def test_weights(task: str) -> None:
     wanted |= dict(zip(("upright", "head", "collar"), BESIDE[task], strict=True))
     wanted["backwards"] = BACKWARDS.get(task, 0)
     wanted |= dict(zip(("behind", "sign"), FELT.get(task, (0, 0)), strict=True))
-    words = [f"experiment=dressing/{task}"]
-    if task.removeprefix("shirt_") in LATER:
-        words.append("initial_states.file=bank")
-    terms = load_experiment(words).root.reward.terms
+    terms = load_experiment([f"experiment=dressing/{task}"]).root.reward.terms
     found = {name: terms.get(name, {"weight": 0.0})["weight"] / 0.02 for name in wanted}
     assert found == pytest.approx(wanted)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
@@ -17,6 +18,7 @@ from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import installed
 from understudy_cloth.mesh import face_areas
+from understudy_dressing.initial_states import WornShirt
 from understudy_dressing.person import TIP, PersonScene, Side, depth_in, limb, neutral_pose
 from understudy_dressing.shirt import IN_SLEEVE, ShirtScene
 from understudy_dressing.shirt_state import under_hem
@@ -147,15 +149,49 @@ def test_a_hand_begins_in_the_mouth_of_its_sleeve(side: Side, bent: int) -> None
     data.qpos[: len(pose)] = pose
     mujoco.mj_forward(model, data)
     assert all(contact.dist > -1e-3 for contact in data.contact)
-    at = torch.tensor(data.xpos[None]), torch.tensor(data.xquat[None])
-    places = places_on(model, limb(side), torch.device("cpu"))
-    bones, cloth = in_world((places[0], places[1].double()), *at), torch.tensor(x)[None]
-    contained, share = progress(
-        bones, cloth[:, torch.tensor(SHIRT.sleeve(side)["entrance"].copy())]
-    )
-    assert bool(contained)
+    at = torch.tensor(data.xpos[None]).float(), torch.tensor(data.xquat[None]).float()
+    share = _in_sleeve(side, *at, torch.tensor(x)[None].float())
     assert 0.1 < float(share) < 0.35
+
+
+def _in_sleeve(side: Side, xpos: Tensor, xquat: Tensor, cloth: Tensor) -> Tensor:
+    """(N,) which share of that arm is in its sleeve, where it goes through no cloth."""
+    bones = in_world(places_on(MODEL, limb(side), torch.device("cpu")), xpos, xquat)
     assert not pierces(bones, cloth[:, torch.tensor(SHIRT.faces)]).any()
+    entrance = torch.tensor(SHIRT.sleeve(side)["entrance"].copy())
+    contained, share = progress(bones, cloth[:, entrance])
+    return torch.where(contained, share, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stage", "dressed", "bare"),
+    [
+        ("regrip", ["left"], ["right"]),
+        ("tuck_second", ["left"], ["right"]),
+        ("sleeve_second", ["left"], ["right"]),
+        ("finish", ["left", "right"], []),
+    ],
+)
+def test_later_subtasks_have_starts_of_their_own(
+    stage: str, dressed: list[Side], bare: list[Side]
+) -> None:
+    """Narrow ones, as Algorithm 1's first pass needs: ours, since nobody published the paper's. Nothing is torn, nothing is
+    done yet, and both stay so while no torque acts."""
+    environment = build_environment(
+        load_experiment([f"experiment=dressing/shirt_{stage}", *SMALL])
+    ).environment
+    environment.reset(seed=1)
+    table = environment.table
+    criterion = {"regrip": "gripped", "tuck_second": "tucked", "sleeve_second": "dressed", "finish": "rested"}[stage]  # fmt: skip
+    for _ in range(15):
+        at = table["xpos"], table["xquat"], table["cloth_position"]
+        assert all((_in_sleeve(side, *at) > 0.6).all() for side in dressed)
+        assert all((_in_sleeve(side, *at) == 0).all() for side in bare)
+        assert (table["area_ratio"] < 1.8).all()
+        assert not table["collar_lost"].any()
+        assert not table[criterion].any()
+        environment.step(torch.zeros(2, environment.action_size))
+    environment.close()
 
 
 def test_starts_are_drawn_among_hands_in_the_sleeve() -> None:
@@ -299,6 +335,26 @@ def test_an_arm_through_the_cloth_is_not_dressed() -> None:
     assert environment.table["pierced"].all()
     assert not environment.table["dressed"].any()
     environment.close()
+
+
+def test_both_passes_of_all_seven_compose(bank: Path) -> None:
+    options = load_experiment(["search=dressing/algorithm_1"]).need("outer_loop").options
+    assert isinstance(options, Algorithm1.Options)
+    stages = stages_of(options)
+    assert [name for name in stages if name in STAGES] == list(STAGES)
+    for name, words in stages.items():
+        if name.endswith("_ends"):  # a harvest, of the run before it
+            continue
+        given = [re.sub(r"\{\w+\}", str(bank), word) for word in words]
+        experiment = load_experiment(
+            [word for word in given if not word.startswith(("start.", "job"))]
+        )
+        own = isinstance(experiment.need("initial_states").options, WornShirt.Options)
+        assert own is (name not in STAGES[1:])
+        towards = [
+            term.name for term in experiment.many("reward.terms") if term.name == "next_start"
+        ]
+        assert bool(towards) is (name.removesuffix("_first") in STAGES[:-1])
 
 
 def test_grips_that_the_garment_has_not_are_refused() -> None:

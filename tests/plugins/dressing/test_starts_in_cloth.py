@@ -106,6 +106,26 @@ def test_three_quarters_are_in_only_near_the_shoulder() -> None:
     assert progress(0.034) == pytest.approx(0.75, abs=0.001)
 
 
+def test_noise_that_puts_the_person_into_settled_cloth_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By 1.4 cm with the 0.01 rad of all tasks, which the cloth's first step undoes; by 6 cm and more with 0.1."""
+    pytest.importorskip("potpourri3d", reason="potpourri3d is not installed")
+    run = tmp_path / "run"
+    words = (
+        "device=cpu",
+        "simulators.person.name=mujoco",
+        "scenes.cloth.edge=0.032",
+        "num_worlds=1",
+    )
+    given = ("train", "experiment=dressing/shirt_grip", *words, "initial_states.noise=0.1", f"run.dir={run}")  # fmt: skip
+    assert main(list(given)) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "with a noise of 0.1 rad the person begins" in error
+    assert "cm inside the cloth: give it less." in error
+    assert not run.exists(), "before anything is written"
+
+
 @pytest.mark.parametrize(
     ("low", "high"),
     [

@@ -20,6 +20,8 @@ from understudy_dressing.sleeve import SleeveScene
 
 #: m: places in which the gripper may begin are looked at so near to each other, but no more along an axis.
 _APART, _MOST = 0.05, 16
+#: m: so deep may noise put the person into settled cloth, which then gives way; and draws that are looked at.
+_DEEP, _DRAWS = 0.03, 8
 
 
 class Track(InitialStates):
@@ -110,6 +112,13 @@ class _Settled(InitialStates):
         self._cloth = torch.tensor(cloth, dtype=torch.float32, device=context.device)
         self._rest = person.spec().compile().nq - pose.shape[1]
         self._noise, self._rates, self._push = noise, rates, push
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_DRAWS, pose.shape[1]))
+        ends = [(one + noise * sign, x) for one, x in settled for sign in signs]
+        deepest = max(float(depth_in(person, one)(x).max()) for one, x in ends)
+        if deepest > _DEEP:
+            raise ConfigError(
+                f"{who}: with a noise of {noise:g} rad the person begins {100 * deepest:.0f} cm inside the cloth: give it less."
+            )
 
     def sample(self, streams: WorldStreams, **fields: Tensor) -> dict[str, Tensor]:
         count, hinges = self._pose.shape
@@ -133,12 +142,13 @@ class _Settled(InitialStates):
 
 class WornShirt(_Settled):
     """A shirt on the shoulders, the neck in its collar (section 8.1), and a push of all of it in a random direction; or,
-    so that later subtasks can begin without a bank, its hem held in front and an arm under it or a hand in its sleeve."""
+    so that later subtasks can begin without a bank, its hem held in front and an arm under it or in its sleeve."""
 
     @dataclass(frozen=True)
     class Options:
-        worn: Worn = "on_shoulders"  #: how far: `held` by the other hand, `tucked`: the arm under it, too, `in_sleeve`: its hand in the sleeve
+        worn: Worn = "on_shoulders"  #: how far: `held` by the other hand, `tucked`: the arm under it, too, `in_sleeve`: its hand in the sleeve, `dressed`: the arm
         side: Side = "left"  #: the arm that goes in (the paper's first)
+        other_dressed: bool = False  #: whether the other arm is in its own sleeve
         push: float = 0.5  #: m/s, of all of the cloth (2018 code: 0.5, of an unknown unit)
         noise: float = 0.01  #: rad, uniform, of the pose
         rates: float = (
@@ -151,10 +161,14 @@ class WornShirt(_Settled):
     def __init__(self, options: Options, context: Context) -> None:
         who = "initial_states 'dressing/worn_shirt'"
         shirt = context.need_scene(ShirtScene, who)
-        key = f"dressing/shirt/{options.worn}/{options.side}"
+        key = f"dressing/shirt/{options.worn}/{options.side}/{options.other_dressed}"
         bent = IN_SLEEVE if options.worn == "in_sleeve" else IN_SLEEVE[:1]
         settled = context.once(
-            key, lambda: [shirt.settled(options.worn, options.side, arm) for arm in bent]
+            key,
+            lambda: [
+                shirt.settled(options.worn, options.side, arm, options.other_dressed)
+                for arm in bent
+            ],
         )
         super().__init__(context, who, settled, options.noise, options.rates, options.push)
 

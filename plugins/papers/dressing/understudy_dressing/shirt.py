@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -33,8 +34,8 @@ from understudy_dressing.person import (
 from understudy_tensors import rotations
 
 #: How far the shirt is worn: on the shoulders; its hem held in front by the other hand; and this arm under it; or its hand
-#: in the sleeve's mouth.
-Worn = Literal["on_shoulders", "held", "tucked", "in_sleeve"]
+#: in the sleeve's mouth; or the arm out in its sleeve.
+Worn = Literal["on_shoulders", "held", "tucked", "in_sleeve", "dressed"]
 #: m: so high is the neck's highest point of the pattern above the base of the neck, and so far the cloth from skin.
 _NECK, _CLEAR = 0.115, 0.012
 #: m, of the right hand's mirror: where a hand holds the hem, and where the other goes under it: in front of the body, so
@@ -48,6 +49,8 @@ IN_SLEEVE = (
     (0.25, -0.25, 0.25, -0.77, 1.00, 2.72, -0.60, 0.60),
     (0.25, -0.24, 0.36, -0.91, 1.00, 2.73, -0.60, 0.60),
 )
+#: rad, the same of an arm that is out to its side, in its sleeve.
+DRESSED = (0.0, 0.0, -1.2, 0.0, 0.0, 0.25, 0.0, 0.0)
 #: m: so far do links stay apart that no joint connects, where there is room; it weighs so many times a fingertip's error.
 _APART, _WEIGHT = 0.003, 3.0
 #: s: until the shirt hangs; a hand on its way; until it hangs again.
@@ -117,11 +120,15 @@ class ShirtScene(CutGarment):
         )  # fmt: skip
 
     def settled(
-        self, worn: Worn, side: Side, arm: tuple[float, ...] = IN_SLEEVE[0]
+        self,
+        worn: Worn,
+        side: Side,
+        arm: tuple[float, ...] = IN_SLEEVE[0],
+        other_dressed: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Pose (22,) rad of the whole person and vertices (V, 3) m: the shirt, as it hangs after it was put on, a hand
         took its hem to the front, and the arm of `side` went under it, as far as `worn` says; `in_sleeve` it was put on
-        with that arm bent like `arm` (8,) rad.
+        with that arm bent like `arm` (8,) rad, `dressed` with it in its sleeve, as the other one is if `other_dressed`.
 
         Raises
         ------
@@ -129,11 +136,14 @@ class ShirtScene(CutGarment):
             if the cloth flies apart.
         """
         moves = Moves(self)
-        if worn == "in_sleeve":
-            pose = moves.bent(side, np.array(arm))
+        holder: Side = "left" if side == "right" else "right"
+        arms = {"in_sleeve": {side: arm}, "dressed": {side: DRESSED}}.get(worn, {})
+        if other_dressed:
+            arms = {**arms, holder: DRESSED}
+        if arms:
+            pose = moves.bent(arms)
             moves = Moves(self, pose, self._drawn_over(pose))
         moves.hold(_SETTLES, closed=(False, False))
-        holder: Side = "left" if side == "right" else "right"
         closed = tuple(name == holder for name in HOLDERS)
         mirrored = np.array([1.0, -1.0 if holder == "left" else 1.0, 1.0])
         if worn != "on_shoulders":
@@ -217,11 +227,13 @@ class Moves:
         """Numbers of that arm's hinges, from the clavicle on."""
         return [i for i in range(len(self._pose)) if self._body.joint(i).name.startswith(side)]
 
-    def bent(self, side: Side, arm: np.ndarray) -> np.ndarray:
-        """The pose (22,) rad with that arm's hinges, of the left one or their mirror image (8,) rad."""
-        pose, mine = self._pose.copy(), self._arm(side)
-        twists = np.array([self._body.joint(i).name.endswith("twist") for i in mine])
-        pose[mine] = np.where(twists & (side == "right"), -arm, arm)
+    def bent(self, arms: Mapping[Side, tuple[float, ...]]) -> np.ndarray:
+        """The pose (22,) rad with the hinges of these arms, given for the left one or their mirror image (8,) rad."""
+        pose = self._pose.copy()
+        for side, arm in arms.items():
+            mine = self._arm(side)
+            twists = np.array([self._body.joint(i).name.endswith("twist") for i in mine])
+            pose[mine] = np.where(twists & (side == "right"), -np.array(arm), arm)
         return pose
 
     def reach(

@@ -71,6 +71,8 @@ class Naming:
 
     def __post_init__(self) -> None:
         check_range(self, "unit", above=0)
+        if "" in {*self.loops, *self.patches}:
+            raise ValueError("a loop or patch without a name is not possible: give it one.")
         if (count := len(self.loops) + len(self.patches)) > MOST_NAMES:
             raise ValueError(
                 f"loops and patches are {count}, and a garment has at most {MOST_NAMES}."
@@ -268,10 +270,10 @@ def _check_size(positions: np.ndarray, faces: np.ndarray, what: str) -> None:
     # how many, and not which: those of a mesh all in one place take gigabytes
     near = tree.query_ball_point(positions, _SAME, return_length=True)
     if (near > 1).any():
-        i = int(np.argmax(near > 1))
+        i, pairs = int(np.argmax(near > 1)), int((near - 1).sum()) // 2
         j = min(k for k in tree.query_ball_point(positions[i], _SAME) if k != i)
         raise FileError(
-            f"{what} has {int((near - 1).sum()) // 2} pairs of vertices in one place, the first {i} and {j}: merge "
+            f"{what} has {pairs} pair{'s' * (pairs > 1)} of vertices in one place, the first {i} and {j}: merge "
             "them, or the cloth is open there."
         )
 
