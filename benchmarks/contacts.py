@@ -1,7 +1,8 @@
 """How deep fingers are in the sticks, and how far these slip, by how contacts are solved; no policy (thesis, figures 5.24 and 5.25).
 
 ``python benchmarks/contacts.py`` holds packaged grips of sticks for ten seconds at each of their angles under fixed targets, and has hands
-follow plans of relocation by the plans' targets alone, under several settings each; it writes ``docs/benchmarks/contacts.jsonl``, a row a
+follow plans of relocation by the plans' targets alone, under several settings each; the packaged policy of relocation is judged on unseen
+plans under settings that it was not trained with, solved to the end. It writes ``docs/benchmarks/contacts.jsonl``, a row a
 grip and setting. What is there already is not measured again, so the same command goes on after a stop.
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,13 @@ import torch
 from held import episodes, measured
 
 from understudy.errors import ConfigError
-from understudy.setup.building import build_environment
+from understudy.setup.building import Built, build_environment
 from understudy.setup.composition import load_experiment
 from understudy_gripping.grip import load_grip, long, standard, tri_finger
 from understudy_hand.scene import HandScene
 from understudy_mujoco.contact import Contact
+from understudy_reinforcement.evaluation import wilson_interval
+from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "contacts.jsonl"
@@ -49,6 +52,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "impratio 1000": {"impratio": 1000.0, "iterations": 50, "ls_iterations": 50},
     "solved to the end": {"iterations": 100, "ls_iterations": 50},
 }
+#: Under which a trained policy is judged beside those of softness.
+IMPRATIOS = (1.0, 3.0, 10.0, 100.0, 300.0, 1000.0)
 
 
 def of_grip(path: Path, contact: Mapping[str, Any], step: float) -> dict[str, Any]:
@@ -84,28 +89,65 @@ def of_plans(name: str, contact: Mapping[str, Any], substeps: int, count: int) -
         built = build_environment(experiment, num_worlds=count, evaluating=True)
     except ConfigError as error:  # a grip that falls at once begins no plan
         return {"plans": 0, "refused": str(error)}
-    environment, scene = built.environment, built.context.scene
-    assert isinstance(scene, HandScene)
-    try:
-        environment.reset(0, "contacts")
-        frames: list[list[np.ndarray]] = [[] for _ in range(count)]
-        running = torch.ones(count, dtype=torch.bool)
-        still = torch.zeros(count, environment.action_size)
-        while bool(running.any()):
-            qpos = environment.table["qpos"].numpy().copy()
-            for world in running.nonzero()[:, 0].tolist():
-                frames[world].append(qpos[world].astype(np.float64))
-            running &= ~environment.advance(still).ended
-        each = [measured(scene, np.array(rows), 0.01) for rows in frames if len(rows) > 4]
-    finally:
-        environment.close()
+    still = torch.zeros(count, built.environment.action_size)
+    each, frames, _ = _followed(built, lambda seen: still)
     return {
         "plans": count,
-        "frames": sum(map(len, frames)),
+        "frames": frames,
         "fingers": max(one["fingers"] for one in each),
         "fingers_median": float(np.median([one["fingers"] for one in each])),
         "object": max(one["object"] for one in each),
     }
+
+
+def _followed(
+    built: Built, act: Callable[[Any], torch.Tensor]
+) -> tuple[list[dict[str, float]], int, int]:
+    """What is measured of each world's plan, followed by `act` to its end or until something is lost; frames in all;
+    and how many were placed."""
+    environment, scene = built.environment, built.context.scene
+    assert isinstance(scene, HandScene)
+    try:
+        seen, placed = environment.reset(0, "contacts"), 0
+        count = len(environment.table["qpos"])
+        frames: list[list[np.ndarray]] = [[] for _ in range(count)]
+        running = torch.ones(count, dtype=torch.bool)
+        while bool(running.any()):
+            qpos = environment.table["qpos"].numpy().copy()
+            for world in running.nonzero()[:, 0].tolist():
+                frames[world].append(qpos[world].astype(np.float64))
+            step = environment.advance(act(seen))
+            placed += int((running & step.endings["placed"]).sum())
+            seen, running = step.observations, running & ~step.ended
+        each = [measured(scene, np.array(rows), 0.01) for rows in frames if len(rows) > 4]
+    finally:
+        environment.close()
+    return each, sum(map(len, frames)), placed
+
+
+@torch.no_grad()
+def of_policy(contact: Mapping[str, Any], substeps: int, count: int) -> dict[str, Any]:
+    """The packaged policy of relocation on `count` unseen plans; mm: the deepest and the farthest slip of each plan, their median over
+    plans and the most."""
+    chosen = {**OURS, "iterations": 100, "ls_iterations": 50, **contact}
+    words = [
+        f"initial_states.plans={count}", "initial_states.refill=0", "scene.object.rolling=0.0005", f"control.substeps={substeps}",
+        *(f"scene.contact.{key}={list(v) if isinstance(v, tuple) else v}" for key, v in chosen.items()),
+    ]  # fmt: skip
+    skill = open_skill(SKILL, words)
+    try:
+        built = build_environment(skill.experiment, num_worlds=count, evaluating=True)
+    except ConfigError as error:
+        return {"plans": 0, "refused": str(error)}
+    policy = build_policy(skill.experiment, built.context)
+    skill.give(policy)
+    each, frames, placed = _followed(built, lambda seen: policy.distribution(seen).mode())
+    found: dict[str, Any] = {"plans": count, "frames": frames, "placed": placed / count}
+    found["placed_95"] = list(wilson_interval(placed / count, count))
+    for name in ("fingers", "object", "slip"):
+        of = [one[name] for one in each]
+        found |= {name: max(of), f"{name}_median": float(np.median(of))}
+    return found
 
 
 def of_skill(setting: str, substeps: int) -> dict[str, Any]:
@@ -125,6 +167,7 @@ def main() -> None:
     parser.add_argument(
         "--plans", type=int, default=8, help="that a hand follows, for each setting"
     )
+    parser.add_argument("--tasks", type=int, default=50, help="that a policy is judged on")
     parser.add_argument("--machine", default="one CPU core")
     parser.add_argument("--out", type=Path, default=RESULTS)
     given = parser.parse_args()
@@ -148,6 +191,18 @@ def main() -> None:
             key = ("skill", "standard", setting, 10.0 / substeps)
             if key not in there:
                 add(dict(zip(KEYS, key, strict=True)), of_skill(setting, substeps))
+    softness = {name: of for name, of in SETTINGS.items() if name.startswith("solimp")}
+    judged = {
+        "as trained": {},
+        **softness,
+        **{f"impratio {k:g}": {"impratio": k} for k in IMPRATIOS},
+    }
+    for setting, contact in judged.items():
+        for substeps in (2, 1):
+            key = ("policy", "standard", setting, 10.0 / substeps)
+            if key not in there:
+                found = of_policy(contact, substeps, given.tasks)
+                add(dict(zip(KEYS, key, strict=True)), found)
     for grip, path in GRIPS.items():
         for setting, contact in SETTINGS.items():
             for substeps in (2, 1, 4):

@@ -31,7 +31,7 @@ from understudy_reinforcement.evaluation import wilson_interval
 from understudy_reinforcement.policy import build_policy
 from understudy_skills.skill import open_skill
 from understudy_tensors import rotations
-from understudy_tool_planner.planner import CLOSING, DT, PRESSING
+from understudy_tool_planner.planner import CLOSING, DT
 from understudy_tool_planner.tasks import random_table
 
 RESULTS = Path(__file__).parents[1] / "docs" / "benchmarks" / "relocations.jsonl"
@@ -52,7 +52,8 @@ PHASES = ("approach", "grasp", "carry", "release")
 class Watched:
     """What happens to an object, until its episode ends."""
 
-    def __init__(self) -> None:
+    def __init__(self, pressing: float) -> None:
+        self._pressing = pressing  #: s
         self.placed = ""  #: 1 or 0, of each relocation that is over; at its end:
         self.away = list[float]()  #: mm from the goal
         self.slipped = list[float]()  #: mm of the lower stick in the palm
@@ -69,7 +70,7 @@ class Watched:
             self._leg, self._held, self.began = leg, 0.0, ""
         self._held += DT * held
         if float(table["object_distance"][world]) > OFF and not self.began:
-            grasped = self._held > CLOSING + PRESSING
+            grasped = self._held > CLOSING + self._pressing
             self.began = PHASES[1 + grasped if held else 3 * (self._held > 0)]
         placed, missed = (bool(table[n][world]) for n in ("leg_placed", "leg_missed"))
         if (placed or missed) and len(self.placed) == leg:
@@ -99,11 +100,13 @@ def episodes(
     seconds: float,
     untrained: bool = False,
     another: bool = False,
+    seed: int = 0,
 ) -> Iterator[dict[str, Any]]:
     """Those of the numbers from `begun` to `count`, as they end; as many side by side as there are `worlds`. `name` is
-    a skill's, or of `untrained` worlds an experiment's; each relocation may move `another` object."""
+    a skill's, or of `untrained` worlds an experiment's; each relocation may move `another` object. Another `seed` has other
+    plans."""
     worlds = min(worlds, count - begun)
-    words = [*words, f"seed={begun}", f"initial_states.plans={worlds}"]
+    words = [*words, f"seed={seed + begun}", f"initial_states.plans={worlds}"]
     skill = None if untrained else open_skill(name, words)
     if skill is not None:
         experiment = skill.experiment
@@ -120,7 +123,7 @@ def episodes(
             skill.give(policy)
         objects = torch.Generator().manual_seed(begun)
         seen, table = environment.reset(begun, "relocations"), environment.table
-        watched, begun = [Watched() for _ in range(worlds)], begun + worlds
+        watched, begun = [Watched(initial.pressing) for _ in range(worlds)], begun + worlds
         while any(w is not None for w in watched):
             step = environment.advance(policy.distribution(seen).mode())
             seen, again = step.observations, torch.zeros(worlds, dtype=torch.bool)
@@ -133,7 +136,7 @@ def episodes(
                 yield found
                 watched[world] = None
                 if begun < count:
-                    watched[world], begun, again[world] = Watched(), begun + 1, True
+                    watched[world], begun, again[world] = Watched(initial.pressing), begun + 1, True
                     initial.bank.replace(world)
             over = ((table["leg_placed"] > 0) | (table["leg_missed"] > 0)) & ~step.ended
             if another and bool(over.any()):
@@ -201,6 +204,7 @@ def main() -> None:
     parser.add_argument("--untrained", metavar="EXPERIMENT", help="whose plans no policy follows")
     parser.add_argument("--another", action="store_true", help="object after each relocation")
     parser.add_argument("--episodes", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0, help="of the plans")
     parser.add_argument("--worlds", type=int, default=16, help="episodes side by side")
     parser.add_argument("--seconds", type=float, default=32.0, help="of an episode, at most")
     parser.add_argument("--machine", default="one CPU core")
@@ -219,12 +223,12 @@ def main() -> None:
     spent = row.get("core_seconds", 0.0)
     for found in episodes(
         given.untrained or given.skill, words, done, given.episodes, given.worlds, given.seconds,
-        given.untrained is not None, given.another,
+        given.untrained is not None, given.another, given.seed,
     ):  # fmt: skip
         row["episodes"].append(found)
         row |= {
             "when": datetime.date.today().isoformat(), "device": "cpu", "machine": given.machine,
-            "skill": _named(given), "simulator": "mujoco", "overrides": words,
+            "skill": _named(given), "simulator": "mujoco", "overrides": words, **({"seed": given.seed} if given.seed else {}),
             "core_seconds": round(spent + time.process_time() - begun, 1),
             **summary(row["episodes"], relocations),
         }  # fmt: skip

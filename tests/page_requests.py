@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from urllib.parse import urlsplit
+
+import pytest
 
 
 def status(url: str, *lines: str) -> int:
@@ -12,6 +16,19 @@ def status(url: str, *lines: str) -> int:
     with socket.create_connection(("127.0.0.1", port or 0), timeout=10) as talk:
         talk.sendall("\r\n".join(["GET / HTTP/1.1", *lines, "", ""]).encode())
         return int(talk.recv(64).split()[1])
+
+
+@contextmanager
+def visitor(url: str) -> Iterator[Callable[..., None]]:
+    """What sends a browser's messages to the page at `url`: a type of viser's, and its fields."""
+    viser = pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
+    import msgspec
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    version = Subprotocol(f"viser-v{viser.__version__}")
+    with connect(url.replace("http", "ws"), subprotocols=[version], max_size=None) as sockets:
+        yield lambda kind, **fields: sockets.send(msgspec.msgpack.encode({"type": kind, **fields}))
 
 
 SOCKET = ("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",

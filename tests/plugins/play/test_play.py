@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from page_requests import check_page
+from page_requests import check_page, visitor
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError, RunError
@@ -222,6 +223,14 @@ def test_a_target_is_dragged_and_the_object_brought_there() -> None:
                 return
         raise AssertionError("not within the steps")
 
+    def wait(done: Callable[[], bool]) -> None:
+        due = time.monotonic() + 20.0
+        while not done() and time.monotonic() < due:
+            time.sleep(0.02)
+        assert done(), "not within the time"
+
+    leads = player.leads
+    assert leads is not None
     try:
         first = player.way()[-1]
         assert page.target == (pytest.approx(tuple(first)), True)
@@ -229,11 +238,10 @@ def test_a_target_is_dragged_and_the_object_brought_there() -> None:
         page.advance()
         page.advance()
         np.testing.assert_array_equal(player.way()[-1], first, "what has begun is ended first")
-        assert player.leads is not None
-        until(lambda: bool(player.leads.refused), 400)
+        until(lambda: bool(leads.refused), 400)
         for _ in range(3):
             page.advance()
-        assert "the arm is too short, by" in player.leads.refused
+        assert "the arm is too short, by" in leads.refused
         assert not page.target[1]
         hinges = table["qpos"][0, :7].clone()
         for _ in range(12):
@@ -241,7 +249,16 @@ def test_a_target_is_dragged_and_the_object_brought_there() -> None:
         assert (table["qpos"][0, :7] - hinges).abs().max() < 0.02, "it waits"
         assert player.falls == 0, "an episode goes on where it would have ended"
 
-        page.send(0.05, -0.02)
+        with visitor(page.url) as send:  # a browser's messages, over a socket
+            turn, goal = (1.0, 0.0, 0.0, 0.0), (0.05, -0.02, 0.01)
+            send("TransformControlsDragStartMessage", name="/target")
+            for place in ((0.2, 0.1, 0.01), goal):
+                send("TransformControlsUpdateMessage", name="/target", wxyz=turn, position=place)
+            wait(lambda: page.target[0] == pytest.approx(goal))
+            page.advance()
+            assert leads.refused, "it goes nowhere before the drag has ended"
+            send("TransformControlsDragEndMessage", name="/target")
+            wait(lambda: page._sent is not None)
         until(lambda: bool((player.way()[-1, :2] == np.float32([0.05, -0.02])).all()), 5)
         for _ in range(3):
             page.advance()
@@ -249,9 +266,17 @@ def test_a_target_is_dragged_and_the_object_brought_there() -> None:
         until(lambda: bool(table["plan_over"][0]), 400)
         assert float((table["qpos"][0, 50:52] - torch.tensor([0.05, -0.02])).norm()) < 0.005
 
-        for _ in range(2):  # one leaves it within 5 mm of the goal
-            page.nudge(1.0, 0.0)
-        until(lambda: float(table["replans"][0]) == 1.0, 250)
+        with visitor(page.url) as send:
+            held = (0.1, 0.03, 0.01)
+            send("TransformControlsDragStartMessage", name="/target")
+            send("TransformControlsUpdateMessage", name="/target", wxyz=turn, position=held)
+            wait(lambda: page.target[0] == pytest.approx(held))
+            for _ in range(2):  # one leaves it within 5 mm of the goal
+                page.nudge(1.0, 0.0)
+            until(lambda: float(table["replans"][0]) == 1.0, 250)
+            for _ in range(3):
+                page.advance()
+            assert page.target[0] == pytest.approx(held), "a new plan leaves what is dragged"
         np.testing.assert_array_equal(player.way()[-1, :2], np.float32([0.05, -0.02]))
         lies = table["qpos"][0, 50:52].numpy()
         np.testing.assert_allclose(player.way()[0, :2], lies, atol=1e-3)

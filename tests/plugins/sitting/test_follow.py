@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from page_requests import visitor
 
 from understudy.command.cli import main
 from understudy.errors import ConfigError
@@ -78,11 +79,7 @@ def test_a_video_lasts_for_a_while(
 
 def test_a_click_in_the_browser_sends_it(skill: str) -> None:
     """A visitor's message, over a socket: the ray from the camera through the pixel that was clicked."""
-    viser = pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
-    import msgspec
-    from websockets.sync.client import connect
-    from websockets.typing import Subprotocol
-
+    pytest.importorskip("viser", reason="viser is not installed (the extra 'view')")
     from understudy_play.page import Page
     from understudy_viewer.page import free_port
 
@@ -91,9 +88,7 @@ def test_a_click_in_the_browser_sends_it(skill: str) -> None:
     try:
         page.advance()
         x, y = (float(v) for v in world.shown()["qpos"][:2])
-        address = page.url.replace("http", "ws")
-        version = Subprotocol(f"viser-v{viser.__version__}")
-        with connect(address, subprotocols=[version], max_size=None) as visitor:
+        with visitor(page.url) as send:
             camera = {
                 "wxyz": (1, 0, 0, 0), "position": (0, 0, 4), "fov": 1.0, "near": 0.1, "far": 99.0,
                 "image_height": 100, "image_width": 100, "look_at": (0, 0, 0), "up_direction": (0, 0, 1),
@@ -102,8 +97,8 @@ def test_a_click_in_the_browser_sends_it(skill: str) -> None:
                 "event_type": "click", "ray_origin": (0.0, 0.0, 4.0), "ray_direction": (0.5, -0.25, -1.0),
                 "screen_pos": ((0.5, 0.5),), "modifier": None,
             }  # fmt: skip
-            visitor.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **camera}))
-            visitor.send(msgspec.msgpack.encode({"type": "ScenePointerMessage", **click}))
+            send("ViewerCameraMessage", **camera)
+            send("ScenePointerMessage", **click)
             due = time.monotonic() + 20
             while page._sent is None and time.monotonic() < due:
                 time.sleep(0.02)

@@ -26,7 +26,7 @@ from understudy_hand.tools import (
 from understudy_tensors import rotations
 from understudy_tool_planner import arm, trajectory
 from understudy_tool_planner.clearance import to_segments
-from understudy_tool_planner.configuration import NoPlan, orientations
+from understudy_tool_planner.configuration import NoPlan, choose, orientations
 from understudy_tool_planner.gripper import Jaws, width
 from understudy_tool_planner.objects import Shape, Things
 from understudy_tool_planner.planner import DT, STEP, Plan, Planner, Task
@@ -239,6 +239,22 @@ def test_nothing_is_touched_on_the_way(planned: list[tuple[Task, Things, Plan]])
         assert float(points[..., 2].min()) - RADIUS >= 0.0
         away = to_points(points[..., None, :], others).amin() - RADIUS
         assert float(away) >= 0.0
+
+
+def test_what_is_chosen_can_be_let_go_among_others(planner: Planner) -> None:
+    """The upper stick opens wholly while the lower one stays: neither comes into the objects beside the goal."""
+    generator = torch.Generator().manual_seed(9)
+    shares = torch.linspace(0.0, 1.0, 16, dtype=F64)
+    for _ in range(3):
+        table = random_table(generator)
+        for one in range(8):
+            task, others = table.task(one, random_goal(table, one, generator)), table.without(one)
+            heading, height = torch.tensor(task.heading, dtype=F64), task.shape.height
+            start, goal = (torch.tensor((*p, height), dtype=F64) for p in (task.start, task.goal))
+            now = planner.begin().lower[3:]
+            found = choose(task.shape, start, heading, goal, heading, now, others, planner._holder)
+            way = planner._release(found.end[0], found.closed[0], goal, shares)
+            assert float(trajectory.clearance(STICKS, way, others).amin()) >= 0.0
 
 
 def test_the_object_is_taken_where_it_is_and_put_where_it_shall(

@@ -12,7 +12,7 @@ import numpy as np
 from understudy.command.command import Command
 from understudy.errors import ConfigError
 from understudy.setup.composition import load_experiment
-from understudy_gripping.grip import find_grip, search_grip
+from understudy_gripping.grip import FORCE, find_grip, search_grip
 from understudy_gripping.holding import holding
 from understudy_gripping.styles import read_style, written
 from understudy_hand.scene import HandScene
@@ -51,6 +51,10 @@ class FindGrip(Command):
         )  # fmt: skip
         parser.add_argument("--seed", type=int, default=0, help="of what is drawn (default: 0)")
         parser.add_argument(
+            "--force", type=float, default=FORCE, metavar="N",
+            help=f"of a contact, that targets press with (default: {FORCE:g}); sticks creep faster by more",
+        )  # fmt: skip
+        parser.add_argument(
             "--tool", default="sticks", help="sticks, tongs or brush (default: sticks)"
         )
         parser.add_argument(
@@ -68,6 +72,8 @@ class FindGrip(Command):
         own = holding(options.tool)
         if not 0 <= options.tries <= MOST_TRIES or options.seed < 0:
             raise ConfigError(f"--tries is a number from 0 to {MOST_TRIES}, and --seed at least 0.")
+        if not 0.1 <= options.force <= 10.0:
+            raise ConfigError(f"--force {options.force:g} is not from 0.1 to 10 N.")
         try:
             given = {name: getattr(options, name) for name in ("fingers", "finger_length", "size")}
             given = {name: value for name, value in given.items() if value is not None}
@@ -88,9 +94,11 @@ class FindGrip(Command):
             raise ConfigError("--places are mm from the middle of a stick, between -130 and 130.")
         scene = HandScene(chosen)
         if options.tries:
-            grip = search_grip(scene, style, places, options.tries, options.seed)
+            grip = search_grip(
+                scene, style, places, options.tries, options.seed, force=options.force
+            )
         else:
-            grip = find_grip(scene, style, places)
+            grip = find_grip(scene, style, places, force=options.force)
         grip.save(options.file)
         every = [grip.held(scene, row, 10.0, 1.0) for row in range(len(grip.angles))]
         slip = " and ".join(f"{1e3 * d:.2f}" for d in np.max([h.drift for h in every], axis=0))

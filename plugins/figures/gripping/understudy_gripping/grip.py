@@ -36,8 +36,9 @@ from understudy_tensors import rotations
 
 __all__ = ["Grip", "Grips"]
 
-#: N, wanted and least, of each contact; 2 and 0.5 lose the sticks under 40 mrad of noise, these do not at 60.
-FORCES = (3.0, 1.0)
+#: N, wanted of each contact, and the share of it that each bears at least; 2 N and a quarter lose the sticks of a human hand under 40 mrad
+#: of noise, these do not at 60.
+FORCE, LEAST_SHARE = 3.0, 1 / 3
 #: m: a wider gap between what shall touch, or less clearance, is no grip.
 WIDEST_GAP, LEAST_CLEARANCE = 2e-3, 0.0
 #: m: how far each place may be from a first guess in a search, in a human hand.
@@ -141,16 +142,20 @@ def _rounded(values: Any) -> Any:
 
 
 def find_grip(
-    scene: HandScene, style: Style, places: Sequence[float], iterations: int = 400
+    scene: HandScene,
+    style: Style,
+    places: Sequence[float],
+    iterations: int = 400,
+    force: float = FORCE,
 ) -> Grip:
-    """A grip from the T-pose: its poses at the tool's angles, targets that hold them, held for a second.
+    """A grip from the T-pose: its poses at the tool's angles, targets that hold them by some `force` N a contact, held for a second.
 
     Raises
     ------
     ConfigError
         fingers do not reach, or the tool falls; the sentence says what.
     """
-    return _find(PoseSolver(scene), Candidate(style, tuple(places)), iterations)
+    return _find(PoseSolver(scene), Candidate(style, tuple(places)), iterations, force)
 
 
 def search_grip(
@@ -160,6 +165,7 @@ def search_grip(
     tries: int,
     seed: int = 0,
     iterations: int = 200,
+    force: float = FORCE,
 ) -> Grip:
     """Of `tries` places and starts, drawn about `places` and the tool's own, the grip that slips least in ten
     seconds at any of its angles.
@@ -198,14 +204,14 @@ def search_grip(
     idle = tuple(f for f, part in zip(scene.measures.names, style, strict=True) if not part)
     slips = dict[int, float]()
     for row in reach.nonzero()[:, 0].tolist():
-        data, found = _balanced(solver, style, first, row)
+        data, found = _balanced(solver, style, first, row, force)
         slips[row] = _slip(hold(scene, data, found.targets, 2.0, 0.5), idle)
     best, least, said = None, math.inf, "it falls within two seconds, or other fingers hold it too"
     for row in sorted((r for r, s in slips.items() if s < math.inf), key=slips.__getitem__)[
         :MOST_HELD
     ]:
         try:
-            grip = _find(solver, candidates[row], iterations, _rows(first, row))
+            grip = _find(solver, candidates[row], iterations, force, _rows(first, row))
         except ConfigError as error:
             said = str(error)
             continue
@@ -235,7 +241,7 @@ def _slip(held: Held, idle: tuple[str, ...]) -> float:
 
 
 def _balanced(
-    solver: PoseSolver, style: Style, poses: Poses, row: int
+    solver: PoseSolver, style: Style, poses: Poses, row: int, force: float
 ) -> tuple[mujoco.MjData, Balance]:
     """The scene in the pose number `row`, and what balances the tool there."""
     scene, lower = solver.scene, poses.lower[row : row + 1]
@@ -245,11 +251,15 @@ def _balanced(
         upper = torch.cat(upper_pose(lower[:, :3], lower[:, 3:], angle, gripper), dim=1)
     pose = poses.pose[row].numpy()
     data = placed(scene, np.array(ARM_POSE), pose, upper[0].numpy(), lower[0].numpy())
-    return data, balance(scene, data, style, *FORCES)
+    return data, balance(scene, data, style, force, LEAST_SHARE * force)
 
 
 def _find(
-    solver: PoseSolver, candidate: Candidate, iterations: int, base: Poses | None = None
+    solver: PoseSolver,
+    candidate: Candidate,
+    iterations: int,
+    force: float,
+    base: Poses | None = None,
 ) -> Grip:
     """The grip of `candidate`, whose pose at one of the angles is `base`."""
     scene, style, angles = solver.scene, candidate.style, solver.holding.angles
@@ -262,7 +272,7 @@ def _find(
     poses = solver.solve([candidate] * count, iterations, start, angles)
     _refuse_unreachable(what, poses)
     arm = len(ARM_POSE)
-    targets = [_balanced(solver, style, poses, row)[1].targets[arm:] for row in range(count)]
+    targets = [_balanced(solver, style, poses, row, force)[1].targets[arm:] for row in range(count)]
     grip = Grip(
         scene.measures, style, candidate.places, poses.hinges, poses.lower[0].numpy(),
         np.array(angles), poses.pose.numpy(), np.array(targets), solver.tool, robot=scene.robot,

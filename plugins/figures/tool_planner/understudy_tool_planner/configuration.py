@@ -130,22 +130,23 @@ def choose(
     score = torch.exp(-_ALIGNED * off - _CONTINUOUS * far)
     _some(narrow, "taking", "the object is wider than the gripper opens")
     _some(thin, "taking", "the object is thinner than the gripper closes")
-    heads = (heading, heading, goal_heading, goal_heading)
-    angles, middles = (wide, closed, closed, least), (start, start, goal, goal)
-    table = [
-        _table(jaws, upright(h) @ matrix, a, m)
-        for h, a, m in zip(heads, angles, middles, strict=True)
-    ]
+    # Open and closed as it takes; closed as it puts down, open with its lower part still there, and gone aside.
+    heads = (heading, heading, goal_heading, goal_heading, goal_heading)
+    middles = (start, start, goal, goal, goal)
+    there, angles = (wide, closed, closed, closed, least), (wide, closed, closed, least, least)
+    table = []
+    for h, m, at, a in zip(heads, middles, there, angles, strict=True):
+        turned = upright(h) @ matrix
+        table.append(jaws.rods(jaws.placed(turned, at, m), turned, a).low.amin(-1))
     low = torch.stack(table).amin(0)
     fits = (narrow >= 0) & (thin >= 0)
     _some(torch.where(fits, low, -1.0), "taking", "the gripper is in the table")
     score = torch.where(fits & (low >= 0), score, -1.0)
     kept = score.topk(min(BEST, int((score > 0).sum()))).indices
     # Of those, what the arm reaches and nothing is in the way of.
-    turns = torch.stack([upright(h) @ matrix[kept] for h in heads], 1)  # (C, 4, 3, 3)
-    angle = torch.stack([a[kept] for a in angles], 1)
-    middle = torch.stack(middles).expand(len(kept), 4, 3)
-    place = jaws.placed(turns, angle, middle)
+    turns = torch.stack([upright(h) @ matrix[kept] for h in heads], 1)  # (C, 5, 3, 3)
+    at, angle = (torch.stack([a[kept] for a in each], 1) for each in (there, angles))
+    place = jaws.placed(turns, at, torch.stack(middles).expand(len(kept), -1, 3))
     palm, hand = holder.palm(place, turns)
     solved = arm.solve(palm[..., None, :], hand[..., None, :, :], SWIVELS)
     inside = solved.inside.amax(-1).amin(1)
@@ -166,7 +167,7 @@ def choose(
     if len(others.places):
         _, away = of_rods(jaws.rods(place, turns, angle), others, 8)
         free = away.flatten(2).amin(-1)
-        for rows, phase in ((slice(0, 2), "taking"), (slice(2, 4), "releasing")):
+        for rows, phase in ((slice(0, 2), "taking"), (slice(2, 5), "releasing")):
             clear = free[:, rows].amin(1)
             _some(torch.where(ok, clear, -1.0), phase, "other objects are in the gripper's way")
             ok &= clear >= 0
@@ -183,10 +184,6 @@ def _around(
     ways = torch.einsum("nij,nj->ni", matrix, across)
     ways = ways / ways.square().sum(-1, keepdim=True).sqrt()
     return *holder.jaws.angles_for(width(shape, ways), holder.least), ways
-
-
-def _table(jaws: Jaws, matrix: Tensor, angle: Tensor, middle: Tensor) -> Tensor:
-    return jaws.rods(jaws.placed(matrix, angle, middle), matrix, angle).low.amin(-1)
 
 
 def _some(values: Tensor, phase: str, why: str) -> None:

@@ -39,7 +39,7 @@ DT, SPEED, LEAST = 0.01, 0.25, 0.5
 #: rad/s at which the gripper turns at most. By the release's 0.4 π a hinge of the wrist moves at 2.3 rad/s at once, and from 2 on its servo
 #: is at its limit, which throws the sticks out of the hand.
 TURNING = 0.6
-#: s that closing and opening take; that closed sticks rest before they lift; that open ones take to go aside.
+#: s that closing and opening take; that closed ones rest before they lift, where nothing else is said; that open ones take to go aside.
 CLOSING, PRESSING, ASIDE = 0.15, 0.1, 0.1
 #: s that sticks wait before they begin anew, as long as a plan takes to be found; m and s of their way up first.
 WAITING, LIFT, LIFTING = 0.1, 0.03, 0.3
@@ -117,10 +117,15 @@ class Planner:
     at
         (7,) the lower part's position and rotation in the palm's frame, where a hand holds it elsewhere than the grip
         was found for: tongs turn a little between two fingers.
+    pressing
+        s that the closed gripper rests before it lifts.
     """
 
-    def __init__(self, grip: Grip, scene: HandScene, at: Tensor | None = None) -> None:
+    def __init__(
+        self, grip: Grip, scene: HandScene, at: Tensor | None = None, pressing: float = PRESSING
+    ) -> None:
         grip.need(scene)
+        self._pressing = pressing
         self._jaws, self._least = Jaws(scene.options.tool), float(grip.angles[0])
         hand = HandKinematics(scene)
         shapes = hand.shapes(torch.tensor(grip.poses[:1]))
@@ -284,7 +289,7 @@ class Planner:
             parts[0] = _joined(away, parts[0])
         shares = torch.linspace(0.0, 1.0, round(CLOSING / DT) + 1, dtype=torch.float64)[1:]
         close = self._turning(takes, wide, closed, start, shares)
-        count = round(PRESSING / DT)
+        count = round(self._pressing / DT)
         rest = Frames(*(getattr(close, n)[-1:].repeat_interleave(count, 0) for n in _FRAMES))
         close = _joined(close, rest)
         if thrown is None:

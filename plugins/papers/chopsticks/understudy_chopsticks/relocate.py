@@ -89,7 +89,7 @@ class Bank:
                 "'{kind: box, sizes: [0.015, 0.015, 0.015]}'."
             )
         self._upon = 2.0 * self._below.height if self._below is not None else 0.0
-        self._made, self._planner = made, Planner(made.grips[0], made.scene)
+        self._made = made
         self._device = context.device
         # An evaluation's plans are ones that no training follows.
         self._stream = f"plans/{'evaluation' if context.evaluating else 'training'}"
@@ -113,17 +113,17 @@ class Bank:
         thrown: bool = False,
         settled: bool = False,
         shift: tuple[float, float] = (0.0, 0.0),
+        pressing: float = PRESSING,
     ) -> None:
         """Make it one of `count` plans of so many `relocations` of at most so many `seconds` each, whose sticks
         take and put with an error of `noise` m; `later`, each when it is first needed (:meth:`need`). `settled`, of a
-        tool that is where it comes to rest in the hand; each held by a `shift` m further along, drawn evenly."""
+        tool that is where it comes to rest in the hand; each held by a `shift` m further along, drawn evenly; the
+        closed tool rests for `pressing` s before it lifts."""
         if len(self.frames):
             return
-        self._shift = shift
-        if settled or self.shifted:
-            made = self._made
-            at = made.lower[0].double().cpu()
-            self._planner = Planner(made.grips[0], made.scene, at)
+        self._shift, made = shift, self._made
+        at = made.lower[0].double().cpu() if settled or self.shifted else None
+        self._planner = Planner(made.grips[0], made.scene, at, pressing)
         self._relocations, self._noise, self._thrown = relocations, noise, thrown
         longest = relocations * seconds + (relocations - 1) * RESTING
         self._room = round(longest / DT) + 1
@@ -480,6 +480,8 @@ class Relocations(InitialStates):
         #: m: how much further along its lower part the tool is held, drawn evenly for each plan; beyond 0 the hand is nearer
         #: to the tips (section 5.7.2 has -0.05 to 0.05)
         shift: tuple[float, float] = (0.0, 0.0)
+        #: s that the closed tool rests before it lifts (the release has 0.05); a box is held firmly only after some 0.3
+        pressing: float = PRESSING
         #: how much more often plans are drawn that go badly: with exp(-harder r), r the mean reward of a decision that follows one
         #: (the release has 1); 0 draws evenly
         harder: float = 0.0
@@ -494,7 +496,8 @@ class Relocations(InitialStates):
                 raise ValueError(
                     f"relocations={self.relocations} of what is thrown are not possible: it lands out of reach."
                 )
-            least = round(2 * (LEAST + CLOSING) + PRESSING + ASIDE, 6)
+            check_range(self, "pressing", least=0, most=1.0)
+            least = round(2 * (LEAST + CLOSING) + self.pressing + ASIDE, 6)
             check_range(self, "longest", least=least, most=60.0)
             low, high = self.shift
             if not -FARTHEST <= low <= high <= FARTHEST:
@@ -509,6 +512,7 @@ class Relocations(InitialStates):
 
     def __init__(self, options: Options, context: Context) -> None:
         made, self.bank = bank_of(context, "initial_states 'chopsticks/relocations'")
+        self.pressing = options.pressing  #: s
         self._evaluating = context.evaluating
         self._refill = 0 if context.evaluating else options.refill
         if made.scene.options.below is not None and options.relocations > 1:
@@ -524,7 +528,7 @@ class Relocations(InitialStates):
         self._later = context.evaluating and context.device.type == "cpu"
         self.bank.fill(
             options.plans, options.longest, options.relocations, options.noise, self._later,
-            options.thrown, options.settled, options.shift,
+            options.thrown, options.settled, options.shift, options.pressing,
         )  # fmt: skip
         device, model = context.device, made.scene.model
         start = torch.tensor(made.begin(np.array(ARM_POSE))[0], dtype=torch.float32, device=device)

@@ -44,6 +44,7 @@ class ScenePage:
             threading.Lock()
         )  # of what the browser's events change: the world is the loop's
         self._sent: tuple[float, float] | None = None
+        self._dragged = False
         self._nudges: list[tuple[float, float]] = []
         self._steps, self._every = 0, max(1, round(1.0 / (_FRAMES * world.dt)))
         self._server, self.url = open_server(host, port)
@@ -160,8 +161,9 @@ class ScenePage:
         nudge = gui.add_button_group("Nudge", tuple(_WAYS))
 
         @self._handle.on_update
-        def _(event: viser.TransformControlsEvent) -> None:
-            if event.phase == "end":
+        async def _(event: viser.TransformControlsEvent) -> None:  # so they come in their order
+            self._dragged = event.phase != "end"
+            if not self._dragged:
                 x, y, _ = self._handle.position
                 self.send(float(x), float(y))
 
@@ -177,7 +179,7 @@ class ScenePage:
         if not np.array_equal(way, self._drawn):
             self._drawn = way
             self._way.points = np.stack([way[:-1], way[1:]], axis=1)
-            if leads.target is None or not leads.refused:
+            if not self._dragged and (leads.target is None or not leads.refused):
                 self._handle.position = way[-1]
         self._flag.color = _BAD if leads.refused else _GOOD
         self._way.visible = not leads.refused
