@@ -107,11 +107,6 @@ def test_an_experiment_beside_it_is_used(group: str, name: str) -> None:
     assert compose_raw(given, PLUGINS)["task"] == "miniature/go"
 
 
-def test_what_does_not_go_together_is_named() -> None:
-    with pytest.raises(ConfigError, match="search=cmfbo/toy chooses an experiment of its own"):
-        load_experiment(["search=cmfbo/toy", "experiment=spacetime/walk"], PLUGINS)
-
-
 @pytest.mark.parametrize(
     ("override", "answer"),
     [

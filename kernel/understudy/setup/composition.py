@@ -352,14 +352,4 @@ def _missing(value: Any, path: str = "") -> Iterator[str]:
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
     """Compose `overrides` and validate the result."""
     plugins = plugins or installed()
-    try:
-        return validate(compose_raw(overrides, plugins), plugins.registry)
-    except ConfigError as error:
-        loops = [o for o in overrides if o.startswith(("search=", "ablation="))]
-        other = [o for o in overrides if o.startswith("experiment=")]
-        if not loops or not other:
-            raise
-        raise ConfigError(
-            f"{error} {loops[-1]} chooses an experiment of its own and sets options of that, which "
-            f"{other[-1]} may not have."
-        ) from error
+    return validate(compose_raw(overrides, plugins), plugins.registry)
