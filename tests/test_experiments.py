@@ -98,6 +98,13 @@ def test_every_observation_is_read(name: str) -> None:
     assert observed <= words(policy.effective())
 
 
+@pytest.mark.parametrize("section", PLUGINS.registry.sections)
+def test_a_section_is_emptied_by_null(section: str) -> None:
+    """As a part is, whether or not anything sets it."""
+    for words in ([], [f"{section}.some=1"], ["experiment=spacetime/walk"]):
+        assert compose_raw([*words, f"{section}=null"], PLUGINS)[section] is None
+
+
 @pytest.mark.parametrize(("group", "name"), LOOPS)
 def test_an_experiment_beside_it_is_used(group: str, name: str) -> None:
     """It is a default of the file, in the place where an override is, or it is no choice at all."""

@@ -259,15 +259,15 @@ def for_hydra(overrides: Sequence[str]) -> list[str]:
 def split_overrides(
     overrides: Sequence[str], plugins: Plugins
 ) -> tuple[list[str], dict[str, str], set[str]]:
-    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot whatever
-    else chooses it, since Hydra has no null for a group of options; and the groups for which an
+    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot or a section
+    whatever else chooses it, since Hydra has no null for a group of options; and the groups for which an
     override chooses a file (``policy=mlp``)."""
     groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
     kept: list[str] = []
     emptied: dict[str, str] = {}
     for override in overrides:
         key, _, value = override.partition("=")
-        if key in groups and value == "null":
+        if value == "null" and key in groups.union(plugins.registry.sections):
             emptied[key] = override
         else:
             kept.append(override)
