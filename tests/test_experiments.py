@@ -105,6 +105,13 @@ def test_a_section_is_emptied_by_null(section: str) -> None:
         assert compose_raw([*words, f"{section}=null"], PLUGINS)[section] is None
 
 
+@pytest.mark.parametrize("section", PLUGINS.registry.sections)
+@pytest.mark.parametrize("value", ["some", "3", "/some/file", "[1]"])
+def test_what_a_section_takes_is_said(section: str, value: str) -> None:
+    with pytest.raises(ConfigError, match=f"{section}=.* is not possible: it takes a mapping of "):
+        load_experiment([f"{section}={value}"], PLUGINS)
+
+
 @pytest.mark.parametrize(("group", "name"), LOOPS)
 def test_an_experiment_beside_it_is_used(group: str, name: str) -> None:
     """It is a default of the file, in the place where an override is, or it is no choice at all."""

@@ -149,7 +149,9 @@ def _check(override: str, plugins: Plugins) -> None:
     except (HydraException, RecursionError) as error:
         raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
     group = read.key_or_group
-    if group not in _VALUES and ("/" in group or "." not in group):  # its value names a file
+    if not _is_value(group, plugins) and (
+        "/" in group or "." not in group
+    ):  # its value names a file
         names = chosen if isinstance(chosen, list) else [chosen]
         if any(map(_leads_out, (group, *names))):
             raise ConfigError(
@@ -244,14 +246,19 @@ def options(plugins: Plugins, group: str) -> dict[str, Path]:
 _VALUES = KEYS - {"task", "reward", "termination"}
 
 
-def for_hydra(overrides: Sequence[str]) -> list[str]:
+def _is_value(key: str, plugins: Plugins) -> bool:
+    """Whether what is written after `key` is its value, no option's name."""
+    return key in _VALUES or (key in plugins.registry.sections and not options(plugins, key))
+
+
+def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions; validation
     knows which ones exist."""
     result = []
     for override in overrides:
         key, equals, value = override.partition("=")
         plain = bool(equals and key) and key[0] not in "+~"
-        sets = "." in key or value.startswith("{") or key in _VALUES
+        sets = "." in key or value.startswith("{") or _is_value(key, plugins)
         result.append(f"++{override}" if plain and sets else override)
     return result
 
@@ -323,10 +330,10 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         folders = option_directories(plugins)
-        config = compose(folders, for_hydra(kept))
+        config = compose(folders, for_hydra(kept, plugins))
         if chosen:  # what task and experiment say of other choices does not hold for these
             own = [o for o in kept if _key(o).partition(".")[0] in chosen]
-            alone = compose(folders, for_hydra(own))
+            alone = compose(folders, for_hydra(own, plugins))
             with open_dict(config):
                 for key in chosen:
                     config[key] = alone[key]
