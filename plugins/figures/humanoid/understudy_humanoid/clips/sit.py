@@ -17,6 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import root_scalar
+from scipy.spatial.transform import Rotation
 
 from understudy_humanoid.clips import figure, standing
 from understudy_humanoid.clips.curves import between, carried
@@ -149,7 +150,7 @@ class _SittingDown:
             figure.turns(0.0, standing.PITCH + 0.4 * lean, 0.0),
         )
         #: Where the feet stand all the time: ankle (1, 3) m and rotation (1,).
-        self.feet = {
+        self.feet: dict[figure.Side, tuple[figure.Array, Rotation]] = {
             side: planted(standing.place(side), figure.SIGN[side] * standing.TOE_OUT, 0.0)
             for side in figure.SIDES
         }
