@@ -84,7 +84,7 @@ def tasks(plugins: Plugins) -> list[str]:
 def once_through(experiment: Experiment) -> Experiment:
     """With a learner that goes through its batch once, if it is one that goes through it again and again."""
     learner = experiment.one("learner")
-    if not hasattr(learner and learner.options, "epochs"):
+    if learner is None or not hasattr(learner.options, "epochs"):
         return experiment
     chosen = replace(learner, options=replace(learner.options, epochs=1))
     return replace(experiment, choices={**experiment.choices, "learner": (chosen,)})
