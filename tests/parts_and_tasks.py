@@ -8,6 +8,7 @@ import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -16,6 +17,7 @@ from miniatures import make_stages, overrides_of
 from understudy.errors import UnderstudyError
 from understudy.running.training import Training
 from understudy.setup.composition import load_experiment, replaced
+from understudy.setup.config import Experiment
 from understudy.setup.plugins import Plugins, installed, load
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "parts-and-tasks.md"
@@ -79,6 +81,15 @@ def tasks(plugins: Plugins) -> list[str]:
     return sorted({*(t.name for t in plugins.registry.tasks.values()), *ABOVE})
 
 
+def once_through(experiment: Experiment) -> Experiment:
+    """With a learner that goes through its batch once, if it is one that goes through it again and again."""
+    learner = experiment.one("learner")
+    if learner is None or not hasattr(learner.options, "epochs"):
+        return experiment
+    chosen = replace(learner, options=replace(learner.options, epochs=1))
+    return replace(experiment, choices={**experiment.choices, "learner": (chosen,)})
+
+
 def attempt(
     task: str, part: str, runs: Path, plugins: Plugins, more: Sequence[str] | None = None
 ) -> str:
@@ -97,7 +108,7 @@ def attempt(
     training = None
     try:
         overrides = [item.replace("RUNS", str(runs)) for item in overrides]
-        training = Training(load_experiment(overrides, plugins)).prepare()
+        training = Training(once_through(load_experiment(overrides, plugins))).prepare()
         training.iterate()
         training.job.evaluate("parts", 2)
     except UnderstudyError as error:

@@ -94,6 +94,20 @@ def test_every_observation_is_read(name: str) -> None:
     assert observed <= words(policy.effective())
 
 
+@pytest.mark.parametrize("section", PLUGINS.registry.sections)
+def test_a_section_is_emptied_by_null(section: str) -> None:
+    """As a part is, whether or not anything sets it."""
+    for words in ([], [f"{section}.some=1"], ["experiment=spacetime/walk"]):
+        assert compose_raw([*words, f"{section}=null"], PLUGINS)[section] is None
+
+
+@pytest.mark.parametrize("section", PLUGINS.registry.sections)
+@pytest.mark.parametrize("value", ["some", "3", "/some/file", "[1]"])
+def test_what_a_section_takes_is_said(section: str, value: str) -> None:
+    with pytest.raises(ConfigError, match=f"{section}=.* is not possible: it takes a mapping of "):
+        load_experiment([f"{section}={value}"], PLUGINS)
+
+
 @pytest.mark.parametrize(("group", "name"), LOOPS)
 def test_an_experiment_beside_it_is_used(group: str, name: str) -> None:
     """It is a default of the file, in the place where an override is, or it is no choice at all."""
@@ -101,11 +115,6 @@ def test_an_experiment_beside_it_is_used(group: str, name: str) -> None:
     if f"{group}={name}" in NEED:
         given.append("outer_loop.search=somewhere")
     assert compose_raw(given, PLUGINS)["task"] == "miniature/go"
-
-
-def test_what_does_not_go_together_is_named() -> None:
-    with pytest.raises(ConfigError, match="search=cmfbo/toy chooses an experiment of its own"):
-        load_experiment(["search=cmfbo/toy", "experiment=spacetime/walk"], PLUGINS)
 
 
 @pytest.mark.parametrize(

@@ -136,7 +136,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     parser = _Parser(
         "understudy",
-        description="Simulated characters learn physical skills.",
+        description="Simulated characters learn physical skills. First `train`, then `play` or open report.html in the run folder.",
         epilog=_text("help.txt"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -16,7 +16,7 @@ import json
 import math
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from torch import Tensor
 from understudy.errors import RunError
 from understudy.folders import opened, read
 
-__all__ = ["load", "newest", "save", "sync", "write_atomically"]
+__all__ = ["load", "misshapen", "newest", "save", "sync", "write_atomically"]
 
 #: Version of the layout written here. It is read, and so is 2, which knew no deflated tensors.
 FORMAT = 3
@@ -221,6 +221,28 @@ def _put_tensors(value: Any, tensors: dict[str, Tensor], room: _Room) -> Any:
     if kind == "list":
         return [_put_tensors(v, tensors, room) for v in content]
     return float(content) if kind == "float" else content
+
+
+def misshapen(own: Any, other: Any, where: str) -> Iterator[str]:
+    """The places at which a nested state is not what `own` is, or not finite where `own` is."""
+    if own is None:
+        return
+    if _kind(own) != _kind(other):
+        yield f"'{where}' is {_kind(own)} here and {_kind(other)} there"
+    elif isinstance(own, Mapping):
+        for name, value in own.items():
+            yield from misshapen(value, other.get(name), f"{where}/{name}".lstrip("/"))
+    elif not isinstance(own, (str, list)):
+        finite = [bool(torch.as_tensor(value).isfinite().all()) for value in (own, other)]
+        if finite == [True, False]:
+            yield f"'{where}' is not finite"
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, Tensor):
+        return f"{tuple(value.shape)} {value.dtype}".replace(" torch.float32", "")
+    kinds = {"NoneType": "nothing", "int": "a number", "float": "a number", "tuple": "a list"}
+    return kinds.get(type(value).__name__, f"a {type(value).__name__}")
 
 
 def newest(folder: Path) -> list[Path]:

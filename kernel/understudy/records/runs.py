@@ -41,8 +41,9 @@ from understudy.setup import plugins
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry
 from understudy.setup.validation import refuse_code, validate
+from understudy.task import State
 
-__all__ = ["Run", "cores", "create", "differences", "open_run"]
+__all__ = ["Run", "cores", "create", "differences", "newest_state", "open_run"]
 
 #: Version of the folder's layout.
 LAYOUT = 3
@@ -346,6 +347,12 @@ def open_run(path: str | Path) -> Run:
             f"{path} was written by {who} (layout {layout}; this one reads {LAYOUT}). {what}"
         )
     return Run(path, info)
+
+
+def newest_state(path: str) -> State:
+    """The state of the newest intact checkpoint of the run folder `path`."""
+    state, _ = open_run(path).newest(lambda text: print(text, file=sys.stderr))
+    return state
 
 
 def differences(old: Any, new: Any, where: str = "") -> list[str]:

@@ -19,11 +19,11 @@ from typing import Any
 from understudy import distributed
 from understudy.errors import PreemptedError, RunError, said
 from understudy.records import checkpoint
+from understudy.records.checkpoint import misshapen
 from understudy.records.observer import RunObserver
 from understudy.records.recording import Recording
 from understudy.records.runs import Run, differences, threads, versions
 from understudy.running.jobs import Job, Judgement
-from understudy.running.warm_start import misshapen
 from understudy.setup.config import Experiment
 from understudy.signals import StopRequest, is_stop
 from understudy.task import State

@@ -149,7 +149,9 @@ def _check(override: str, plugins: Plugins) -> None:
     except (HydraException, RecursionError) as error:
         raise ConfigError(f"{override[:200]} cannot be read. Check brackets and quotes.") from error
     group = read.key_or_group
-    if group not in _VALUES and ("/" in group or "." not in group):  # its value names a file
+    if not _is_value(group, plugins) and (
+        "/" in group or "." not in group
+    ):  # its value names a file
         names = chosen if isinstance(chosen, list) else [chosen]
         if any(map(_leads_out, (group, *names))):
             raise ConfigError(
@@ -244,14 +246,19 @@ def options(plugins: Plugins, group: str) -> dict[str, Path]:
 _VALUES = KEYS - {"task", "reward", "termination"}
 
 
-def for_hydra(overrides: Sequence[str]) -> list[str]:
+def _is_value(key: str, plugins: Plugins) -> bool:
+    """Whether what is written after `key` is its value, no option's name."""
+    return key in _VALUES or (key in plugins.registry.sections and not options(plugins, key))
+
+
+def for_hydra(overrides: Sequence[str], plugins: Plugins) -> list[str]:
     """`overrides` for Hydra, which is to let ``a.b=value`` set an option that no file mentions; validation
     knows which ones exist."""
     result = []
     for override in overrides:
         key, equals, value = override.partition("=")
         plain = bool(equals and key) and key[0] not in "+~"
-        sets = "." in key or value.startswith("{") or key in _VALUES
+        sets = "." in key or value.startswith("{") or _is_value(key, plugins)
         result.append(f"++{override}" if plain and sets else override)
     return result
 
@@ -259,15 +266,15 @@ def for_hydra(overrides: Sequence[str]) -> list[str]:
 def split_overrides(
     overrides: Sequence[str], plugins: Plugins
 ) -> tuple[list[str], dict[str, str], set[str]]:
-    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot whatever
-    else chooses it, since Hydra has no null for a group of options; and the groups for which an
+    """The overrides that Hydra is to apply; by key, those (``policy=null``) that empty a slot or a section
+    whatever else chooses it, since Hydra has no null for a group of options; and the groups for which an
     override chooses a file (``policy=mlp``)."""
     groups = {*GROUPS, *(name for name in plugins.registry.slots if "." not in name)}
     kept: list[str] = []
     emptied: dict[str, str] = {}
     for override in overrides:
         key, _, value = override.partition("=")
-        if key in groups and value == "null":
+        if value == "null" and key in groups.union(plugins.registry.sections):
             emptied[key] = override
         else:
             kept.append(override)
@@ -323,10 +330,10 @@ def compose_raw(overrides: Sequence[str], plugins: Plugins | None = None) -> dic
     kept, emptied, chosen = split_overrides(overrides, plugins)
     with hydra_session(plugins, overrides):
         folders = option_directories(plugins)
-        config = compose(folders, for_hydra(kept))
+        config = compose(folders, for_hydra(kept, plugins))
         if chosen:  # what task and experiment say of other choices does not hold for these
             own = [o for o in kept if _key(o).partition(".")[0] in chosen]
-            alone = compose(folders, for_hydra(own))
+            alone = compose(folders, for_hydra(own, plugins))
             with open_dict(config):
                 for key in chosen:
                     config[key] = alone[key]
@@ -352,14 +359,4 @@ def _missing(value: Any, path: str = "") -> Iterator[str]:
 def load_experiment(overrides: Sequence[str], plugins: Plugins | None = None) -> Experiment:
     """Compose `overrides` and validate the result."""
     plugins = plugins or installed()
-    try:
-        return validate(compose_raw(overrides, plugins), plugins.registry)
-    except ConfigError as error:
-        loops = [o for o in overrides if o.startswith(("search=", "ablation="))]
-        other = [o for o in overrides if o.startswith("experiment=")]
-        if not loops or not other:
-            raise
-        raise ConfigError(
-            f"{error} {loops[-1]} chooses an experiment of its own and sets options of that, which "
-            f"{other[-1]} may not have."
-        ) from error
+    return validate(compose_raw(overrides, plugins), plugins.registry)

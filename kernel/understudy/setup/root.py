@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from understudy.options import check_range
 
-__all__ = ["Part", "Root", "StartOptions"]
+__all__ = ["Root"]
 
 #: The most steps of physics in a decision, decisions in an episode of an evaluation, and in all of its episodes.
 _STEPS, _DECISIONS, _JUDGED = 100_000, 1_000_000, 100_000_000
@@ -140,18 +140,6 @@ class RunOptions:
         check_range(self, "video_size", least=1, most=8192)
 
 
-#: What a run can take over from another one.
-Part = Literal["actor", "critic", "normaliser", "initial_states", "curriculum"]
-
-
-@dataclass(frozen=True)
-class StartOptions:
-    """Begin with parts of another run's newest checkpoint."""
-
-    run: str  #: its folder
-    parts: tuple[Part, ...] = ("actor", "critic", "normaliser")  #: what is taken over
-
-
 @dataclass(frozen=True)
 class RewardOptions:
     terms: Mapping[str, Any] = field(default_factory=dict)  #: by name: {name: COMPONENT, weight: 1}
@@ -181,7 +169,6 @@ class Root:
     evaluation: EvaluationOptions = EvaluationOptions()  #: how a policy is judged
     checkpoint: CheckpointOptions = CheckpointOptions()  #: what is saved, and how often
     run: RunOptions = RunOptions()  #: where it goes, and its film
-    start: StartOptions | None = None  #: what is taken over from another run
     reward: RewardOptions = RewardOptions()  #: what is rewarded
     termination: TerminationOptions = TerminationOptions()  #: what ends an episode
 

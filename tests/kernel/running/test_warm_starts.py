@@ -16,8 +16,8 @@ from worlds import assert_same_state, make_training, resumed
 from understudy.errors import ConfigError, RunError
 from understudy.random import WorldStreams
 from understudy.records import checkpoint
+from understudy.records.runs import newest_state
 from understudy.running.training import Training
-from understudy.running.warm_start import newest_state
 from understudy.setup.building import build_environment
 from understudy.setup.composition import load_experiment
 from understudy.task import Actuation, Context, Curriculum, Encoder, Rollout, State, box

@@ -117,17 +117,23 @@ def test_the_right_hand_holds_the_hem_in_front(
     assert depth_in(person, held[0])(held[1]).max() < 0.0
 
 
+def links_apart(pose: np.ndarray) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The person in `pose`, in which no link is in another."""
+    model = PersonScene(PersonScene.Options(self_collision=True)).spec().compile()
+    data = mujoco.MjData(model)
+    data.qpos[: len(pose)] = pose
+    mujoco.mj_forward(model, data)
+    assert all(contact.dist > -1e-3 for contact in data.contact)
+    return model, data
+
+
 @pytest.mark.parametrize("worn", ["held", "tucked"])
 def test_starts_of_ours_are_not_torn(worn: str, request: pytest.FixtureRequest) -> None:
     """The links keep apart, so that the first step throws none of them out, and the shirt stays as it is while no torque
     acts. They once began 6 cm in each other, and the area ratio came to 11."""
     pose, x = request.getfixturevalue(worn)
     assert (face_areas(x[SHIRT.faces]) / face_areas(SHIRT.corners)).max() < 1.6
-    model = PersonScene(PersonScene.Options(self_collision=True)).spec().compile()
-    data = mujoco.MjData(model)
-    data.qpos[: len(pose)] = pose
-    mujoco.mj_forward(model, data)
-    assert all(contact.dist > -1e-3 for contact in data.contact)
+    links_apart(pose)
     task = {"held": "shirt_tuck", "tucked": "shirt_sleeve"}[worn]
     environment = build_environment(
         load_experiment([f"experiment=dressing/{task}", *SMALL])
@@ -144,11 +150,7 @@ def test_a_hand_begins_in_the_mouth_of_its_sleeve(side: Side, bent: int) -> None
     """A start of ours, easier than the ends of the second subtask; either arm's poses are the other's mirror image."""
     pose, x = SHIRT.settled("in_sleeve", side, IN_SLEEVE[bent])
     assert (face_areas(x[SHIRT.faces]) / face_areas(SHIRT.corners)).max() < 2.0
-    model = PersonScene(PersonScene.Options(self_collision=True)).spec().compile()
-    data = mujoco.MjData(model)
-    data.qpos[: len(pose)] = pose
-    mujoco.mj_forward(model, data)
-    assert all(contact.dist > -1e-3 for contact in data.contact)
+    _, data = links_apart(pose)
     at = torch.tensor(data.xpos[None]).float(), torch.tensor(data.xquat[None]).float()
     share = _in_sleeve(side, *at, torch.tensor(x)[None].float())
     assert 0.1 < float(share) < 0.35

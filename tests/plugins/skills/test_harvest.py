@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -40,47 +41,40 @@ def test_states_whose_numbers_went_wrong_are_none(ending: str, counts: str) -> N
     assert len(begun) == 1
 
 
-def test_a_change_in_a_world_that_went_wrong_is_none() -> None:
-    table = {"x": torch.arange(3.0), "switch": torch.zeros(3)}
-    step = SimpleNamespace(
-        unsound=flags("100"), failed=flags("100"), terminated=flags("100"), truncated=flags("000"),
-        ended=flags("100"), succeeded=flags("000"), endings={},
-    )  # fmt: skip
+def counted_of_changes(
+    before: str, rows: Sequence[str], wrong: Sequence[str], ended: Sequence[str], **options: Any
+) -> list[list[bool]]:
+    """What counts in each decision of a harvest of changes of a switch, which stands as in `before` and then as in
+    `rows`; worlds in which numbers go `wrong` and those that have `ended`, by decision."""
+    table = {"x": torch.arange(float(len(before))), "switch": 2.0 * flags(before)}
+    decisions = iter(zip(rows, wrong, ended, strict=True))
 
     def advance(action: Tensor) -> Any:
-        table["switch"] = torch.tensor([2.0, 2.0, 0.0])
-        return step
+        row, unsound, over = (flags(text) for text in next(decisions))
+        table["switch"], none = 2.0 * row, torch.zeros_like(unsound)
+        return SimpleNamespace(
+            unsound=unsound, failed=unsound, terminated=unsound, truncated=none, ended=over | unsound,
+            succeeded=none, endings={},
+        )  # fmt: skip
 
     harvest: Any = object.__new__(Harvest)
     harvest.environment = SimpleNamespace(table=table, advance=advance, begin=lambda worlds: None)
-    harvest._names, harvest._begun = ("x",), torch.ones(3, dtype=torch.bool)
-    harvest._lasted = torch.zeros(3)
-    harvest.options = SimpleNamespace(field="switch", value=2.0, ending="any", lasting=1)
-    assert harvest._advance(torch.zeros(3, 1))[1].tolist() == [False, True, False]
+    harvest._names, harvest._lasted = ("x",), torch.zeros(len(before))
+    harvest._begun = torch.full((len(before),), options.pop("begun"))
+    harvest.options = SimpleNamespace(field="switch", value=2.0, ending="any", **options)
+    return [harvest._advance(torch.zeros(len(before), 1))[1].tolist() for _ in rows]
+
+
+def test_a_change_in_a_world_that_went_wrong_is_none() -> None:
+    counted = counted_of_changes("000", ["110"], ["100"], ["000"], begun=True, lasting=1)
+    assert counted == [[False, True, False]]
 
 
 def test_a_change_counts_when_it_has_lasted() -> None:
     """The switch is on in each decision's row; an episode of the last world ends after the fourth decision."""
     rows = ["0110", "0100", "1111", "1111", "1111", "1101"]
-    table = {"x": torch.zeros(4), "switch": torch.tensor([0.0, 1.0, 0.0, 0.0])}
-    step = SimpleNamespace(
-        unsound=flags("0000"), failed=flags("0000"), terminated=flags("0000"), truncated=flags("0000"),
-        succeeded=flags("0000"), endings={},
-    )  # fmt: skip
-    count = iter(range(len(rows)))
-
-    def advance(action: Tensor) -> Any:
-        k = next(count)
-        table["switch"] = flags(rows[k]).float()
-        step.ended = flags("0001" if k == 3 else "0000")
-        return step
-
-    harvest: Any = object.__new__(Harvest)
-    harvest.environment = SimpleNamespace(table=table, advance=advance, begin=lambda worlds: None)
-    harvest._names, harvest._begun = ("x",), torch.zeros(4, dtype=torch.bool)
-    harvest._lasted = torch.zeros(4)
-    harvest.options = SimpleNamespace(field="switch", value=1.0, ending="any", lasting=3)
-    counted = [harvest._advance(torch.zeros(4, 1))[1].tolist() for _ in rows]
+    never, ended = ["0000"] * 6, [*["0000"] * 3, "0001", *["0000"] * 2]
+    counted = counted_of_changes("0100", rows, never, ended, begun=False, lasting=3)
     # the second began switched on, the third was switched off in between
     assert [row[0] for row in counted] == [False] * 4 + [True, False]
     assert not any(row[1] for row in counted)

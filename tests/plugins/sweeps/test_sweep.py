@@ -637,3 +637,8 @@ def test_journals_of_strangers_are_data(tmp_path: Path) -> None:
     lines = [json.dumps(good), "[]", "3", '{"event": "asked"}', '{"event": "asked", "trial": {"kez": 1}}', "\0"]  # fmt: skip
     (tmp_path / "journal.jsonl").write_text("\n".join(lines))
     assert Journal.open(tmp_path / "journal.jsonl").events == [Trial("a", ("seed=0",))]
+
+
+def test_an_experiment_that_does_not_go_with_the_sweeps_own_is_named() -> None:
+    with pytest.raises(ConfigError, match="search=cmfbo/toy chooses an experiment of its own"):
+        module.sweep(["search=cmfbo/toy", "experiment=spacetime/walk"])

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from understudy.errors import RunError
 from understudy.random import generator
+from understudy.records.checkpoint import misshapen
 from understudy.running.jobs import Job
-from understudy.running.warm_start import misshapen
 from understudy.task import State
 from understudy_networks import averages, optimisers
 

@@ -9,3 +9,6 @@ PARTS = {
         "reinforcement": ("job:Reinforcement", "collect, learn, adapt where episodes begin"),
     },
 }
+
+#: Sections of a configuration: the options, and what is built of them.
+SECTIONS = {"start": ("start:StartOptions", "start:section")}

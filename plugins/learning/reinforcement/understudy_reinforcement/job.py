@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from understudy import distributed
+from understudy.records.checkpoint import misshapen
 from understudy.records.recording import Recording
 from understudy.running.environment import Environment
 from understudy.running.jobs import Job
 from understudy.running.step import Fault
-from understudy.running.warm_start import misshapen
 from understudy.setup.building import Built, build_environment, device_of
 from understudy.setup.config import Experiment
 from understudy.task import State
@@ -91,10 +91,8 @@ class Reinforcement(Job):
         fields = [name for part in asking for name in part.rollout_fields]
         seed = experiment.root.seed
         self.collector = Collector(self.environment, self.policy, seed, fields, learner.next_fields)
-        if experiment.root.start is not None:
-            self._started = take_over(
-                experiment.root.start, self.policy, initial, curriculum, experiment.registry
-            )
+        if start := experiment.sections.get("start"):
+            self._started = take_over(start, self.policy, initial, curriculum, experiment.registry)
             self.environment.reset(seed)  # episodes begin as what was taken over says
 
     def _adapting(self) -> tuple[Any, Any]:

@@ -3,20 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
 from understudy.errors import ConfigError, RunError
+from understudy.inputs import Inputs
 from understudy.records import runs
-from understudy.running.warm_start import misshapen, newest_state
+from understudy.records.checkpoint import misshapen
+from understudy.records.runs import newest_state
 from understudy.setup.registry import Registry
-from understudy.setup.root import StartOptions
 from understudy.task import Curriculum, InitialStates, State
 from understudy_reinforcement.policy import Policy
 
-__all__ = ["load_part"]
+__all__ = ["Part", "load_part"]
+
+#: What a run can take over from another one.
+Part = Literal["actor", "critic", "normaliser", "initial_states", "curriculum"]
+
+
+@dataclass(frozen=True)
+class StartOptions:
+    """Begin with parts of another run's newest checkpoint."""
+
+    run: str  #: its folder
+    parts: tuple[Part, ...] = ("actor", "critic", "normaliser")  #: what is taken over
+
+
+def section(options: StartOptions, registry: Registry, inputs: Inputs) -> StartOptions:
+    """As it is: what it names is read when a training begins, and only by the job."""
+    return options
 
 
 def policy_parts(policy: Policy) -> dict[str, set[str]]:

@@ -14,8 +14,7 @@ from understudy.errors import ConfigError, TrainingError, suggestion
 from understudy.options import check_range
 from understudy.random import WorldStreams
 from understudy.records import runs
-from understudy.records.runs import Run
-from understudy.running.warm_start import newest_state
+from understudy.records.runs import Run, newest_state
 from understudy.setup.building import build_environment, device_of
 from understudy.setup.config import Chosen, Experiment
 from understudy.task import State

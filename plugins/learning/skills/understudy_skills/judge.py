@@ -9,7 +9,7 @@ from typing import Any
 
 from understudy.errors import RunError
 from understudy.records import runs
-from understudy.running.warm_start import newest_state
+from understudy.records.runs import newest_state
 from understudy.setup.config import Experiment
 from understudy.task import State
 from understudy_reinforcement.job import Reinforcement

@@ -1,7 +1,7 @@
 """Curriculum-based multi-fidelity Bayesian optimisation (thesis, chapter 6)."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("bayes", "sweeps")
+REQUIRES = ("bayes", "reinforcement", "sweeps")
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {

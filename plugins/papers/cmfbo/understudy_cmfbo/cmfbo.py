@@ -11,7 +11,6 @@ from torch import Tensor
 
 from understudy import random
 from understudy.options import check_range
-from understudy.setup.root import Part
 from understudy_bayes import draws
 from understudy_bayes.acquisition import beta, climb, highest, upper_bound
 from understudy_bayes.book import Book, SearchOptions
@@ -19,6 +18,7 @@ from understudy_bayes.fidelity import Fidelity
 from understudy_bayes.search import BookedSearch
 from understudy_bayes.starts import maximise
 from understudy_bayes.surrogate import Surrogate, SurrogateOptions, fitted
+from understudy_reinforcement.start import Part
 from understudy_sweeps.loops import Trial
 
 Z_MIN, Z_MAX = 0.0, 1.0

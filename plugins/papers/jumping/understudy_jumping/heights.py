@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from understudy.command.command import Command
 from understudy.errors import ConfigError, RunError
 from understudy.records import runs
+from understudy.records.runs import newest_state
 from understudy.running.jobs import Judgement
-from understudy.running.warm_start import newest_state
 from understudy.setup.validation import at
 from understudy_characters.recording import unsimulated
 from understudy_inspect.judging import load

@@ -16,7 +16,7 @@ from understudy.errors import RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
-from understudy.running.warm_start import newest_state
+from understudy.records.runs import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context

@@ -16,8 +16,8 @@ from understudy.errors import RunError
 from understudy.options import check_range
 from understudy.random import generator, private_rng
 from understudy.records import runs
-from understudy.records.runs import Run
-from understudy.running.warm_start import misshapen, newest_state
+from understudy.records.checkpoint import misshapen
+from understudy.records.runs import Run, newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.task import Context, State

@@ -13,7 +13,8 @@ from understudy import distributed
 from understudy.errors import ConfigError, RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams
-from understudy.running.warm_start import misshapen, newest_state
+from understudy.records.checkpoint import misshapen
+from understudy.records.runs import newest_state
 from understudy.task import Context, InitialStates, Rollout, State
 from understudy_characters.initial_states import EPISODE_FIELDS, reference_states
 from understudy_characters.letting_go import LettingGo, let_go

@@ -14,7 +14,8 @@ from understudy.errors import ConfigError, RunError
 from understudy.options import check_range
 from understudy.random import WorldStreams, private_rng
 from understudy.records import runs
-from understudy.running.warm_start import misshapen, newest_state
+from understudy.records.checkpoint import misshapen
+from understudy.records.runs import newest_state
 from understudy.setup.building import device_of
 from understudy.setup.config import Experiment
 from understudy.setup.registry import Registry

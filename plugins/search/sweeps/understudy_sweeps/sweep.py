@@ -49,7 +49,7 @@ def sweep(overrides: Sequence[str]) -> int:
     PreemptedError
         after a stop signal, when trials under way are saved.
     """
-    experiment = load_experiment(overrides, installed())
+    experiment = _composed(overrides)
     if requested() > 1:
         raise ConfigError("A sweep starts its trials itself: start it without torchrun.")
     root, chosen = experiment.root, experiment.need("outer_loop")
@@ -205,6 +205,21 @@ def _interrupted(why: str, folder: Path) -> PreemptedError:
         f"{why}; finished trials, and the last checkpoints of the others, are in {folder}. Give the "
         "same command again to go on."
     )
+
+
+def _composed(overrides: Sequence[str]) -> Experiment:
+    """The sweep's own configuration."""
+    try:
+        return load_experiment(overrides, installed())
+    except ConfigError as error:
+        loops = [o for o in overrides if o.startswith(("search=", "ablation="))]
+        other = [o for o in overrides if o.startswith("experiment=")]
+        if not loops or not other:
+            raise
+        raise ConfigError(
+            f"{error} {loops[-1]} chooses an experiment of its own and sets options of that, which "
+            f"{other[-1]} may not have."
+        ) from error
 
 
 def _check(trials: Sequence[Trial | None], work: Work, measures: Sequence[str]) -> None:

@@ -65,7 +65,7 @@ def origins(overrides: Sequence[str], plugins: Plugins | None = None) -> dict[st
     with hydra_session(plugins, overrides):
         sources = [("understudy", kernel_conf()), *plugins.config_directories()]
         files = OptionFiles(option_directories(plugins))
-        for item in choices(files, for_hydra(overrides)).defaults:
+        for item in choices(files, for_hydra(overrides, plugins)).defaults:
             path = item.config_path or ""
             for owner, source in sources:
                 file = source / f"{path}.yaml"

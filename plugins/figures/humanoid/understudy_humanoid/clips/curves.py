@@ -13,6 +13,7 @@ from scipy.interpolate import BPoly, CubicSpline, PchipInterpolator
 from understudy_humanoid.clips.figure import (
     GRAVITY,
     Array,
+    Known,
     Mask,
     Pose,
     centre_of_mass,
@@ -194,9 +195,9 @@ def carried(
     """
     goal, chosen = goal.copy(), list(axes)
     root = (goal if start is None else start).copy()
-    pose = build(root)
+    pose, known = build(root), Known()
     for _ in range(_ROUNDS):
-        error = (goal - centre_of_mass(root, pose))[:, chosen]
+        error = (goal - centre_of_mass(root, pose, known))[:, chosen]
         root[:, chosen] += error
         rise = room(root) if room else 0.0
         goal[:, 2] += rise

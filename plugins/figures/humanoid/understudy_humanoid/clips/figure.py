@@ -97,27 +97,44 @@ def trunk(pelvis: Rotation, thorax: Rotation, head: Rotation) -> Pose:
     return {"root": pelvis, "chest": pelvis.inv() * thorax, "neck": thorax.inv() * head}
 
 
-def links(root: Array, pose: Pose) -> tuple[Array, list[Rotation]]:
+@dataclass(frozen=True)
+class _Held:
+    """A link as its joint's rotation and its parent's in the world turn it."""
+
+    own: Rotation | None  #: relative to the parent; None where there is no joint
+    above: Rotation | None  #: the parent's; None of the root
+    turned: Rotation  #: world
+    step: Array | float  #: (F, 3) m from the parent's origin
+    centre: Array  #: (F, 3) m from its origin
+
+
+#: By link, what was worked out last, of which all holds that is turned by the same rotations again.
+Known: TypeAlias = dict[str, _Held]
+
+
+def links(root: Array, pose: Pose, known: Known | None = None) -> tuple[Array, list[Rotation]]:
     """World places of all links' mass centres (L, F, 3) m and their rotations, in table order."""
+    known = {} if known is None else known
     origins: dict[str, Array] = {}
-    turned: dict[str, Rotation] = {}
     for row in BODIES:
-        if row.parent is None:
-            origins[row.name], turned[row.name] = root, pose[row.name]
-            continue
-        above = turned[row.parent]
-        origins[row.name] = origins[row.parent] + above.apply(row.offset)
-        turned[row.name] = above * pose[row.name] if row.name in pose else above
-    centres = [origins[row.name] + turned[row.name].apply(row.centre) for row in BODIES]
-    return np.stack(centres), [turned[row.name] for row in BODIES]
+        own, above = pose.get(row.name), known[row.parent].turned if row.parent else None
+        held = known.get(row.name)
+        if held is None or held.own is not own or held.above is not above:
+            turned = own if above is None else above if own is None else above * own
+            assert turned is not None
+            step = 0.0 if above is None else above.apply(row.offset)
+            held = known[row.name] = _Held(own, above, turned, step, turned.apply(row.centre))
+        origins[row.name] = origins[row.parent] + held.step if row.parent else root
+    centres = [origins[row.name] + known[row.name].centre for row in BODIES]
+    return np.stack(centres), [known[row.name].turned for row in BODIES]
 
 
 MASSES = np.array([row.mass for row in BODIES])
 
 
-def centre_of_mass(root: Array, pose: Pose) -> Array:
+def centre_of_mass(root: Array, pose: Pose, known: Known | None = None) -> Array:
     """(F, 3) m, world."""
-    return np.einsum("l,lfk->fk", MASSES / MASSES.sum(), links(root, pose)[0])
+    return np.einsum("l,lfk->fk", MASSES / MASSES.sum(), links(root, pose, known)[0])
 
 
 def pitching(times: Array, root: Array, pose: Pose) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import root_scalar
+from scipy.spatial.transform import Rotation
 
 from understudy_humanoid.clips import figure, standing
 from understudy_humanoid.clips.curves import between, carried
@@ -148,6 +149,11 @@ class _SittingDown:
             figure.turns(0.0, standing.PITCH + lean, 0.0),
             figure.turns(0.0, standing.PITCH + 0.4 * lean, 0.0),
         )
+        #: Where the feet stand all the time: ankle (1, 3) m and rotation (1,).
+        self.feet: dict[figure.Side, tuple[figure.Array, Rotation]] = {
+            side: planted(standing.place(side), figure.SIGN[side] * standing.TOE_OUT, 0.0)
+            for side in figure.SIDES
+        }
         self.reach = timing.reach
         self.reaching = between(part, *timing.reaching)[:, None]
         self.resting = between(part, *timing.resting)[:, None]
@@ -163,11 +169,9 @@ class _SittingDown:
             reached = hanging + (ahead - hanging) * self.reaching
             upper |= arm(side, reached + (final - ahead) * self.resting)
 
-        def build(root: figure.Array, rows: slice = slice(None)) -> figure.Pose:
-            pose = {joint: turned[rows] for joint, turned in upper.items()}
-            for side in figure.SIDES:
-                yaw = figure.SIGN[side] * standing.TOE_OUT
-                ankle, foot = planted(standing.place(side), yaw, np.zeros(len(root)))
+        def on_feet(root: figure.Array, upper: figure.Pose) -> figure.Pose:
+            pose = dict(upper)
+            for side, (ankle, foot) in self.feet.items():
                 pose |= leg(side, leg_to(side, root, pose["root"], ankle, foot))
             return pose
 
@@ -176,7 +180,8 @@ class _SittingDown:
             down = self.down[rows]
             height = standing.HEIGHT + (hips - standing.HEIGHT) * down
             goal = np.stack([_REARMOST * down, np.zeros_like(down), height], axis=1)
-            return carried(goal, lambda root: build(root, rows), axes=(0,))
+            above = {joint: turned[rows] for joint, turned in upper.items()}
+            return carried(goal, lambda root: on_feet(root, above), axes=(0,))
 
         touching = slice(self.contact - 1, self.contact)
         hips = root_scalar(
@@ -187,7 +192,7 @@ class _SittingDown:
         root, _ = lowered(hips, slice(self.contact))
         still = len(self.part) - self.contact
         root = np.pad(root, [(0, still), (0, 0)], mode="edge")
-        return root, build(root)
+        return root, on_feet(root, upper)
 
 
 def _hand_on_thigh(side: figure.Side, root: figure.Array, pose: figure.Pose) -> figure.Array:
