@@ -108,15 +108,16 @@ class Integrated(MujocoScene):
         return spec
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("integrator", ["IMPLICITFAST", "DISCRETE", "EULER", "RK4"])
 @pytest.mark.parametrize("read", ["actuator_length", "qacc"])
 def test_what_is_read_changes_nothing_of_the_motion(
-    read: str, integrator: str, monkeypatch: pytest.MonkeyPatch
+    read: str, integrator: str, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The velocity stage of the state reached is the first half of the next step."""
 
     def build_one() -> MujocoWarpSimulator:
-        context = arena(3)
+        context = arena(3, device)
         context.scene = Integrated(getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}"))
         return build(context)
 
@@ -125,15 +126,15 @@ def test_what_is_read_changes_nothing_of_the_motion(
     monkeypatch.setattr(mjw, "step2", lambda m, d: (halves.append(1), second(m, d)))
     plain, halved = build_one(), build_one()
     halved.read(read)
-    some = torch.tensor([True, False, True])
+    some = torch.tensor([True, False, True], device=device)
     begun = {simulator: simulator.snapshot() for simulator in (plain, halved)}
     for call in range(6):
         for simulator in (plain, halved):
             if call == 2:
-                simulator.set_state(some, states(3))
+                simulator.set_state(some, states(3, device))
             if call == 4:
                 simulator.restore(begun[simulator], ~some)
-            simulator.step(torch.full((3, 1), 0.5 * (-1) ** call), 1 + call % 2)
+            simulator.step(torch.full((3, 1), 0.5 * (-1) ** call, device=device), 1 + call % 2)
         for name in ("qpos", "qvel"):
             torch.testing.assert_close(halved.read(name), plain.read(name), atol=1e-4, rtol=1e-4)
     split = read == "actuator_length" and integrator != "RK4"
