@@ -6,8 +6,8 @@ training ends, at 600 Hz, and then played on a CPU, where `measured` of ``shippe
 body is in the floor. A line of JSON each; they are appended to ``docs/benchmarks/sharpened.jsonl`` as they come. Seconds are
 those of trainings that share a machine; several on a GPU want CUDA's Multi-Process Service, and a core each: each line has whether
 the service ran (``mps``). After ``--minutes`` trainings are told to save and end, and what they have is recorded as cut; the same command
-goes on with them, from ``--runs``. ``--together`` trains nothing: it writes ``sharpened_together.jsonl``, one physics beside the other,
-a line for each seed.
+goes on with them, from ``--runs``. Commands that run at once, of two versions of the code say, are compared if they share a ``--call``.
+``--together`` trains nothing: it writes ``sharpened_together.jsonl``, one physics beside the other, a line for each seed of each call.
 """
 
 from __future__ import annotations
@@ -140,9 +140,12 @@ def row(folder: Path) -> dict[str, Any]:
     if not metrics:
         return {}
     marks = [m for m in metrics if any(key.startswith("mark/") for key in m)]
+    seconds = metrics[-1]["seconds"]
+    ended = (folder / "metrics.jsonl").stat().st_mtime  # by the clock, as other commands read it
     found = {
         "samples": metrics[-1]["samples"],
-        "training_seconds": round(metrics[-1]["seconds"], 1),
+        "training_seconds": round(seconds, 1),
+        "span": [round(ended - seconds, 1), round(ended, 1)],
         "sharpened_at": [[m["samples"], round(m["seconds"], 1)] for m in marks],
     }
     if not (folder / "evaluation.json").exists():
@@ -156,24 +159,40 @@ def row(folder: Path) -> dict[str, Any]:
     }
 
 
+def at_once(rows: Iterable[dict[str, Any]]) -> dict[tuple[float, float], float]:
+    """How many trainings ran in the mean while each one of `rows` did, itself included: by its span."""
+    spans = [(began, ended) for r in rows for began, ended in [r.get("span", (0.0, 0.0))]]
+    return {
+        (began, ended): sum(max(0.0, min(ended, e) - max(began, b)) for b, e in spans) / (ended - began)
+        for began, ended in spans
+        if ended > began
+    }  # fmt: skip
+
+
 def together(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One physics beside the other: for each day, number of GPUs and seed, over the skills that have both.
+    """One physics beside the other: for each day, number of GPUs, call and seed, over the skills that have both.
 
     Minutes and samples are sums, of which `ratio` and `samples_ratio` are coarse-then-fine to fine; all else is the
     mean of what coarse-then-fine has more. `at_most` is the ratio of minutes over those skills too whose fine training was cut
-    and had taken so long by then.
+    and had taken so long by then. `loaded_ratio` is that of the skills `loaded`, whose two trainings both had at least half as many
+    at once as the one that had the most: towards a call's end few share the GPUs, and those that come last are fast.
     """
-    found = {(r["when"], r["gpus"], r["seed"], r["skill"], r["physics"]): r for r in rows}
+    rows = list(rows)
+    found = {
+        (r["when"], r["gpus"], r.get("call", ""), r["seed"], r["skill"], r["physics"]): r
+        for r in rows
+    }
     more = {
         "from_start": "measures.success_from_clip_start", "from_any_phase": "measures.success_from_any_phase",
         "slide": "played.slide", "sink": "played.sink", "jerk": "played.jerk",
     }  # fmt: skip
     lines = []
-    for when, gpus, seed in sorted({key[:3] for key in found}):
+    for when, gpus, call, seed in sorted({key[:4] for key in found}):
         pairs = {
-            s: [found.get((when, gpus, seed, s, physics), {}) for physics in PHYSICS]
+            s: [found.get((when, gpus, call, seed, s, physics), {}) for physics in PHYSICS]
             for s in SKILLS
         }
+        crowd = at_once(r for key, r in found.items() if key[:3] == (when, gpus, call))
         pairs = {s: pair for s, pair in pairs.items() if all(pair) and not pair[0].get("wrong")}
         pairs = {s: pair for s, pair in pairs.items() if "training_seconds" in pair[1]}
         both = {s: pair for s, pair in pairs.items() if not pair[1].get("wrong")}
@@ -188,11 +207,20 @@ def together(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
             )
         )
         line = {
-            "when": when, "gpus": gpus, "seed": seed, "skills": list(both), "cut": [s for s in pairs if s not in both],
+            "when": when, "gpus": gpus, **({"call": call} if call else {}), "seed": seed, "skills": list(both), "cut": [s for s in pairs if s not in both],
             "minutes": [round(of, 3) for of in minutes], "ratio": round(minutes[0] / minutes[1], 4),
             "at_most": round(least[0] / least[1], 4),
             "samples": samples, "samples_ratio": round(samples[0] / samples[1], 4),
         }  # fmt: skip
+        most = max(crowd.values(), default=0.0)
+        loaded = {
+            s: pair
+            for s, pair in both.items()
+            if all(2 * crowd.get(tuple(r.get("span", ())), 0.0) >= most > 0 for r in pair)
+        }
+        if loaded:
+            coarse, fine = (sum(p[i]["training_seconds"] for p in loaded.values()) for i in (0, 1))
+            line |= {"loaded": list(loaded), "loaded_ratio": round(coarse / fine, 4)}
         lines.append(
             line
             | {
@@ -225,6 +253,7 @@ def main() -> None:
         "--runs", type=Path, default=Path("runs/sharpened"), help="of the trainings"
     )
     parser.add_argument("--out", type=Path, default=RESULTS, help="where records are appended")
+    parser.add_argument("--call", default="", help="what this is compared with has the same")
     parser.add_argument("--together", action="store_true", help="compare what is recorded")
     parser.add_argument("overrides", nargs="*", help="of every training")
     given = parser.parse_args()
@@ -240,6 +269,7 @@ def main() -> None:
         "when": time.strftime("%Y-%m-%d"),
         "machine": torch.cuda.get_device_name() if gpus else "CPU",
         "gpus": len(gpus),
+        **({"call": given.call} if given.call else {}),
         "mps": served() if gpus else None,
         "at_once": given.workers,
     }

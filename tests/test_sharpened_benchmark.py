@@ -69,6 +69,28 @@ def test_physics_are_compared_over_the_skills_that_have_both() -> None:
     assert line["sink"] == line["jerk"] == line["from_start"] == 0.0
 
 
+def test_calls_are_compared_apart_and_trainings_with_few_beside_are_left_out_of_one_ratio() -> None:
+    rows = [
+        training("backflip", "coarse_then_fine", 40.0, 0.1, call="a", span=[0.0, 40.0]),
+        training("backflip", "fine", 100.0, 0.1, call="a", span=[0.0, 100.0]),
+        training("run", "fine", 100.0, 0.1, call="a", span=[0.0, 100.0]),
+        training("run", "coarse_then_fine", 10.0, 0.1, call="a", span=[200.0, 210.0]),  # alone
+        training("run", "coarse_then_fine", 90.0, 0.1),
+        training("run", "fine", 100.0, 0.1),
+    ]
+    other, one = sharpened.together(rows)
+    assert one["call"] == "a"
+    assert one["ratio"] == 0.25
+    assert (one["loaded"], one["loaded_ratio"]) == (["backflip"], 0.4)
+    assert other["ratio"] == 0.9
+    assert not {"call", "loaded", "loaded_ratio"} & set(other)
+
+
+def test_at_once_is_the_mean_over_a_trainings_span() -> None:
+    rows = [{"span": [0.0, 10.0]}, {"span": [5.0, 10.0]}, {"span": [100.0, 101.0]}, {}]
+    assert sharpened.at_once(rows) == {(0.0, 10.0): 1.5, (5.0, 10.0): 2.0, (100.0, 101.0): 1.0}
+
+
 def test_without_a_driver_nothing_is_said_of_its_service(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> None:
         raise OSError(name)
