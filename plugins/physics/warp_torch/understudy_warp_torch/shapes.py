@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from torch import Tensor
 
 from understudy_warp_torch.tools import Box, Capsule, Grid, Shape, TaperedCapsule, Tool
 
@@ -31,6 +32,7 @@ __all__ = [
     "shape_distance",
     "to_rotation_vector",
     "tool_between",
+    "tool_views",
     "xyz",
 ]
 
@@ -423,3 +425,21 @@ def build_tools(tools: Sequence[Tool], worlds: int) -> Any:
     result.shape_position_before = wp.zeros((worlds, s), dtype=wp.vec3)
     result.shape_rotation_before = wp.zeros((worlds, s), dtype=wp.quat)
     return result
+
+
+def tool_views(tools: Any) -> dict[str, tuple[Tensor, tuple[int, ...]]]:
+    """By the field's name: where tools are and how they move, as torch views, and each world's shape.
+
+    The number of tools leads it if there are several; without any there is no field.
+    """
+    count = int(tools.tools)
+    lead = (count,) if count > 1 else ()
+    fields = {
+        "tool_position": (tools.position, 3),
+        "tool_orientation": (tools.orientation, 4),
+        "tool_velocity": (tools.velocity, 3),
+        "tool_angular_velocity": (tools.angular_velocity, 3),
+    }
+    return {
+        name: (wp.to_torch(view), (*lead, size)) for name, (view, size) in fields.items() if count
+    }
