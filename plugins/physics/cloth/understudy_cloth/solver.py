@@ -31,11 +31,11 @@ from understudy_warp_torch.blocks import load_row, shared_memory, store_row, wai
 from understudy_warp_torch.shapes import (
     GRID,
     Tools,
+    advance_tools,
     friction,
     from_rotation_vector,
     local_distance,
-    move_tool,
-    place_shape,
+    place_shapes,
     rotation,
     to_rotation_vector,
     xyz,
@@ -852,15 +852,9 @@ def build_kernels(features: Features) -> Kernels:
         c.side[o] = side
 
     @wp.func
-    def advance_tools(c: Cloth, world: int, lane: int, lanes: int):
+    def move_tools(c: Cloth, world: int, lane: int, lanes: int):
         remaining = float(c.substeps - c.substep[world])
-        for tool in range(lane, c.tools.tools, lanes):
-            move_tool(c.tools, c.control, world, tool, remaining, c.dt)
-
-    @wp.func
-    def place_shapes(c: Cloth, world: int, lane: int, lanes: int):
-        for shape in range(lane, c.tools.shapes, lanes):
-            place_shape(c.tools, world, shape)
+        advance_tools(c.tools, c.control, world, lane, lanes, remaining, c.dt)
 
     @wp.func
     def count_substep(c: Cloth, world: int):
@@ -899,9 +893,9 @@ def build_kernels(features: Features) -> Kernels:
                     resumes = False
             if wp.static(SHAPES or GRIPS):
                 wait_for_block()
-                advance_tools(c, world, lane, lanes)
+                move_tools(c, world, lane, lanes)
                 wait_for_block()
-                place_shapes(c, world, lane, lanes)
+                place_shapes(c.tools, world, lane, lanes)
             if wp.static(GRIPS):
                 for u in range(lane, c.grip_vertices, lanes):
                     grip(c, m, world, u)
@@ -971,8 +965,8 @@ def build_kernels(features: Features) -> Kernels:
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def tools_kernel(c: Cloth):
         world = wp.tid()
-        advance_tools(c, world, 0, 1)
-        place_shapes(c, world, 0, 1)
+        move_tools(c, world, 0, 1)
+        place_shapes(c.tools, world, 0, 1)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def edges_kernel(c: Cloth, colour: int, first: int):

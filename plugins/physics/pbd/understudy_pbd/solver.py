@@ -35,10 +35,10 @@ from understudy_warp_torch.blocks import global_memory as global_address
 from understudy_warp_torch.blocks import load_row, shared_memory, store_row, wait_for_block
 from understudy_warp_torch.shapes import (
     Tools,
+    advance_tools,
     friction,
     local_distance,
-    move_tool,
-    place_shape,
+    place_shapes,
     shape_distance,
     xyz,
 )
@@ -184,18 +184,10 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
 
 
 @wp.func
-def advance_tools(s: System, world: int, lane: int, lanes: int):
-    """Move the tools by a sub-step towards their targets, each lane its share of them."""
+def move_tools(s: System, world: int, lane: int, lanes: int):
+    """By a sub-step towards their targets, each lane its share of them."""
     remaining = float(s.substeps - s.substep[world])
-    for tool in range(lane, s.tools.tools, lanes):
-        move_tool(s.tools, s.control, world, tool, remaining, s.dt)
-
-
-@wp.func
-def place_shapes(s: System, world: int, lane: int, lanes: int):
-    """Put the shapes where their tools are, each lane its share of them."""
-    for shape in range(lane, s.tools.shapes, lanes):
-        place_shape(s.tools, world, shape)
+    advance_tools(s.tools, s.control, world, lane, lanes, remaining, s.dt)
 
 
 @wp.func
@@ -532,9 +524,9 @@ def build_kernels(features: Features) -> Kernels:
         lanes = wp.block_dim()
         memory = block_memory(s.memory, world * ROWS * s.particles)
         for _substep in range(count):
-            advance_tools(s, world, lane, lanes)
+            move_tools(s, world, lane, lanes)
             wait_for_block()
-            place_shapes(s, world, lane, lanes)
+            place_shapes(s.tools, world, lane, lanes)
             if lane == 0:
                 count_substep(s, world)
             wait_for_block()
@@ -565,8 +557,8 @@ def build_kernels(features: Features) -> Kernels:
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def tools_kernel(s: System):
         world = wp.tid()
-        advance_tools(s, world, 0, 1)
-        place_shapes(s, world, 0, 1)
+        move_tools(s, world, 0, 1)
+        place_shapes(s.tools, world, 0, 1)
         count_substep(s, world)
 
     def each(phase: Any) -> Any:

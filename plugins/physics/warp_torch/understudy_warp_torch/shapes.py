@@ -22,12 +22,12 @@ from understudy_warp_torch.tools import Box, Capsule, Grid, Shape, TaperedCapsul
 __all__ = [
     "GRID",
     "Tools",
+    "advance_tools",
     "build_tools",
     "friction",
     "from_rotation_vector",
     "local_distance",
-    "move_tool",
-    "place_shape",
+    "place_shapes",
     "rotation",
     "shape_distance",
     "to_rotation_vector",
@@ -164,6 +164,28 @@ def place_shape(tools: Tools, world: int, shape: int):
         q, tools.offset[shape]
     )
     tools.shape_rotation[world, shape] = q * tools.turn[shape]
+
+
+@wp.func
+def advance_tools(
+    tools: Tools,
+    control: wp.array2d(dtype=float),
+    world: int,
+    lane: int,
+    lanes: int,
+    remaining: float,
+    dt: float,
+):
+    """Move the tools by a sub-step towards their targets, each lane its share of them."""
+    for tool in range(lane, tools.tools, lanes):
+        move_tool(tools, control, world, tool, remaining, dt)
+
+
+@wp.func
+def place_shapes(tools: Tools, world: int, lane: int, lanes: int):
+    """Put the shapes where their tools are, each lane its share of them."""
+    for shape in range(lane, tools.shapes, lanes):
+        place_shape(tools, world, shape)
 
 
 @wp.func
