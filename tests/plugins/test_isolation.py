@@ -37,6 +37,7 @@ MATERIAL = {
     "cmfbo": FIGURE | TOYS | {"deepmimic", "report", "spacetime"},
     "curricula": TOYS,
     "doctor": FIGURE,
+    "judging": TOYS,
     "jumping": {"bayes", "diversity", "export", "play", "sweeps"},
     "export": FIGURE | TOYS | {"report", "spacetime", "viewer"},
     "gym": FIGURE | TOYS | {"report", "spacetime"},
