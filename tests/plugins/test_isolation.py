@@ -42,7 +42,7 @@ MATERIAL = {
     "export": FIGURE | TOYS | {"report", "spacetime", "viewer"},
     "gym": FIGURE | TOYS | {"report", "spacetime"},
     "networks": TOYS,
-    "play": FIGURE | {"deepmimic", "inspect", "ppo", "sitting", "spacetime", "sweeps"},
+    "play": FIGURE | TOYS | {"deepmimic", "judging", "sitting", "spacetime", "sweeps"},
     "pose_vae": FIGURE | TOYS | {"retarget", "report", "spacetime", "sweeps"},
     "ray_executor": TOYS | {"report"},
     "retarget": FIGURE,
