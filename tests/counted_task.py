@@ -285,7 +285,7 @@ def line_plugins(**components: Mapping[str, Any] | Callable[..., Any]) -> Plugin
     mine.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
     this = sys.modules[__name__]
     return load(
-        only=["sweeps", "inspect", "reinforcement", "training"],
+        only=["sweeps", "inspect", "judging", "reinforcement", "training"],
         extra=[("fake", fake), ("line", this), ("mine", mine)],
     )
 

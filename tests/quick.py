@@ -36,6 +36,8 @@ SMOKES = {
     "search": "plugins/sweeps/test_grid.py",
     "papers": "plugins/spacetime/test_bounds.py",
 }
+#: What every page is held to: its figures are its records', its links lead somewhere, its commands compose.
+PAGES = ("test_docs.py", "test_figures.py")
 #: Folders of tests that are not in the folder of their plugin's name.
 ELSEWHERE = {"mujoco_warp": "mujoco_on_warp"}
 
@@ -76,7 +78,11 @@ def nearest(files: Sequence[Path]) -> list[Path]:
         if file in modules:
             note(file, 0)
             continue
-        if file.suffix == ".md" or not file.is_relative_to(ROOT):
+        if not file.is_relative_to(ROOT):
+            continue
+        if file.suffix == ".md":
+            for module in PAGES:
+                note(TESTS / module, 3)
             continue
         own, stem = room(file), file.stem.strip("_")
         dotted = re.sub(

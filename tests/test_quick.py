@@ -29,6 +29,7 @@ def test_every_wing_has_a_smoke() -> None:
         ("plugins/physics/mujoco_warp/understudy_mujoco_warp/simulator.py",
          "plugins/mujoco_on_warp/test_warp_simulator.py"),
         ("tests/kernel/test_random.py", "kernel/test_random.py"),
+        ("docs/tour.md", "test_docs.py"),
     ],
 )  # fmt: skip
 def test_the_nearest_come_first(changed: str, first: str) -> None:

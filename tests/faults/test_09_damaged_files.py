@@ -17,7 +17,7 @@ from understudy.records.runs import open_run
 from understudy.setup import plugins as setup_plugins
 from understudy.setup.plugins import Plugins
 from understudy.testing.fake import FAKE_TASK
-from understudy_inspect import judging
+from understudy_judging import commands
 
 
 @pytest.fixture
@@ -145,10 +145,10 @@ def test_an_untrained_policy_is_not_judged_as_the_trained_one(
     assert training.run is not None
     training.run.unlock()
     chosen = argparse.Namespace(run=str(run), overrides=[])
-    assert judging.Evaluate().run(chosen) == 0  # nothing was trained, and that is what is judged
+    assert commands.Evaluate().run(chosen) == 0  # nothing was trained, and that is what is judged
     training.run.append_metrics(training.iterate())
     training.save()
     (run / "checkpoints/00000001.json").write_bytes(b"")
-    for command in (judging.Evaluate(), judging.Render()):
+    for command in (commands.Evaluate(), commands.Render()):
         with pytest.raises(RunError, match="only the checkpoint before training is intact"):
             command.run(chosen)

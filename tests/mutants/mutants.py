@@ -569,7 +569,7 @@ MUTANTS = (
            "tests/kernel/test_inputs.py -k outside"),
     Mutant("a room is any file", "plugins/figures/characters/understudy_characters/rooms.py", "json.loads(read(path, _LARGEST))", "json.loads(path.read_text())",
            "tests/plugins/characters/test_rooms.py -k pipe"),
-    Mutant("a licence has no end", "plugins/figures/motion/understudy_motion/reading.py", "text = read_bytes(path.with_name(LICENCE), MAX_LICENCE_BYTES, whole=False).decode(",
+    Mutant("a licence has no end", "plugins/figures/motion/understudy_motion/origin.py", "text = read_bytes(path.with_name(LICENCE), MAX_LICENCE_BYTES, whole=False).decode(",
            "text = path.with_name(LICENCE).read_bytes().decode(", "tests/plugins/motion/test_reading.py -k licence"),
     # What docs/reliability.md says besides.
     Mutant("a stopped run is a failed one", f"{KERNEL}/errors.py", "exit_status = 75  #", "exit_status = 1  #", f"{F13} -k each_signal"),

@@ -20,7 +20,7 @@ from understudy.setup import plugins as setup_plugins
 from understudy.setup.composition import load_experiment
 from understudy.setup.plugins import hookimpl, load
 from understudy.setup.registry import Registrar
-from understudy_inspect import judging
+from understudy_judging import commands
 from understudy_training import workflow
 
 QUICK = (
@@ -77,7 +77,7 @@ def test_observers_are_told_after_training_and_render(
     overrides = [*QUICK, f"run.dir={path}"]
     monkeypatch.setattr(workflow, "load_experiment", lambda given: load_experiment(given, plugins))
     assert workflow.train(overrides) == 0
-    assert judging.Render().run(argparse.Namespace(run=str(path), overrides=[])) == 0
+    assert commands.Render().run(argparse.Namespace(run=str(path), overrides=[])) == 0
     messages = capsys.readouterr().err
     assert messages.count("The observer Breaking is left out: ValueError: too dark") == 2
     assert messages.count("I have seen it.") == 2

@@ -140,7 +140,7 @@ def plugins(broken: bool = False) -> Plugins:
 
     module.understudy_register = hookimpl(register)  # type: ignore[attr-defined]
     return load(
-        only=["sweeps", "inspect", "reinforcement", "training"],
+        only=["sweeps", "judging", "reinforcement", "training"],
         extra=[("fake", fake), ("regression", module)],
     )
 

@@ -34,17 +34,11 @@ from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.fetch import cmu, command, download
 from understudy_motion.fetch import deepmimic as published
+from understudy_motion.limits import read_bytes
+from understudy_motion.origin import provenance, read_record, record_path
 from understudy_motion.readers import deepmimic
 from understudy_motion.readers.amc import AmcReader
-from understudy_motion.reading import (
-    UNSAID,
-    ClipReader,
-    ReadOptions,
-    provenance,
-    read_bytes,
-    read_record,
-    record_path,
-)
+from understudy_motion.reading import UNSAID, ClipReader, ReadOptions
 from understudy_motion.section import Motion, MotionOptions
 from understudy_report.provenance import Provenance
 

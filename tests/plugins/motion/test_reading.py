@@ -21,7 +21,7 @@ from worlds import little_memory
 import understudy_motion
 from understudy.errors import FileError
 from understudy.setup.registry import Registrar, Registry
-from understudy_motion import library, reading
+from understudy_motion import library, limits, origin
 from understudy_motion.kinematics import forward_kinematics
 from understudy_motion.reading import (
     HEAD_BYTES,
@@ -155,10 +155,10 @@ def test_clips_too_large_are_refused(
     tmp_path: Path, registry: Registry, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = WRITE[name](tmp_path)
-    monkeypatch.setattr(reading, "MAX_ROTATIONS", 10)
+    monkeypatch.setattr(limits, "MAX_ROTATIONS", 10)
     with pytest.raises(FileError, match=r"6 frames of \d+ joints are too many; cut it"):
         read_clip(path, registry)
-    monkeypatch.setattr(reading, "MAX_JOINTS", 4)
+    monkeypatch.setattr(limits, "MAX_JOINTS", 4)
     with pytest.raises(FileError, match=r"joints; at most 4 are read|more than 4 joints"):
         read_clip(path, registry)
 
@@ -191,7 +191,7 @@ def test_every_recorded_clip_is_a_person_in_motion(registry: Registry) -> None:
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("what", ["/dev/zero", "pipe", "long"])
 def test_a_licence_without_end_is_not_read(tmp_path: Path, what: str) -> None:
-    licence = tmp_path / reading.LICENCE
+    licence = tmp_path / origin.LICENCE
     if what == "pipe":
         os.mkfifo(licence)
     elif what == "long":
@@ -199,6 +199,6 @@ def test_a_licence_without_end_is_not_read(tmp_path: Path, what: str) -> None:
     else:
         licence.symlink_to(what)
     with little_memory():
-        said = reading.licence_beside(tmp_path / "clip.txt")
+        said = origin.licence_beside(tmp_path / "clip.txt")
     assert len(said) < 300
     assert said.startswith("CC0" if what == "long" else "unknown")

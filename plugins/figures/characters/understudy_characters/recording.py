@@ -17,8 +17,8 @@ from understudy.task import Context, Scene
 from understudy_characters.character import Character
 from understudy_characters.scene import CharacterScene, other_bodies
 from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.limits import MAX_ROTATIONS
 from understudy_motion.readers.npz import Archive
-from understudy_motion.reading import MAX_ROTATIONS
 from understudy_motion.writing import Shown
 from understudy_mujoco.scene import MujocoScene
 

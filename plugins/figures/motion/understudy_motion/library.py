@@ -12,16 +12,8 @@ from understudy.inputs import Inputs
 from understudy.options import checked_options
 from understudy.setup.registry import Registry
 from understudy_motion.clip import Clip
-from understudy_motion.reading import (
-    LICENCE,
-    RECORD_SUFFIX,
-    UNSAID,
-    ReadOptions,
-    read_clip,
-    reader_of,
-    readers,
-    record_path,
-)
+from understudy_motion.origin import LICENCE, RECORD_SUFFIX, record_path
+from understudy_motion.reading import UNSAID, ReadOptions, read_clip, reader_of, readers
 
 __all__ = ["data_folder", "find", "kept"]
 

@@ -8,8 +8,6 @@ A reader is a component of kind ``clip_reader``, so that a plugin can add a form
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -17,13 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from understudy.errors import ConfigError, FileError
 from understudy.setup.registry import Registry
-from understudy_motion.clip import MAX_DISTANCE, Clip, Skeleton
+from understudy_motion.clip import Clip
+from understudy_motion.limits import read_bytes
 
-__all__ = ["MAX_ROTATIONS", "RECORD_SUFFIX", "Axis", "ReadOptions", "Unit", "metres_of", "readers"]
+__all__ = ["Axis", "ReadOptions", "Unit", "metres_of", "readers"]
 
 NamedUnit = Literal["m", "cm", "mm", "inch", "foot"]
 Unit = NamedUnit | float
@@ -32,16 +29,6 @@ Axis = Literal["y", "z"]
 
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048}
 HEAD_BYTES = 4096
-MAX_BYTES = 256 * 2**20
-RECORD_SUFFIX = ".provenance.json"
-LICENCE = "LICENSE"
-MAX_RECORD_BYTES = 2**16
-MAX_RECORD_LINE = 2000
-MAX_LICENCE_BYTES = 2**16
-MAX_JOINTS = 1000
-MAX_NAME = 200
-MAX_ROTATIONS = 8_000_000
-"""Frames times joints: ten minutes of a hundred joints at 120 frames/s, 256 MB of quaternions."""
 
 
 @dataclass(frozen=True)
@@ -213,134 +200,3 @@ def _of_archive(path: Path) -> str:
         f"an NPZ of no kind that is read here. It has {there}; AMASS and its like have poses, trans and "
         "mocap_framerate."
     )
-
-
-def read_bytes(path: Path, limit: int = MAX_BYTES, *, whole: bool = True) -> bytes:
-    """The file's content, at most `limit` bytes; more is an error if the `whole` file is wanted.
-
-    Raises
-    ------
-    FileError
-        missing, unreadable, or larger than `limit`.
-    """
-    try:
-        if not path.is_file():
-            raise FileError(f"Clip {path}: there is no such file.")
-        with path.open("rb") as file:
-            content = file.read(limit + 1)
-    except (OSError, ValueError) as error:
-        raise FileError(f"Clip {path}: cannot be read: {error}.") from error
-    if whole and len(content) > limit:
-        raise FileError(f"Clip {path}: larger than {limit // 2**20} MB.")
-    return content[:limit]
-
-
-def check_size(path: Path, frames: int, joint_names: Sequence[str]) -> None:
-    """Refuse a clip too large to be held, before it is.
-
-    Raises
-    ------
-    FileError
-        more than :data:`MAX_JOINTS` or :data:`MAX_ROTATIONS`, or a joint's name of more
-        than :data:`MAX_NAME` characters.
-    """
-    joints = len(joint_names)
-    if joints > MAX_JOINTS:
-        raise FileError(f"Clip {path}: {joints} joints; at most {MAX_JOINTS} are read.")
-    if frames * joints > MAX_ROTATIONS:
-        raise FileError(
-            f"Clip {path}: {frames} frames of {joints} joints are too many; cut it, or take every "
-            f"second frame (at most {MAX_ROTATIONS} rotations are read)."
-        )
-    if max(map(len, joint_names), default=0) > MAX_NAME:
-        raise FileError(f"Clip {path}: a joint's name has more than {MAX_NAME} characters.")
-
-
-def checked_skeleton(
-    path: Path,
-    joint_names: Sequence[str],
-    parents: Sequence[int],
-    offsets: np.ndarray,
-    tips: Mapping[str, np.ndarray],
-) -> Skeleton:
-    """The :class:`Skeleton` of these fields, its root's offset set to zero.
-
-    Raises
-    ------
-    FileError
-        the parents are not a tree with joint 0 as its root, or a length is not finite
-        or beyond :data:`MAX_DISTANCE`; names the joint.
-    """
-    for joint, (name, parent) in enumerate(zip(joint_names, parents, strict=True)):
-        if not (parent == -1 if joint == 0 else 0 <= parent < joint):
-            raise FileError(
-                f"Clip {path}: joint '{name}': its parent must come before it, and only the first "
-                "joint has none."
-            )
-    lengths = {name: offset for name, offset in zip(joint_names, offsets, strict=True)}
-    for name, length in (*lengths.items(), *tips.items()):
-        if name not in lengths:
-            raise FileError(f"Clip {path}: a tip belongs to '{name}', which is no joint.")
-        if not (np.abs(length) <= MAX_DISTANCE).all():
-            raise FileError(
-                f"Clip {path}: joint '{name}': an offset is not a number of metres up to "
-                f"{MAX_DISTANCE:g}."
-            )
-    rooted = np.array(offsets, dtype=np.float64)
-    rooted[0] = 0.0
-    return Skeleton(tuple(joint_names), tuple(parents), rooted, dict(tips))
-
-
-def provenance(path: Path, content: bytes) -> dict[str, Any]:
-    """The fields of :class:`Clip` that say where a file's motion comes from.
-
-    They are those of the clip's licence record if it is a record of this very `content`; else the
-    licence is that of a LICENSE file beside the clip.
-    """
-    digest = hashlib.sha256(content).hexdigest()
-    record = read_record(path)
-    if record.get("sha256") != digest:
-        record = {}
-    return {
-        "source": str(path),
-        "licence": record.get("licence") or licence_beside(path),
-        "sha256": digest,
-        "url": record.get("url", ""),
-        "attribution": record.get("attribution", ""),
-    }
-
-
-def record_path(path: Path) -> Path:
-    """Where the licence record of the clip at `path` is: beside it, under its stem."""
-    return path.with_name(path.stem + RECORD_SUFFIX)
-
-
-def read_record(path: Path) -> dict[str, str]:
-    """The texts of the licence record of the clip at `path`, each a printable line.
-
-    Its keys are ``clip``, ``url``, ``date``, ``sha256`` and, where known, ``licence`` and
-    ``attribution``. Empty if there is no record, or none that can be read.
-    """
-    try:
-        record = json.loads(read_bytes(record_path(path), MAX_RECORD_BYTES))
-    except (FileError, ValueError, RecursionError):
-        return {}
-    if not isinstance(record, dict):
-        return {}
-    return {
-        key: "".join(filter(str.isprintable, value))[:MAX_RECORD_LINE]
-        for key, value in record.items()
-        if isinstance(value, str)
-    }
-
-
-def licence_beside(path: Path) -> str:
-    """The first line of a LICENSE file beside the clip, if there is one."""
-    try:
-        text = read_bytes(path.with_name(LICENCE), MAX_LICENCE_BYTES, whole=False).decode(
-            errors="replace"
-        )
-    except FileError:
-        return "unknown"
-    first = next((line.strip() for line in text.splitlines() if line.strip()), "")
-    return f"{first[:200]}; see LICENSE beside the clip" if first else "unknown"

@@ -97,14 +97,11 @@ class MLPPolicy(Policy):
         return self.critic.parameters()
 
     def observe(self, observations: Mapping[str, Tensor]) -> None:
-        self.normaliser.observe(joined(observations, self._actor_sees))
-        if self.critic_normaliser is not None:
-            self.critic_normaliser.observe(joined(observations, self._critic_sees))
+        observe_joined(self.normaliser, observations, self._actor_sees)
+        observe_joined(self.critic_normaliser, observations, self._critic_sees)
 
-    @torch.no_grad()
     def schedule(self, samples: int) -> None:
-        if not self.options.learn_noise:
-            self.log_deviation.fill_(self.options.noise.at(samples)).log_()
+        anneal(self.log_deviation, self.options, samples)
 
 
 class CNNPolicy(Policy):
@@ -200,15 +197,11 @@ class CNNPolicy(Policy):
         return itertools.chain(self.critic_eye.parameters(), self.critic.parameters())
 
     def observe(self, observations: Mapping[str, Tensor]) -> None:
-        if self._actor_sees:
-            self.normaliser.observe(joined(observations, self._actor_sees))
-        if self.critic_normaliser is not None:
-            self.critic_normaliser.observe(joined(observations, self._critic_sees))
+        observe_joined(self.normaliser, observations, self._actor_sees)
+        observe_joined(self.critic_normaliser, observations, self._critic_sees)
 
-    @torch.no_grad()
     def schedule(self, samples: int) -> None:
-        if not self.options.learn_noise:
-            self.log_deviation.fill_(self.options.noise.at(samples)).log_()
+        anneal(self.log_deviation, self.options, samples)
 
 
 def _eye(options: CNNPolicy.Options, shape: tuple[int, int, int]) -> Network:
@@ -281,6 +274,16 @@ def joined(observations: Mapping[str, Tensor], names: tuple[str, ...]) -> Tensor
     return found[0] if len(found) == 1 else torch.cat(found, dim=-1)
 
 
+def observe_joined(
+    normaliser: RunningNormaliser | None,
+    observations: Mapping[str, Tensor],
+    names: tuple[str, ...],
+) -> None:
+    """Let a network's normaliser, if it has one of its own, see the flat observations `names`, if there are any."""
+    if normaliser is not None and names:
+        normaliser.observe(joined(observations, names))
+
+
 def image_shape(context: Context, name: str, who: str) -> tuple[int, int, int]:
     """(C, H, W) of the image observation `name`."""
     shape = observation_shape(context, name, who)
@@ -295,6 +298,15 @@ def log_deviation(space: ActionSpace, noise: Schedule, learned: bool) -> nn.Para
     """Logarithm of the standard deviation of each of the space's real numbers."""
     start = torch.full((box_columns(space),), noise.start).log()
     return nn.Parameter(start, requires_grad=learned)
+
+
+@torch.no_grad()
+def anneal(
+    deviation: nn.Parameter, options: MLPPolicy.Options | CNNPolicy.Options, samples: int
+) -> None:
+    """Set a :func:`log_deviation` to what the schedule has after `samples`, unless it is learned."""
+    if not options.learn_noise:
+        deviation.fill_(options.noise.at(samples)).log_()
 
 
 def check_names(options: object, *names: str) -> None:

@@ -12,7 +12,7 @@ from understudy.records.runs import newest_state
 from understudy.running.jobs import Judgement
 from understudy.setup.validation import at
 from understudy_characters.recording import unsimulated
-from understudy_inspect.judging import load
+from understudy_judging.commands import load
 from understudy_jumping.arena import ArenaOptions
 from understudy_motion.arguments import positive, share
 from understudy_reinforcement.evaluation import wilson_interval

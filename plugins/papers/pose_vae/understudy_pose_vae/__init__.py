@@ -2,7 +2,7 @@
 
 #: Plugins that this one builds on.
 REQUIRES = (
-    "networks", "skills", "tensors", "characters", "inspect", "motion", "report", "reinforcement",
+    "networks", "skills", "tensors", "characters", "judging", "motion", "report", "reinforcement",
 )  # fmt: skip
 
 #: By kind and name: where each part is, and what it is in a sentence.

@@ -17,7 +17,8 @@ from understudy_characters.fitting import worn
 from understudy_motion import library
 from understudy_motion.clip import Clip
 from understudy_motion.mirror import mirrored
-from understudy_motion.reading import RECORD_SUFFIX, ReadOptions, readers
+from understudy_motion.origin import RECORD_SUFFIX
+from understudy_motion.reading import ReadOptions, readers
 from understudy_pose_vae.features import PoseFeatures
 
 

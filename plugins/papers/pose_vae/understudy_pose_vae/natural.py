@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from understudy.command.command import Command
-from understudy_inspect.judging import load
+from understudy_judging.commands import load
 
 #: In the run folder: the evaluation.
 FILE = "naturalness.json"

@@ -29,8 +29,7 @@ from understudy_cloth.mesh import (
 )
 from understudy_cloth.scene import ClothModel, ClothScene
 from understudy_cloth.solver import MOST_SHAPES, Cloth, Features, build_kernels
-from understudy_warp_torch.kernels import Kernels
-from understudy_warp_torch.shapes import build_tools
+from understudy_warp_torch.shapes import build_tools, tool_views
 from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState
 
@@ -99,10 +98,7 @@ class ClothSimulator(WarpSimulator):
         scene = context.need_scene(ClothScene, "simulator 'cloth'")
         self.model = model = scene.model()
         self._options = options
-        self._warp = Kernels(context.device)
-        self._device = self._warp.device
-        self._n, self._substeps = context.num_worlds, context.substeps
-        self._dt = context.control_dt / context.substeps
+        super().__init__(context)
         with self._warp.scope():
             self._cloth, self._features, self._first = self._build(model)
             self._kernels = build_kernels(self._features)
@@ -122,12 +118,7 @@ class ClothSimulator(WarpSimulator):
         if self._features.shapes:
             hidden["near"] = (wp.to_torch(c.near), (v,))
             hidden["face_near"] = (wp.to_torch(c.face_near), (c.faces,))
-        lead = (t,) if t > 1 else ()
-        if t:
-            views["tool_position"] = (wp.to_torch(c.tools.position), (*lead, 3))
-            views["tool_orientation"] = (wp.to_torch(c.tools.orientation), (*lead, 4))
-            views["tool_velocity"] = (wp.to_torch(c.tools.velocity), (*lead, 3))
-            views["tool_angular_velocity"] = (wp.to_torch(c.tools.angular_velocity), (*lead, 3))
+        views |= tool_views(c.tools)
         if g:
             views["grip_closed"] = (wp.to_torch(c.closed), (g,))
             hidden["holder"] = (wp.to_torch(c.holder), (c.grip_vertices,))

@@ -27,15 +27,15 @@ import warp as wp
 
 from understudy_cloth import mesh
 from understudy_warp_torch.blocks import global_memory as global_address
-from understudy_warp_torch.blocks import shared_memory, wait_for_block
+from understudy_warp_torch.blocks import load_row, shared_memory, store_row, wait_for_block
 from understudy_warp_torch.shapes import (
     GRID,
     Tools,
+    advance_tools,
     friction,
     from_rotation_vector,
     local_distance,
-    move_tool,
-    place_shape,
+    place_shapes,
     rotation,
     to_rotation_vector,
     xyz,
@@ -215,35 +215,7 @@ def store_apart(memory: wp.uint64, n: int, i: int, x: wp.vec3):
     """Write vector `i` of `n` whose x, y and z lie apart."""
 
 
-# x, y, z and the weight, which on a GPU are read and written at once
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    const float4 of = ((const float4*)memory)[i];
-    return wp::vec_t<4, float>(of.x, of.y, of.z, of.w);
-#else
-    return ((const wp::vec_t<4, float>*)memory)[i];
-#endif
-"""
-)
-def load_weighted(memory: wp.uint64, i: int) -> wp.vec4:
-    """Vector `i` and its weight."""
-
-
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    ((float4*)memory)[i] = make_float4(x[0], x[1], x[2], weight);
-#else
-    ((wp::vec_t<4, float>*)memory)[i] = wp::vec_t<4, float>(x[0], x[1], x[2], weight);
-#endif
-"""
-)
-def store_weighted(memory: wp.uint64, i: int, x: wp.vec3, weight: float):
-    """Write vector `i` and its weight."""
-
-
-# and of these the first three, or the last
+# of a vector and its weight, which are a row of blocks.load_row, the first three or the last
 @wp.func_native(
     """
     float* of = (float*)memory + 4 * i;
@@ -456,7 +428,7 @@ def build_kernels(features: Features) -> Kernels:
     def load(m: wp.uint64, c: Cloth, i: int) -> wp.vec3:
         x = wp.vec3()
         if wp.static(WEIGHTED):
-            x = xyz(load_weighted(m, i))
+            x = xyz(load_row(m, i))
         elif wp.static(SHARED):
             x = load_apart(m, c.vertices, i)
         else:
@@ -477,7 +449,7 @@ def build_kernels(features: Features) -> Kernels:
         """Position and weight."""
         x = wp.vec4()
         if wp.static(WEIGHTED):
-            x = load_weighted(m, i)
+            x = load_row(m, i)
         else:
             y = load(m, c, i)
             x = wp.vec4(y[0], y[1], y[2], c.weight[world * c.vertices + i])
@@ -487,7 +459,7 @@ def build_kernels(features: Features) -> Kernels:
     def store_all(m: wp.uint64, c: Cloth, i: int, x: wp.vec3, weight: float):
         """The weight is as it was."""
         if wp.static(WEIGHTED):
-            store_weighted(m, i, x, weight)
+            store_row(m, i, wp.vec4(x[0], x[1], x[2], weight))
         else:
             store(m, c, i, x)
 
@@ -880,15 +852,9 @@ def build_kernels(features: Features) -> Kernels:
         c.side[o] = side
 
     @wp.func
-    def advance_tools(c: Cloth, world: int, lane: int, lanes: int):
+    def move_tools(c: Cloth, world: int, lane: int, lanes: int):
         remaining = float(c.substeps - c.substep[world])
-        for tool in range(lane, c.tools.tools, lanes):
-            move_tool(c.tools, c.control, world, tool, remaining, c.dt)
-
-    @wp.func
-    def place_shapes(c: Cloth, world: int, lane: int, lanes: int):
-        for shape in range(lane, c.tools.shapes, lanes):
-            place_shape(c.tools, world, shape)
+        advance_tools(c.tools, c.control, world, lane, lanes, remaining, c.dt)
 
     @wp.func
     def count_substep(c: Cloth, world: int):
@@ -927,9 +893,9 @@ def build_kernels(features: Features) -> Kernels:
                     resumes = False
             if wp.static(SHAPES or GRIPS):
                 wait_for_block()
-                advance_tools(c, world, lane, lanes)
+                move_tools(c, world, lane, lanes)
                 wait_for_block()
-                place_shapes(c, world, lane, lanes)
+                place_shapes(c.tools, world, lane, lanes)
             if wp.static(GRIPS):
                 for u in range(lane, c.grip_vertices, lanes):
                     grip(c, m, world, u)
@@ -975,39 +941,32 @@ def build_kernels(features: Features) -> Kernels:
         due = c.substep[world] % c.every == 0
         return due != resumes
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def begin_kernel(c: Cloth, resumes: bool):
-        world, k = wp.tid()
-        if searches(c, world, resumes):
-            begin_search(c, packed_address(c.position, world * c.vertices), world, k, resumes)
+    def each(phase: Any) -> Any:
+        """A kernel with a thread for each item of `phase`, which goes through it."""
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def insert_kernel(c: Cloth, resumes: bool):
-        world, k = wp.tid()
-        if searches(c, world, resumes):
-            insert(c, packed_address(c.position, world * c.vertices), world, k, resumes)
+        @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+        def kernel(c: Cloth):
+            world, i = wp.tid()
+            phase(c, packed_address(c.position, world * c.vertices), world, i)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def search_kernel(c: Cloth, resumes: bool):
-        world, i = wp.tid()
-        if searches(c, world, resumes):
-            search(c, packed_address(c.position, world * c.vertices), world, i, resumes)
+        return kernel
+
+    def each_of_search(phase: Any) -> Any:
+        """The same of a phase of the search, where one is due or, as state is set, `resumes`."""
+
+        @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+        def kernel(c: Cloth, resumes: bool):
+            world, k = wp.tid()
+            if searches(c, world, resumes):
+                phase(c, packed_address(c.position, world * c.vertices), world, k, resumes)
+
+        return kernel
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def tools_kernel(c: Cloth):
         world = wp.tid()
-        advance_tools(c, world, 0, 1)
-        place_shapes(c, world, 0, 1)
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def grip_kernel(c: Cloth):
-        world, u = wp.tid()
-        grip(c, packed_address(c.position, world * c.vertices), world, u)
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def predict_kernel(c: Cloth):
-        world, i = wp.tid()
-        predict(c, packed_address(c.position, world * c.vertices), world, i)
+        move_tools(c, world, 0, 1)
+        place_shapes(c.tools, world, 0, 1)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def edges_kernel(c: Cloth, colour: int, first: int):
@@ -1024,48 +983,23 @@ def build_kernels(features: Features) -> Kernels:
             keep_flat(c, m, world, first + k, softness(c, world, BENDING) / float(bends))
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def find_layers_kernel(c: Cloth):
-        world, i = wp.tid()
-        find_layers(c, packed_address(c.position, world * c.vertices), world, i)
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def part_layers_kernel(c: Cloth):
-        world, i = wp.tid()
-        part_layers(c, packed_address(c.position, world * c.vertices), world, i)
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def touch_kernel(c: Cloth):
-        world, f = wp.tid()
-        touch(c, packed_address(c.position, world * c.vertices), world, f)
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def finish_kernel(c: Cloth):
-        world, i = wp.tid()
-        finish(c, packed_address(c.position, world * c.vertices), world, i)
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def count_kernel(c: Cloth):
         count_substep(c, wp.tid())
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def judge_kernel(c: Cloth):
-        world, i = wp.tid()
-        judge(c, packed_address(c.position, world * c.vertices), world, i)
-
     return Kernels(
         block=block_kernel,
-        begin=begin_kernel,
-        insert=insert_kernel,
-        search=search_kernel,
+        begin=each_of_search(begin_search),
+        insert=each_of_search(insert),
+        search=each_of_search(search),
         tools=tools_kernel,
-        grip=grip_kernel,
-        predict=predict_kernel,
+        grip=each(grip),
+        predict=each(predict),
         edges=edges_kernel,
         hinges=hinges_kernel,
-        find_layers=find_layers_kernel,
-        part_layers=part_layers_kernel,
-        touch=touch_kernel,
-        finish=finish_kernel,
+        find_layers=each(find_layers),
+        part_layers=each(part_layers),
+        touch=each(touch),
+        finish=each(finish),
         count=count_kernel,
-        judge=judge_kernel,
+        judge=each(judge),
     )

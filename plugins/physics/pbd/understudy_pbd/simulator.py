@@ -17,8 +17,7 @@ from understudy.task import Context, Shape
 from understudy_pbd.rules import Particles
 from understudy_pbd.scene import ParticleModel, ParticleScene
 from understudy_pbd.solver import ROWS, SHARED_PARTICLES, Features, System, build_kernels
-from understudy_warp_torch.kernels import Kernels
-from understudy_warp_torch.shapes import build_tools
+from understudy_warp_torch.shapes import build_tools, tool_views
 from understudy_warp_torch.simulator import WarpSimulator
 from understudy_warp_torch.world_state import WorldState
 
@@ -78,16 +77,13 @@ class ParticleSimulator(WarpSimulator):
         scene = context.need_scene(ParticleScene, "simulator 'pbd'")
         self.model = model = scene.model()
         self._options = options
-        self._warp = Kernels(context.device)
-        self._device = self._warp.device
-        self._n, self._substeps = context.num_worlds, context.substeps
-        self._dt = context.control_dt / context.substeps
+        super().__init__(context)
         with self._warp.scope():
             self._system, features = self._build(model)
             self._kernels = build_kernels(features)
         self._features = features
         self.control_size = 6 * len(model.tools)
-        system, tools = self._system, self._system.tools
+        system = self._system
         p = system.particles
         views = {
             "particle_position": (wp.to_torch(system.position), (p, 3)),
@@ -99,12 +95,7 @@ class ParticleSimulator(WarpSimulator):
             views["spring_partners"] = (wp.to_torch(system.spring_partner), (p, k))
             views["spring_lengths"] = (wp.to_torch(system.spring_length), (p, k))
         t = len(model.tools)
-        lead = (t,) if t > 1 else ()
-        if t:
-            views["tool_position"] = (wp.to_torch(tools.position), (*lead, 3))
-            views["tool_orientation"] = (wp.to_torch(tools.orientation), (*lead, 4))
-            views["tool_velocity"] = (wp.to_torch(tools.velocity), (*lead, 3))
-            views["tool_angular_velocity"] = (wp.to_torch(tools.angular_velocity), (*lead, 3))
+        views |= tool_views(system.tools)
         read = {name: view.view(self._n, *shape) for name, (view, shape) in views.items()}
         self.fields: Mapping[str, Shape] = {name: shape for name, (_, shape) in views.items()}
         self.state_fields = ("particle_position", "particle_velocity")

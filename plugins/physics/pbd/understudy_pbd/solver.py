@@ -32,13 +32,13 @@ from understudy_pbd.constraints import (
     spring,
 )
 from understudy_warp_torch.blocks import global_memory as global_address
-from understudy_warp_torch.blocks import shared_memory, wait_for_block
+from understudy_warp_torch.blocks import load_row, shared_memory, store_row, wait_for_block
 from understudy_warp_torch.shapes import (
     Tools,
+    advance_tools,
     friction,
     local_distance,
-    move_tool,
-    place_shape,
+    place_shapes,
     shape_distance,
     xyz,
 )
@@ -143,33 +143,6 @@ class Kernels:
 global_memory = global_address(wp.vec4)
 
 
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    const float4 v = ((const float4*)memory)[row];
-    return wp::vec_t<4, float>(v.x, v.y, v.z, v.w);
-#else
-    return ((const wp::vec_t<4, float>*)memory)[row];
-#endif
-"""
-)
-def load(memory: wp.uint64, row: int) -> wp.vec4:
-    """Row `row` of the working memory."""
-
-
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    ((float4*)memory)[row] = make_float4(value[0], value[1], value[2], value[3]);
-#else
-    ((wp::vec_t<4, float>*)memory)[row] = value;
-#endif
-"""
-)
-def store(memory: wp.uint64, row: int, value: wp.vec4):
-    """Write row `row` of the working memory."""
-
-
 @wp.func
 def share_of(share: float, power: float) -> float:
     """What an iteration corrects, so that all together correct `share` (Müller et al. 2007, 3.3)."""
@@ -211,18 +184,10 @@ def swept(s: System, world: int, start: wp.vec3, x: wp.vec3, radius: float) -> w
 
 
 @wp.func
-def advance_tools(s: System, world: int, lane: int, lanes: int):
-    """Move the tools by a sub-step towards their targets, each lane its share of them."""
+def move_tools(s: System, world: int, lane: int, lanes: int):
+    """By a sub-step towards their targets, each lane its share of them."""
     remaining = float(s.substeps - s.substep[world])
-    for tool in range(lane, s.tools.tools, lanes):
-        move_tool(s.tools, s.control, world, tool, remaining, s.dt)
-
-
-@wp.func
-def place_shapes(s: System, world: int, lane: int, lanes: int):
-    """Put the shapes where their tools are, each lane its share of them."""
-    for shape in range(lane, s.tools.shapes, lanes):
-        place_shape(s.tools, world, shape)
+    advance_tools(s.tools, s.control, world, lane, lanes, remaining, s.dt)
 
 
 @wp.func
@@ -334,13 +299,13 @@ def build_kernels(features: Features) -> Kernels:
             v = s.velocity[world, i] + s.dt * s.gravity[world]
             v = v / (1.0 + s.dt * s.damping[s.material[i]])
             x = swept(s, world, start, start + s.dt * v, s.radius[i])
-        store(memory, i, wp.vec4(x[0], x[1], x[2], weight))
-        store(memory, 2 * s.particles + i, wp.vec4(start[0], start[1], start[2], 0.0))
+        store_row(memory, i, wp.vec4(x[0], x[1], x[2], weight))
+        store_row(memory, 2 * s.particles + i, wp.vec4(start[0], start[1], start[2], 0.0))
 
     @wp.func
     def find(s: System, memory: wp.uint64, world: int, i: int):
         """Particles within reach, and how many of them touch or are tied by springs."""
-        own = load(memory, i)
+        own = load_row(memory, i)
         x = xyz(own)
         found = int(0)
         touching = int(0)
@@ -349,7 +314,7 @@ def build_kernels(features: Features) -> Kernels:
         radius = s.radius[i]
         if own[3] > 0.0:
             for j in range(s.particles):
-                other = load(memory, j)
+                other = load_row(memory, j)
                 apart = x - xyz(other)
                 r2 = wp.dot(apart, apart)
                 if r2 < reach and other[3] > 0.0 and i != j:
@@ -378,7 +343,7 @@ def build_kernels(features: Features) -> Kernels:
             s.overflow[world, i] += 1
         # of the second row, so that who still looks for neighbours reads nothing half-written
         weight = wp.where(own[3] > 0.0, 1.0 / wp.max(float(touching), 1.0), -1.0)
-        store(memory, s.particles + i, wp.vec4(x[0], x[1], x[2], weight))
+        store_row(memory, s.particles + i, wp.vec4(x[0], x[1], x[2], weight))
 
     @wp.func
     def density(s: System, memory: wp.uint64, world: int, i: int, source: int):
@@ -386,7 +351,7 @@ def build_kernels(features: Features) -> Kernels:
         rest = s.rest_density[s.material[i]]
         if rest > 0.0:
             h = s.smoothing
-            x = xyz(load(memory, source + i))
+            x = xyz(load_row(memory, source + i))
             mass = 1.0 / s.inverse_mass[i]
             rho = mass * density_kernel(0.0, h)
             gradient = wp.vec3(0.0)
@@ -394,7 +359,7 @@ def build_kernels(features: Features) -> Kernels:
             for k in range(s.neighbour_count[world, i]):
                 j = s.neighbour[world, i, k]
                 if s.rest_density[s.material[j]] > 0.0:
-                    apart = x - xyz(load(memory, source + j))
+                    apart = x - xyz(load_row(memory, source + j))
                     r2 = wp.dot(apart, apart)
                     if r2 < h * h:
                         other = 1.0 / s.inverse_mass[j]
@@ -411,15 +376,17 @@ def build_kernels(features: Features) -> Kernels:
             if c < 0.0:
                 c = c * s.tension[s.material[i]]
             squares += s.inverse_mass[i] * (wp.dot(gradient, gradient) + s.softening[s.material[i]])
-            begin = load(memory, 2 * s.particles + i)
-            store(memory, 2 * s.particles + i, wp.vec4(begin[0], begin[1], begin[2], -c / squares))
+            begin = load_row(memory, 2 * s.particles + i)
+            store_row(
+                memory, 2 * s.particles + i, wp.vec4(begin[0], begin[1], begin[2], -c / squares)
+            )
 
     @wp.func
     def solve(s: System, memory: wp.uint64, world: int, i: int, source: int, target: int):
         """One Jacobi iteration: where all constraints on a particle, averaged, would have it, and
         then out of what is kinematic."""
-        own = load(memory, source + i)
-        begin = load(memory, 2 * s.particles + i)
+        own = load_row(memory, source + i)
+        begin = load_row(memory, 2 * s.particles + i)
         x = xyz(own)
         start = xyz(begin)
         w = s.inverse_mass[i]
@@ -439,7 +406,7 @@ def build_kernels(features: Features) -> Kernels:
             active = float(0.0)
             for k in range(s.neighbour_count[world, i]):
                 j = s.neighbour[world, i, k]
-                other = load(memory, source + j)
+                other = load_row(memory, source + j)
                 apart = x - xyz(other)
                 r2 = wp.dot(apart, apart)
                 both = radius
@@ -467,7 +434,7 @@ def build_kernels(features: Features) -> Kernels:
                         if flowing and r2 < s.smoothing * s.smoothing:
                             r = wp.max(wp.sqrt(r2), _NEAR)
                             lambdas = begin[3] / (s.inverse_mass[j] * rest)
-                            lambdas += load(memory, 2 * s.particles + j)[3] / (w * density_j)
+                            lambdas += load_row(memory, 2 * s.particles + j)[3] / (w * density_j)
                             flow += (lambdas * w * density_slope(r, s.smoothing) / r) * apart
                         if flowing:
                             both = _FLUID_CONTACT * both
@@ -482,7 +449,7 @@ def build_kernels(features: Features) -> Kernels:
                     if r < _NEAR:  # on each other: apart along z, each its own way
                         r = _NEAR
                         apart = wp.vec3(0.0, 0.0, wp.where(i < j, -_NEAR, _NEAR))
-                    slip = moved - (xyz(other) - xyz(load(memory, 2 * s.particles + j)))
+                    slip = moved - (xyz(other) - xyz(load_row(memory, 2 * s.particles + j)))
                     change = contact(apart, r, both, slip, static, dynamic, holds)
                     delta += (share * wp.min(own[3], other[3])) * change
                     active += 1.0
@@ -493,7 +460,7 @@ def build_kernels(features: Features) -> Kernels:
                 for k in range(s.slots):
                     j = s.spring_partner[world, i, k]
                     if j >= 0:
-                        other = load(memory, source + j)
+                        other = load_row(memory, source + j)
                         if other[3] > 0.0:
                             apart = x - xyz(other)
                             r = wp.max(wp.length(apart), _NEAR)
@@ -503,14 +470,14 @@ def build_kernels(features: Features) -> Kernels:
                             active += 1.0
             x = outside(s, world, i, start, x + s.relaxation * delta + flow)
             own = wp.vec4(x[0], x[1], x[2], wp.min(own[3], 1.0 / wp.max(active, 1.0)))
-        store(memory, target + i, own)
+        store_row(memory, target + i, own)
 
     @wp.func
     def finish(s: System, memory: wp.uint64, world: int, i: int, source: int, target: int):
         """New velocities, and positions of what does not sleep (Macklin et al. 2014, algorithm 1,
         lines 27 to 30)."""
-        own = load(memory, source + i)
-        start = xyz(load(memory, 2 * s.particles + i))
+        own = load_row(memory, source + i)
+        start = xyz(load_row(memory, 2 * s.particles + i))
         x = xyz(own)
         v = wp.vec3(0.0)
         if own[3] > 0.0 and s.inverse_mass[i] > 0.0:
@@ -524,7 +491,7 @@ def build_kernels(features: Features) -> Kernels:
             s.position[world, i] = x
         s.velocity[world, i] = v
         if wp.static(FLUIDS):
-            store(memory, target + i, wp.vec4(v[0], v[1], v[2], own[3]))
+            store_row(memory, target + i, wp.vec4(v[0], v[1], v[2], own[3]))
 
     @wp.func
     def viscosity(s: System, memory: wp.uint64, world: int, i: int, source: int, target: int):
@@ -534,16 +501,16 @@ def build_kernels(features: Features) -> Kernels:
         rest = s.rest_density[material]
         if rest > 0.0 and s.active[world, i] != 0.0:
             h = s.smoothing
-            x = xyz(load(memory, source + i))
-            v = xyz(load(memory, target + i))
+            x = xyz(load_row(memory, source + i))
+            v = xyz(load_row(memory, target + i))
             change = wp.vec3(0.0)
             for k in range(s.neighbour_count[world, i]):
                 j = s.neighbour[world, i, k]
                 if s.material[j] == material:
-                    apart = x - xyz(load(memory, source + j))
+                    apart = x - xyz(load_row(memory, source + j))
                     r2 = wp.dot(apart, apart)
                     if r2 < h * h:
-                        change += density_kernel(r2, h) * (xyz(load(memory, target + j)) - v)
+                        change += density_kernel(r2, h) * (xyz(load_row(memory, target + j)) - v)
             s.velocity[world, i] = (
                 v + s.viscosity[world, material] / (s.inverse_mass[i] * rest) * change
             )
@@ -557,9 +524,9 @@ def build_kernels(features: Features) -> Kernels:
         lanes = wp.block_dim()
         memory = block_memory(s.memory, world * ROWS * s.particles)
         for _substep in range(count):
-            advance_tools(s, world, lane, lanes)
+            move_tools(s, world, lane, lanes)
             wait_for_block()
-            place_shapes(s, world, lane, lanes)
+            place_shapes(s.tools, world, lane, lanes)
             if lane == 0:
                 count_substep(s, world)
             wait_for_block()
@@ -590,68 +557,43 @@ def build_kernels(features: Features) -> Kernels:
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def tools_kernel(s: System):
         world = wp.tid()
-        advance_tools(s, world, 0, 1)
-        place_shapes(s, world, 0, 1)
+        move_tools(s, world, 0, 1)
+        place_shapes(s.tools, world, 0, 1)
         count_substep(s, world)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def predict_kernel(s: System):
-        world, i = wp.tid()
-        predict(s, global_memory(s.memory, world * ROWS * s.particles), world, i)
+    def each(phase: Any) -> Any:
+        """A kernel with a thread for each particle, which goes through `phase`."""
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def find_kernel(s: System):
-        world, i = wp.tid()
-        find(s, global_memory(s.memory, world * ROWS * s.particles), world, i)
+        @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+        def kernel(s: System):
+            world, i = wp.tid()
+            phase(s, global_memory(s.memory, world * ROWS * s.particles), world, i)
+
+        return kernel
+
+    def each_of_rows(phase: Any) -> Any:
+        """The same of a phase that reads the rows from `source` on and writes the others."""
+
+        @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
+        def kernel(s: System, source: int):
+            world, i = wp.tid()
+            memory = global_memory(s.memory, world * ROWS * s.particles)
+            phase(s, memory, world, i, source, s.particles - source)
+
+        return kernel
 
     @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
     def density_kernel_(s: System, source: int):
         world, i = wp.tid()
         density(s, global_memory(s.memory, world * ROWS * s.particles), world, i, source)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def solve_kernel(s: System, source: int):
-        world, i = wp.tid()
-        solve(
-            s,
-            global_memory(s.memory, world * ROWS * s.particles),
-            world,
-            i,
-            source,
-            s.particles - source,
-        )
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def finish_kernel(s: System, source: int):
-        world, i = wp.tid()
-        finish(
-            s,
-            global_memory(s.memory, world * ROWS * s.particles),
-            world,
-            i,
-            source,
-            s.particles - source,
-        )
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=_FAST)
-    def viscosity_kernel(s: System, source: int):
-        world, i = wp.tid()
-        viscosity(
-            s,
-            global_memory(s.memory, world * ROWS * s.particles),
-            world,
-            i,
-            source,
-            s.particles - source,
-        )
-
     return Kernels(
         block=block_kernel,
         tools=tools_kernel,
-        predict=predict_kernel,
-        find=find_kernel,
+        predict=each(predict),
+        find=each(find),
         density=density_kernel_,
-        solve=solve_kernel,
-        finish=finish_kernel,
-        viscosity=viscosity_kernel,
+        solve=each_of_rows(solve),
+        finish=each_of_rows(finish),
+        viscosity=each_of_rows(viscosity),
     )

@@ -1,4 +1,4 @@
-"""What kernels need that give a world one thread block: its shared memory, and waiting for each other.
+"""What kernels need that give a world one thread block: its shared memory, rows of it, and waiting for each other.
 
 On the CPU a block has one thread: there is nothing to wait for, and memory is global.
 """
@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["global_memory", "shared_memory", "wait_for_block"]
+__all__ = ["global_memory", "load_row", "shared_memory", "store_row", "wait_for_block"]
 
 
 @wp.func_native(
@@ -20,6 +20,34 @@ __all__ = ["global_memory", "shared_memory", "wait_for_block"]
 )
 def wait_for_block():
     """Wait until all threads of the block are here."""
+
+
+# rows of four numbers, which on a GPU are read and written at once
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const float4 of = ((const float4*)memory)[row];
+    return wp::vec_t<4, float>(of.x, of.y, of.z, of.w);
+#else
+    return ((const wp::vec_t<4, float>*)memory)[row];
+#endif
+"""
+)
+def load_row(memory: wp.uint64, row: int) -> wp.vec4:  # type: ignore
+    """Row `row` of the vectors that lie one after the other from the address `memory` on."""
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    ((float4*)memory)[row] = make_float4(value[0], value[1], value[2], value[3]);
+#else
+    ((wp::vec_t<4, float>*)memory)[row] = value;
+#endif
+"""
+)
+def store_row(memory: wp.uint64, row: int, value: wp.vec4):  # type: ignore
+    """Write row `row` of them."""
 
 
 @cache

@@ -15,22 +15,24 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from torch import Tensor
 
 from understudy_warp_torch.tools import Box, Capsule, Grid, Shape, TaperedCapsule, Tool
 
 __all__ = [
     "GRID",
     "Tools",
+    "advance_tools",
     "build_tools",
     "friction",
     "from_rotation_vector",
     "local_distance",
-    "move_tool",
-    "place_shape",
+    "place_shapes",
     "rotation",
     "shape_distance",
     "to_rotation_vector",
     "tool_between",
+    "tool_views",
     "xyz",
 ]
 
@@ -162,6 +164,28 @@ def place_shape(tools: Tools, world: int, shape: int):
         q, tools.offset[shape]
     )
     tools.shape_rotation[world, shape] = q * tools.turn[shape]
+
+
+@wp.func
+def advance_tools(
+    tools: Tools,
+    control: wp.array2d(dtype=float),
+    world: int,
+    lane: int,
+    lanes: int,
+    remaining: float,
+    dt: float,
+):
+    """Move the tools by a sub-step towards their targets, each lane its share of them."""
+    for tool in range(lane, tools.tools, lanes):
+        move_tool(tools, control, world, tool, remaining, dt)
+
+
+@wp.func
+def place_shapes(tools: Tools, world: int, lane: int, lanes: int):
+    """Put the shapes where their tools are, each lane its share of them."""
+    for shape in range(lane, tools.shapes, lanes):
+        place_shape(tools, world, shape)
 
 
 @wp.func
@@ -423,3 +447,21 @@ def build_tools(tools: Sequence[Tool], worlds: int) -> Any:
     result.shape_position_before = wp.zeros((worlds, s), dtype=wp.vec3)
     result.shape_rotation_before = wp.zeros((worlds, s), dtype=wp.quat)
     return result
+
+
+def tool_views(tools: Any) -> dict[str, tuple[Tensor, tuple[int, ...]]]:
+    """By the field's name: where tools are and how they move, as torch views, and each world's shape.
+
+    The number of tools leads it if there are several; without any there is no field.
+    """
+    count = int(tools.tools)
+    lead = (count,) if count > 1 else ()
+    fields = {
+        "tool_position": (tools.position, 3),
+        "tool_orientation": (tools.orientation, 4),
+        "tool_velocity": (tools.velocity, 3),
+        "tool_angular_velocity": (tools.angular_velocity, 3),
+    }
+    return {
+        name: (wp.to_torch(view), (*lead, size)) for name, (view, size) in fields.items() if count
+    }

@@ -6,10 +6,11 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from understudy.running.environment import Environment
-from understudy.task import Simulator
+from understudy.task import Context, Simulator
 from understudy_tensors.captured import Captured
 from understudy_warp_torch.kernels import Kernels
 from understudy_warp_torch.world_state import WorldState
@@ -18,16 +19,21 @@ __all__ = ["WarpSimulator"]
 
 
 class WarpSimulator(Simulator):
-    """N worlds in Warp's arrays. A subclass fills these attributes as it is made, and advances the worlds."""
+    """N worlds in Warp's arrays. A subclass fills `_worlds`, `_control` and `_counted` as it is made, and
+    advances the worlds."""
 
-    _warp: Kernels
     _worlds: WorldState
     #: (N, control_size) what the kernels read it from
     _control: Tensor
-    #: of a control period
-    _substeps: int
     #: what the report calls it, and (K,) what the kernels count since the beginning
     _counted: tuple[str, Tensor]
+
+    def __init__(self, context: Context) -> None:
+        self._warp = Kernels(context.device)
+        self._device: torch.device = self._warp.device
+        self._n = context.num_worlds
+        #: of a control period, and how long one is, s
+        self._substeps, self._dt = context.substeps, context.control_dt / context.substeps
 
     @abstractmethod
     def _advance(self, count: int) -> None:

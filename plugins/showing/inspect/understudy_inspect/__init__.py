@@ -1,7 +1,7 @@
-"""Commands that show what there is, and judge and draw what was trained."""
+"""Commands that show what there is."""
 
 #: Plugins that this one builds on.
-REQUIRES = ("skills", "training", "reinforcement")
+REQUIRES: tuple[str, ...] = ()
 
 #: By kind and name: where each part is, and what it is in a sentence.
 PARTS = {
@@ -15,8 +15,6 @@ PARTS = {
         "plugins": ("commands:ListPlugins", "list the plugins and what they provide"),
         "describe": ("commands:Describe", "print a part's options: describe learner/ppo"),
         "config": ("commands:ShowConfiguration", "print every value and where it is from"),
-        "evaluate": ("judging:Evaluate", "evaluate a trained run"),
-        "render": ("judging:Render", "evaluate a run while recording, and make its report anew"),
         "replay": ("commands:Replay", "repeat the step in which a run's numbers went wrong"),
         "completion": ("completion:Completion", "print the completion of bash, zsh or fish"),
     },

@@ -96,9 +96,7 @@ def generated_backflip(
     #: frames/s
     frame_rate: float = 60.0,
 ) -> Clip:
-    """A backflip, from standing at ease to standing at ease 0.7 m behind.
-
-    Returns a clip that does not loop.
+    """A backflip, from standing at ease to standing at ease 0.7 m behind. It does not loop.
 
     Raises
     ------

@@ -98,9 +98,8 @@ def generated_cartwheel(
     #: frames/s
     frame_rate: float = 60.0,
 ) -> Clip:
-    """A cartwheel to one side, facing x, from standing at ease to standing at ease 2.8 m aside.
-
-    Returns a clip that does not loop.
+    """A cartwheel to one side, facing x, from standing at ease to standing at ease 2.8 m to that side. It
+    does not loop.
 
     Raises
     ------

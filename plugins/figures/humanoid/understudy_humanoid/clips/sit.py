@@ -84,9 +84,7 @@ def generated_sit(
     #: frames/s
     frame_rate: float = 60.0,
 ) -> Clip:
-    """Sitting down on a chair behind.
-
-    Returns a clip that does not loop.
+    """Sitting down on a chair behind the figure. It does not loop.
 
     Raises
     ------

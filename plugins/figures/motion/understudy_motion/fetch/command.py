@@ -31,15 +31,9 @@ from understudy.setup import plugins
 from understudy.setup.registry import Registry
 from understudy_motion.fetch import cmu, deepmimic, download
 from understudy_motion.library import DATA_VARIABLE, data_folder
-from understudy_motion.reading import (
-    RECORD_SUFFIX,
-    ReadOptions,
-    UnknownFormatError,
-    read_bytes,
-    read_record,
-    reader_of,
-    record_path,
-)
+from understudy_motion.limits import read_bytes
+from understudy_motion.origin import RECORD_SUFFIX, read_record, record_path
+from understudy_motion.reading import ReadOptions, UnknownFormatError, reader_of
 
 PUBLISHERS = (cmu, deepmimic)
 """Who publishes clips that are known by name."""

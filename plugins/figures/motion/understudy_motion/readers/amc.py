@@ -27,19 +27,11 @@ import torch
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.library import DATA_VARIABLE, data_folder
+from understudy_motion.limits import check_size, checked_skeleton, read_bytes
+from understudy_motion.origin import provenance
 from understudy_motion.readers.frames import product_of_turns, to_world
 from understudy_motion.readers.text import LARGEST, decoded, is_number, shown
-from understudy_motion.reading import (
-    UNSAID,
-    Axis,
-    ClipReader,
-    ReadOptions,
-    check_size,
-    checked_skeleton,
-    metres_of,
-    provenance,
-    read_bytes,
-)
+from understudy_motion.reading import UNSAID, Axis, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
 DEFAULT_RATE = 120.0

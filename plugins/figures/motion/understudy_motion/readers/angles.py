@@ -25,29 +25,19 @@ from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_motion.clip import ANGLE, Clip
-from understudy_motion.readers.text import (
-    decoded,
-    is_number,
-    is_plain_time,
+from understudy_motion.limits import check_size, read_bytes
+from understudy_motion.origin import provenance
+from understudy_motion.readers.columns import (
     names_joints,
-    number_rows,
     plain_name,
     rate_of,
     said_of,
     scale_of_unit,
-    since_first,
     units_in,
-    without_comments,
 )
-from understudy_motion.reading import (
-    UNSAID,
-    ClipReader,
-    ReadOptions,
-    check_size,
-    metres_of,
-    provenance,
-    read_bytes,
-)
+from understudy_motion.readers.text import decoded, is_number, number_rows, without_comments
+from understudy_motion.readers.times import is_plain_time, since_first
+from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
 __all__ = ["RATE"]

@@ -39,22 +39,18 @@ import torch
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
 from understudy_motion.kinematics import forward_kinematics, tip_positions
+from understudy_motion.limits import MAX_JOINTS, MAX_NAME, check_size, checked_skeleton, read_bytes
+from understudy_motion.origin import provenance
 from understudy_motion.readers.frames import product_of_turns, to_world
 from understudy_motion.readers.text import decoded, is_number, number_rows, shown, without_comments
 from understudy_motion.reading import (
     HEAD_BYTES,
-    MAX_JOINTS,
-    MAX_NAME,
     METRES,
     UNSAID,
     Axis,
     ClipReader,
     ReadOptions,
-    check_size,
-    checked_skeleton,
     metres_of,
-    provenance,
-    read_bytes,
 )
 from understudy_tensors import rotations
 

@@ -26,8 +26,10 @@ import torch
 
 from understudy.errors import FileError, suggestion
 from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.limits import read_bytes
+from understudy_motion.origin import provenance
 from understudy_motion.readers.text import decoded
-from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, provenance, read_bytes
+from understudy_motion.reading import UNSAID, ClipReader, ReadOptions
 from understudy_tensors import rotations
 
 JOINTS: tuple[tuple[str, int], ...] = (

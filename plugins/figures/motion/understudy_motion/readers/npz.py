@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from understudy.errors import FileError
+from understudy_motion.limits import read_bytes
 from understudy_motion.readers.text import is_number
-from understudy_motion.reading import read_bytes
 
 __all__ = ["Archive"]
 

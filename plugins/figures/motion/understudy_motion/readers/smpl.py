@@ -26,17 +26,11 @@ from scipy.spatial.transform import Rotation
 
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
+from understudy_motion.limits import check_size, checked_skeleton
+from understudy_motion.origin import provenance
 from understudy_motion.readers.frames import check_sizes, to_world
 from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
-from understudy_motion.reading import (
-    UNSAID,
-    ClipReader,
-    ReadOptions,
-    check_size,
-    checked_skeleton,
-    metres_of,
-    provenance,
-)
+from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
 _SIDES = ("left", "right")

@@ -32,32 +32,21 @@ import torch
 
 from understudy.errors import FileError
 from understudy_motion.clip import Clip, Skeleton
-from understudy_motion.readers.frames import check_sizes
-from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
-from understudy_motion.readers.text import (
-    decoded,
-    is_plain_time,
+from understudy_motion.limits import check_size, checked_skeleton, read_bytes
+from understudy_motion.origin import MAX_RECORD_LINE, provenance
+from understudy_motion.readers.columns import (
     names_joints,
-    number_rows,
     plain_name,
     rate_of,
     said_of,
     scale_of,
-    shown,
-    since_first,
     units_in,
 )
-from understudy_motion.reading import (
-    MAX_RECORD_LINE,
-    UNSAID,
-    ClipReader,
-    ReadOptions,
-    check_size,
-    checked_skeleton,
-    metres_of,
-    provenance,
-    read_bytes,
-)
+from understudy_motion.readers.frames import check_sizes
+from understudy_motion.readers.npz import ZIP_MAGIC, Archive, array_names
+from understudy_motion.readers.text import decoded, number_rows, shown
+from understudy_motion.readers.times import is_plain_time, since_first
+from understudy_motion.reading import UNSAID, ClipReader, ReadOptions, metres_of
 from understudy_tensors import rotations
 
 FORMAT = "understudy.clip"

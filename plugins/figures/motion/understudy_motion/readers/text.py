@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import codecs
-import math
 import re
-from collections.abc import Iterable, Sequence
-from datetime import datetime, timedelta
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +13,6 @@ from understudy.errors import FileError
 
 LARGEST = 1e12
 """Beyond it a number in a motion file is taken for damage: no angle, length or time is so large."""
-
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -60,167 +57,6 @@ def is_number(word: str) -> bool:
 def shown(text: str) -> str:
     """`text` quoted and cut, for a message."""
     return repr(text if len(text) <= 40 else text[:40] + "…")
-
-
-_SAID = re.compile(
-    r'\s*"?(?:#|%|//)\s*(?:(rate|frame[ _]?rate|fps)|(loop)|(licen[cs]e))\s*[:=](.*)', re.IGNORECASE
-)
-"""A line before a table that says something of it; spreadsheets quote it, or end it with delimiters."""
-
-
-def said_of(line: str) -> tuple[str, str] | None:
-    """What a remark before a table says of it, None if nothing: "rate", "loop" or "licence", and its value."""
-    if not (found := _SAID.match(line)):
-        return None
-    name = "rate" if found[1] else "loop" if found[2] else "licence"
-    return name, found[4].strip(',;\t| "')
-
-
-def rate_of(path: Path, word: str) -> float:
-    """Frames per second, of what :func:`said_of` gives of a rate."""
-    number = re.sub(r"\s*(hz|fps)$", "", word, flags=re.IGNORECASE).replace(",", ".")
-    if not is_number(number) or not 0.0 < float(number) <= 1e6:
-        raise FileError(f"Clip {path}: the rate {shown(word)} is no number of frames per second.")
-    return float(number)
-
-
-_COLUMN = re.compile(
-    r"(?:(root)[._/ -](?:p|t|pos[._]?|position[._]?|trans[._]?)?([xyz])|(.*)\.(q[wxyz]|r[xyz])"
-    r"|(?!root|base|pelvis)(.+)[_/ :-](?:q|quat[._ ]?)([wxyz]))"
-    r"(?:\s*[\[(]\s*(m|cm|mm|rad|deg|degrees?|°)?\s*[\])])?",
-    re.IGNORECASE,
-)
-_TIME = re.compile(
-    r"(?:time|times|t|timestamp|seconds)"
-    r"(?:[_ ]*[\[(]?(s|sec|seconds|ms|milliseconds|us|µs|microseconds|ns|nanoseconds)[\])]?)?",
-    re.IGNORECASE,
-)
-_SCALES = {
-    "c": 0.01,
-    "mm": 0.001,
-    "d": math.pi / 180.0,
-    "°": math.pi / 180.0,
-    "ms": 0.001,
-    "mil": 0.001,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "mic": 1e-6,
-    "n": 1e-9,
-}
-"""m, rad or s in a unit that begins so."""
-_UNITS = {
-    word: unit
-    for unit, words in {
-        "m": "m metre metres meter meters",
-        "cm": "cm centimetre centimetres centimeter centimeters",
-        "mm": "mm millimetre millimetres millimeter millimeters",
-        "rad": "rad radian radians",
-        "deg": "deg degree degrees °",
-        "s": "s sec secs second seconds",
-        "ms": "ms msec millisecond milliseconds",
-        "us": "us µs microsecond microseconds",
-        "ns": "ns nanosecond nanoseconds",
-        "": "- – 1 # none unitless quat quaternion n/a na",
-    }.items()
-    for word in ("", *words.split())
-}
-"""By what stands in a row of units below a table's names: the unit, empty where there is none."""
-
-
-def plain_name(column: str) -> str:
-    """The name of a table's `column` as it is written here: without a unit, its part in small letters."""
-    if _TIME.fullmatch(column):
-        return "time"
-    if found := _COLUMN.fullmatch(column):
-        root, position, joint, rotation, other, part = found.groups()[:6]
-        if root:
-            return f"root.p{position.lower()}"
-        return f"{other}.q{part.lower()}" if other else f"{joint}.{rotation.lower()}"
-    return column
-
-
-def names_joints(columns: Iterable[str]) -> bool:
-    """Whether `columns` have rotations of a joint beside the root, NAME.qw or NAME.rx, as no robot's table has."""
-    found = (_COLUMN.fullmatch(column) for column in columns)
-    return any(
-        f and (f[5] or (f[3] and f[3].lower() not in ("root", "base", "pelvis"))) for f in found
-    )
-
-
-def scale_of(column: str) -> float:
-    """m, rad or s in the unit that the name of a table's `column` says, 1 if none."""
-    found = _TIME.fullmatch(column) or _COLUMN.fullmatch(column)
-    return scale_of_unit((found[found.re.groups] or "").lower() if found else "")
-
-
-def scale_of_unit(unit: str) -> float:
-    """m, rad or s in a `unit`, 1 if it is one of these, or none."""
-    return next((scale for start, scale in _SCALES.items() if unit.startswith(start)), 1.0)
-
-
-def units_in(cells: Sequence[str]) -> list[str] | None:
-    """The units that the `cells` of a row name, as they are called here, None if it is no row of units."""
-    words = [cell.strip(' []()"').lower() for cell in cells]
-    if not all(word in _UNITS for word in words) or not any(_UNITS[word] for word in words):
-        return None
-    return [_UNITS[word] for word in words]
-
-
-_CLOCK = re.compile(
-    r"(?:(\d+) days?,? )?(?:(\d+):)?(\d+):(\d\d?(?:[.,]\d+)?)",
-)
-"""Days, hours, minutes and seconds."""
-_COUNTED = 10**11
-"""A time beyond it is no number of seconds, but a computer's count of parts of them since 1970."""
-
-
-def is_plain_time(word: str) -> bool:
-    """Whether `word` is a number that is a time as it is."""
-    return is_number(word) and abs(float(word)) < _COUNTED
-
-
-def since_first(words: Sequence[str], unit: float = 1.0) -> list[float]:
-    """The times of a column, since the first of them, in a `unit` of so many s: of dates and clocks (ISO 8601,
-    ``10:00:01.5``), and of counts since 1970, which are of milli-, micro- or nanoseconds by their size if the unit
-    is the second.
-
-    Raises
-    ------
-    ValueError
-        one of them is none, or of another kind than the first; it says which, and what to write.
-    """
-    counts = bool(words) and words[0].isdecimal()
-    times = list[int]()
-    for word in words:
-        time = _count(word) if counts else _microseconds(word)
-        if time is None:
-            raise ValueError(
-                f"{shown(word)} is no time; write seconds, as 0.033, or a date and time of ISO 8601"
-            )
-        times.append(time)
-    per = 1e6 * unit
-    if counts:
-        size = times[0]
-        by_size = 1e3 if size < 10**14 else 1e6 if size < 10**17 else 1e9
-        per = by_size if unit == 1.0 else 1.0
-    return [(time - times[0]) / per for time in times]
-
-
-def _count(word: str) -> int | None:
-    return int(word) if word.isascii() and word.isdecimal() and len(word) < 25 else None
-
-
-def _microseconds(word: str) -> int | None:
-    """That a date, or a clock, says."""
-    if clock := _CLOCK.fullmatch(word):
-        days, hours, minutes = (int(part or 0) for part in clock.groups()[:3])
-        seconds = float(clock[4].replace(",", "."))
-        return 60_000_000 * (60 * (24 * days + hours) + minutes) + round(1e6 * seconds)
-    try:
-        date = datetime.fromisoformat(word)
-    except ValueError:
-        return None
-    return (date - datetime(2000, 1, 1, tzinfo=date.tzinfo)) // timedelta(microseconds=1)
 
 
 def number_rows(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from understudy_inspect.half_step import compared, difference, verdict
+from understudy_judging.half_step import compared, difference, verdict
 from understudy_reinforcement.evaluation import Evaluation
 
 

@@ -23,7 +23,7 @@ from understudy.records.checkpoint import write_atomically
 from understudy.records.runs import Run
 from understudy.running.training import Reporter, Training
 from understudy.setup.composition import compose_raw, replaced
-from understudy_inspect.half_step import compared
+from understudy_judging.half_step import compared
 from understudy_skills.folder import run_folder
 from understudy_training.watching import observers
 from understudy_training.workflow import judge

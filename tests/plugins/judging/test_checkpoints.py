@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from understudy_inspect.judging import _best, _nearest, _share
+from understudy_judging.commands import _best, _nearest, _share
 
 
 def run(*rows: dict[str, float]) -> Any:

@@ -9,7 +9,7 @@ import pytest
 
 from understudy.command.cli import main
 from understudy.errors import RunError
-from understudy_inspect import judging
+from understudy_judging import commands
 
 
 def test_nothing_is_left_of_what_could_not_be_written(
@@ -22,7 +22,7 @@ def test_nothing_is_left_of_what_could_not_be_written(
     def fails(path: Path, *_: object) -> None:
         raise RunError(f"{path} could not be written: No space left on device.")
 
-    monkeypatch.setattr(judging.checkpoint, "save", fails)
+    monkeypatch.setattr(commands.checkpoint, "save", fails)
     assert main(["render", f"{tmp_path}/run", "seconds=1"]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before

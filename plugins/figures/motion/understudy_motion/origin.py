@@ -1,0 +1,74 @@
+"""Where a file's motion comes from, and under which licence: its record, or a LICENSE file beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from understudy.errors import FileError
+from understudy_motion.limits import read_bytes
+
+__all__ = ["RECORD_SUFFIX"]
+
+RECORD_SUFFIX = ".provenance.json"
+LICENCE = "LICENSE"
+MAX_RECORD_BYTES = 2**16
+MAX_RECORD_LINE = 2000
+MAX_LICENCE_BYTES = 2**16
+
+
+def provenance(path: Path, content: bytes) -> dict[str, Any]:
+    """The fields of :class:`Clip` that say where a file's motion comes from.
+
+    They are those of the clip's licence record if it is a record of this very `content`; else the
+    licence is that of a LICENSE file beside the clip.
+    """
+    digest = hashlib.sha256(content).hexdigest()
+    record = read_record(path)
+    if record.get("sha256") != digest:
+        record = {}
+    return {
+        "source": str(path),
+        "licence": record.get("licence") or licence_beside(path),
+        "sha256": digest,
+        "url": record.get("url", ""),
+        "attribution": record.get("attribution", ""),
+    }
+
+
+def record_path(path: Path) -> Path:
+    """Where the licence record of the clip at `path` is: beside it, under its stem."""
+    return path.with_name(path.stem + RECORD_SUFFIX)
+
+
+def read_record(path: Path) -> dict[str, str]:
+    """The texts of the licence record of the clip at `path`, each a printable line.
+
+    Its keys are ``clip``, ``url``, ``date``, ``sha256`` and, where known, ``licence`` and
+    ``attribution``. Empty if there is no record, or none that can be read.
+    """
+    try:
+        record = json.loads(read_bytes(record_path(path), MAX_RECORD_BYTES))
+    except (FileError, ValueError, RecursionError):
+        return {}
+    if not isinstance(record, dict):
+        return {}
+    return {
+        key: "".join(filter(str.isprintable, value))[:MAX_RECORD_LINE]
+        for key, value in record.items()
+        if isinstance(value, str)
+    }
+
+
+def licence_beside(path: Path) -> str:
+    """The first line of a LICENSE file beside the clip, if there is one."""
+    try:
+        text = read_bytes(path.with_name(LICENCE), MAX_LICENCE_BYTES, whole=False).decode(
+            errors="replace"
+        )
+    except FileError:
+        return "unknown"
+    first = next((line.strip() for line in text.splitlines() if line.strip()), "")
+    return f"{first[:200]}; see LICENSE beside the clip" if first else "unknown"
