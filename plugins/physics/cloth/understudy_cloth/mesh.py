@@ -218,7 +218,8 @@ def spread(order: np.ndarray, colours: np.ndarray, groups: np.ndarray) -> np.nda
                 left, banks, taken = left[keep], banks[keep], taken[keep]
             # what each would add to the most that meet in a bank, by columns
             adds = np.maximum(met + 1 - met.max(axis=1, keepdims=True), 0) * 64 + met
-            best = int((adds.ravel()[banks].sum(axis=1) + taken).argmin())
+            cost = adds.ravel()[banks].sum(axis=1) + taken
+            best = int(cost.argmin())
             found[done + place] = left[best]
             met.ravel()[banks[best]] += 1
             taken[best] = _NEVER
